@@ -1,0 +1,24 @@
+"""The two ways in which simgap ends other than well: bad input (exit 2) and a check that was missed (exit 1)."""
+
+from __future__ import annotations
+
+__all__ = ["CheckFailed", "InputError"]
+
+
+class InputError(ValueError):
+    """Input that cannot be used.
+
+    The message is one line: the file, the row or key, what was found, what was expected and what to do.
+    """
+
+    def __init__(self, where: object, found: str, expected: str = "", todo: str = "") -> None:
+        parts = [f"{where}: {found}"]
+        if expected:
+            parts.append(f"expected {expected}")
+        if todo:
+            parts.append(todo)
+        super().__init__("; ".join(parts).replace("\n", " "))
+
+
+class CheckFailed(RuntimeError):
+    """A check that the user asked for was made and missed (exit 1)."""

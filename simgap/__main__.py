@@ -1,0 +1,5 @@
+"""``python -m simgap`` is the command ``simgap``."""
+
+from simgap.cli import main
+
+main()
