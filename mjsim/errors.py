@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["CheckFailed", "InputError"]
+__all__ = ["CheckError", "InputError"]
 
 
 class InputError(ValueError):
@@ -20,5 +20,5 @@ class InputError(ValueError):
         super().__init__("; ".join(parts).replace("\n", " "))
 
 
-class CheckFailed(RuntimeError):
+class CheckError(RuntimeError):
     """A check that the user asked for was made and missed (exit 1)."""

@@ -49,7 +49,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; bad input is one line on standard error and exit 2, no traceback."""
-    from mjsim.errors import CheckFailed, InputError
+    from mjsim.errors import CheckError, InputError
 
     try:
         code = cli.main(standalone_mode=False)
@@ -62,7 +62,7 @@ def main() -> None:
     except InputError as error:
         click.echo(f"simgap: {error}", err=True)
         sys.exit(2)
-    except CheckFailed as error:
+    except CheckError as error:
         click.echo(f"simgap: {error}", err=True)
         sys.exit(1)
     except KeyboardInterrupt:

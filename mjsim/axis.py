@@ -1,0 +1,172 @@
+"""The axis: a chain of inertias joined by geared spring-dampers, and the effects laid on it. Models compose by ``+``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mjsim.effects.base import Effect
+from mjsim.effects.ports import BacklashLaw
+from mjsim.quantity import Motion, Quantity
+
+__all__ = ["Axis", "Body", "Chain", "Coupling", "LinearParameter"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """An inertia [kg m^2 | kg] with viscous friction to ground [N m s/rad | N s/m]; ``joint`` is its MJCF element."""
+
+    place: str
+    inertia: float
+    viscous: float
+    joint: str
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A spring-damper between body j and body j+1, on the side of body j+1: torque k d + damping d', d = ratio q_j - q_{j+1}."""
+
+    place: str
+    ratio: float
+    stiffness: float
+    damping: float
+    joint: str
+
+
+@dataclass(frozen=True)
+class LinearParameter:
+    """A parameter of the linear structure: name (Jm, fm, kg ...), where it stands, its value and quantity."""
+
+    name: str
+    kind: str
+    index: int
+    value: float
+    quantity: Quantity
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A single-axis chain: N bodies, N-1 couplings; torque acts on body 0, which is also the measured one.
+
+    ``gain`` is the actuator's gear: generalised torque on body 0 per unit of input. Viscous friction is free at body 0 and
+    wherever the model carries some.
+    """
+
+    bodies: tuple[Body, ...]
+    couplings: tuple[Coupling, ...]
+    motion: Motion = Motion.HINGE
+    gain: float = 1.0
+    actuator: str = "motor_torque"
+    velocity_sensor: str = "motor_velocity"
+    angle_sensor: str = "motor_angle"
+
+    def __post_init__(self) -> None:
+        if not self.bodies or len(self.couplings) != len(self.bodies) - 1:
+            raise ValueError(f"a chain of {len(self.bodies)} bodies needs {len(self.bodies) - 1} couplings")
+        for body in self.bodies:
+            if not body.inertia > 0:
+                raise ValueError(f"inertia of {body.joint!r} is {body.inertia}; expected > 0")
+
+    def body(self, place: str) -> int | None:
+        """Index of the body at a place (``motor`` first, ``arm`` last, ``gearbox`` in between), or None when there is none."""
+        n = len(self.bodies)
+        return {"motor": 0, "arm": n - 1, "gearbox": 1 if n >= 3 else None}.get(place)
+
+    def coupling(self, place: str) -> int | None:
+        """Index of the coupling at a place: ``gearbox`` the first, ``arm`` the last of two or more."""
+        n = len(self.couplings)
+        return {"gearbox": 0 if n >= 1 else None, "arm": n - 1 if n >= 2 else None}.get(place)
+
+    def element(self, place: str, *, coupling: bool = False) -> str:
+        """MJCF element that stands for a place."""
+        if place == "actuator":
+            return self.actuator
+        if place == "sensor":
+            return self.velocity_sensor
+        j = self.coupling(place) if coupling else None
+        if j is not None:
+            return self.couplings[j].joint
+        i = self.body(place)
+        return self.bodies[i if i is not None else 0].joint
+
+    def total_ratio(self, body: int) -> float:
+        """Angle of a body per angle of body 0 when nothing deflects."""
+        ratio = 1.0
+        for coupling in self.couplings[:body]:
+            ratio *= coupling.ratio
+        return ratio
+
+    def linear_parameters(self) -> tuple[LinearParameter, ...]:
+        """The free numbers of the linear structure: J, f (where the model has one), k, d."""
+        suffix = _suffixes([b.place for b in self.bodies])
+        csuffix = _suffixes([c.place for c in self.couplings])
+        out = [
+            LinearParameter(f"J{s}", "inertia", i, b.inertia, Quantity.INERTIA)
+            for i, (b, s) in enumerate(zip(self.bodies, suffix, strict=True))
+        ]
+        out += [
+            LinearParameter(f"f{s}", "viscous", i, b.viscous, Quantity.DAMPING)
+            for i, (b, s) in enumerate(zip(self.bodies, suffix, strict=True))
+            if i == 0 or b.viscous != 0
+        ]
+        out += [
+            LinearParameter(f"k{s}", "stiffness", i, c.stiffness, Quantity.STIFFNESS)
+            for i, (c, s) in enumerate(zip(self.couplings, csuffix, strict=True))
+        ]
+        out += [
+            LinearParameter(f"d{s}", "damping", i, c.damping, Quantity.DAMPING)
+            for i, (c, s) in enumerate(zip(self.couplings, csuffix, strict=True))
+        ]
+        return tuple(out)
+
+    def with_linear(self, values: Mapping[str, float]) -> Chain:
+        """A copy with some linear parameters replaced, by name."""
+        bodies, couplings = list(self.bodies), list(self.couplings)
+        known = {p.name: p for p in self.linear_parameters()}
+        for name, value in values.items():
+            if name not in known:
+                raise KeyError(f"unknown linear parameter {name!r}; choose from {', '.join(known)}")
+            p = known[name]
+            if p.kind in ("inertia", "viscous"):
+                bodies[p.index] = dataclasses.replace(bodies[p.index], **{p.kind: float(value)})  # type: ignore[arg-type]
+            else:
+                couplings[p.index] = dataclasses.replace(couplings[p.index], **{p.kind: float(value)})  # type: ignore[arg-type]
+        return dataclasses.replace(self, bodies=tuple(bodies), couplings=tuple(couplings))
+
+
+def _suffixes(places: list[str]) -> list[str]:
+    """First letters when they are unique, else underscore and whole names."""
+    letters = [p[0] for p in places]
+    return letters if len(set(letters)) == len(letters) else [f"_{p}" for p in places]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A chain with effects; ``axis + effect`` is a new axis. The backlash law is a named option of the axis."""
+
+    chain: Chain
+    effects: tuple[Effect, ...] = ()
+    backlash_law: BacklashLaw = BacklashLaw.GATED
+
+    def __post_init__(self) -> None:
+        keys = [e.key for e in self.effects]
+        doubled = {k for k in keys if keys.count(k) > 1}
+        if doubled:
+            raise ValueError(f"effect laid on the axis twice: {', '.join(sorted(doubled))}")
+
+    def __add__(self, effect: Effect) -> Axis:
+        """The axis with one more effect."""
+        if not isinstance(effect, Effect):
+            return NotImplemented
+        return dataclasses.replace(self, effects=(*self.effects, effect))
+
+    def without(self, key: str) -> Axis:
+        """The axis without the effect of this key (``id@place``)."""
+        if key not in {e.key for e in self.effects}:
+            raise KeyError(f"no effect {key!r}; there are {', '.join(e.key for e in self.effects) or 'none'}")
+        return dataclasses.replace(self, effects=tuple(e for e in self.effects if e.key != key))
+
+    def with_linear(self, values: Mapping[str, float]) -> Axis:
+        """The axis with some linear parameters replaced."""
+        return dataclasses.replace(self, chain=self.chain.with_linear(values))

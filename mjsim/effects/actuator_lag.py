@@ -1,0 +1,44 @@
+"""Actuator lag: the current loop's first-order response.
+
+T tau' + tau = u
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.ports import InputLag, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["ActuatorLag"]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class ActuatorLag(Effect):
+    """Actuator lag; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "actuator_lag"
+    places: ClassVar[tuple[str, ...]] = ("actuator",)
+    sentence: ClassVar[str] = "The actuator follows its command with a lag of {time_constant_s} s (current loop)."
+    citation: ClassVar[str] = "Franklin, Powell, Emami-Naeini, Feedback Control (2015)"
+    tolerance: ClassVar[float] = 1e-5
+    family: ClassVar[str] = "signal"
+
+    time_constant_s: float = parameter(Quantity.TIME, "time constant", lower=0.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        return (InputLag(self.time_constant_s),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        return [{"time_constant_s": 2 * scales.dt}, {"time_constant_s": 10 * scales.dt}]

@@ -1,0 +1,44 @@
+"""Actuator saturation: the drive's torque limit.
+
+tau = clip(u, -L, L)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.ports import InputMap, Port, StaticMap
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["ActuatorSaturation"]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class ActuatorSaturation(Effect):
+    """Actuator saturation; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "actuator_saturation"
+    places: ClassVar[tuple[str, ...]] = ("actuator",)
+    sentence: ClassVar[str] = "The actuator saturates: it delivers no more than {limit_Nm}."
+    citation: ClassVar[str] = "Hippe, Windup in Control (2006)"
+    tolerance: ClassVar[float] = 1e-5
+    family: ClassVar[str] = "signal"
+
+    limit_Nm: float = parameter(Quantity.TORQUE, "largest torque delivered", lower=0.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        return (InputMap(StaticMap.CLIP, self.limit_Nm),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        return [{"limit_Nm": c * scales.max_input} for c in (0.95, 0.8, 0.6)]

@@ -1,0 +1,177 @@
+"""What an effect is: a frozen set of parameters with units, a law, an MJCF form, a sentence and a source.
+
+An effect says *where* it enters the equations of the axis by the ports it returns (`mjsim.effects.ports`); runners know
+ports and never the effects behind them, so that a new effect is one new file.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from mjsim.quantity import Motion, Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+    from mjsim.effects.ports import Port
+    from mjsim.mjcf import MjcfEditor
+
+__all__ = ["Effect", "NotApplicableError", "ParameterSpec", "Scales", "need_body", "need_coupling", "parameter"]
+
+
+class NotApplicableError(ValueError):
+    """The chain has nothing at the place where the effect would act."""
+
+
+def need_body(chain: Chain, place: str) -> int:
+    """Index of the body at a place; the arm of a rigid axis is its one body. Raises NotApplicableError."""
+    i = chain.body(place)
+    if i is None:
+        raise NotApplicableError(f"this chain of {len(chain.bodies)} bodies has no body at {place!r}")
+    return i
+
+
+def need_coupling(chain: Chain, place: str) -> int:
+    """Index of the coupling at a place. Raises NotApplicableError."""
+    j = chain.coupling(place)
+    if j is None:
+        raise NotApplicableError(f"this chain of {len(chain.bodies)} bodies has no elastic coupling at {place!r}")
+    return j
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One parameter of an effect: its name, quantity (hence unit), bounds and meaning."""
+
+    name: str
+    quantity: Quantity
+    lower: float
+    upper: float
+    about: str
+    nuisance: bool
+
+    def unit(self, motion: Motion = Motion.HINGE) -> str:
+        """SI unit on this kind of axis."""
+        return self.quantity.unit(motion)
+
+
+def parameter(
+    quantity: Quantity,
+    about: str,
+    *,
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    default: Any = dataclasses.MISSING,
+    nuisance: bool = False,
+) -> Any:
+    """A dataclass field that is a physical parameter; ``nuisance`` ones are estimated anew for each recording."""
+    meta = {"parameter": (quantity, lower, upper, about, nuisance)}
+    if default is dataclasses.MISSING:
+        return field(metadata=meta)
+    return field(default=default, metadata=meta)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Typical sizes at a place, from the recording and the nominal model; starts of a fit are multiples of these.
+
+    torque, max_torque: rms and largest input or transmitted torque at the place [N m | N]; velocity, max_velocity: of the
+    body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (0 when
+    there is none); inertia, stiffness: nominal values at the place; travel: range of the body's angle [rad | m];
+    input, max_input: rms and largest input; output: rms measured output; dt, duration [s]; orders: dominant spatial
+    frequencies of the residual over the body's angle [1/rev | rad/m].
+    """
+
+    torque: float
+    max_torque: float
+    velocity: float
+    max_velocity: float
+    deflection: float
+    inertia: float
+    stiffness: float
+    travel: float
+    input: float
+    max_input: float
+    output: float
+    dt: float
+    duration: float
+    orders: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect(abc.ABC):
+    """Abstract physical effect; a final subclass is one file of `mjsim.effects`.
+
+    Class attributes: ``id`` (contract identifier), ``places`` it can act at, ``sentence`` (plain words, a format string over
+    the parameters and ``place``), ``citation``, ``tolerance`` (relative RMS within which the ODE and the MuJoCo realisation agree
+    on motor velocity), ``family`` (effects of one family refine one another and are rivals before they are partners).
+    """
+
+    id: ClassVar[str]
+    places: ClassVar[tuple[str, ...]]
+    sentence: ClassVar[str]
+    citation: ClassVar[str]
+    tolerance: ClassVar[float] = 1e-4
+    family: ClassVar[str] = ""
+    refines: ClassVar[tuple[str, ...]] = ()
+
+    place: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.place:
+            object.__setattr__(self, "place", self.places[0])
+        if self.place not in self.places:
+            raise ValueError(f"{self.id}: place {self.place!r}; choose from {', '.join(self.places)}")
+        for spec in self.specs():
+            value = float(getattr(self, spec.name))
+            if not spec.lower <= value <= spec.upper:
+                raise ValueError(
+                    f"{self.id}: {spec.name} = {value!r}; expected {spec.lower} <= {spec.name} <= {spec.upper} [{spec.unit()}]"
+                )
+            object.__setattr__(self, spec.name, value)
+
+    @classmethod
+    def specs(cls) -> tuple[ParameterSpec, ...]:
+        """The parameters, in the order of their fields."""
+        return tuple(
+            ParameterSpec(f.name, *f.metadata["parameter"]) for f in dataclasses.fields(cls) if "parameter" in f.metadata
+        )
+
+    @property
+    def key(self) -> str:
+        """``id@place``: what tells two effects of one model apart."""
+        return f"{self.id}@{self.place}"
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter values by name [SI]."""
+        return {s.name: getattr(self, s.name) for s in self.specs()}
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """A copy with some parameters replaced."""
+        return dataclasses.replace(self, **values)  # type: ignore[arg-type]
+
+    def describe(self) -> str:
+        """The plain sentence with the numbers in it."""
+        return self.sentence.format(place=self.place, **{k: f"{v:.4g}" for k, v in self.values.items()})
+
+    @abc.abstractmethod
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where and by which law the effect enters the equations of this chain."""
+
+    @classmethod
+    @abc.abstractmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Values to start a fit from, physical multiples of the scales; several where the law has local minima."""
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """Write the effect into an MJCF by its own elements.
+
+        Returns None when all of it was written natively, else one line that says what plain MuJoCo lacks (the parameters
+        then travel in the model's ``<custom>`` element, which simgap reads back).
+        """
+        return f"{self.id} at {self.place} is not expressible in MJCF: plain MuJoCo runs without it"

@@ -1,0 +1,62 @@
+"""Hysteresis: an elasto-plastic element beside the spring (Bouc-Wen with n = 1; the limit of a Maxwell-slip bank).
+
+T = k d + damping d' + s z,  z' = d' - s |d'| z / T_y
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from mjsim.effects.base import Effect, Scales, need_coupling, parameter
+from mjsim.effects.law import RATE, STATE, law
+from mjsim.effects.ports import CouplingTorque, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["Hysteresis"]
+
+
+@law
+def torque(z: Any, p: Any, out: Any) -> None:
+    """S z; alpha = d', beta = s |d'| / T_y."""
+    out[0] = p[1] * z[STATE]
+    out[1] = z[RATE]
+    out[2] = p[1] * abs(z[RATE]) / p[0]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class Hysteresis(Effect):
+    """Hysteresis; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "hysteresis"
+    places: ClassVar[tuple[str, ...]] = ("gearbox", "arm")
+    sentence: ClassVar[str] = (
+        "The {place} winds up along one path and unwinds along another (hysteresis): {stiffness_Nm_rad} more stiffness that yields at {torque_Nm}."
+    )
+    citation: ClassVar[str] = (
+        "R. Bouc 1967; Y. K. Wen, J. Eng. Mech. 102 (1976) 249; Ruderman, Hoffmann, Bertram, IEEE Trans. Ind. El. 56 (2009) 3840"
+    )
+    tolerance: ClassVar[float] = 1e-3
+    family: ClassVar[str] = "coupling"
+
+    torque_Nm: float = parameter(Quantity.TORQUE, "torque at which the element yields, link side", lower=1e-12)
+    stiffness_Nm_rad: float = parameter(Quantity.STIFFNESS, "its stiffness before it yields, link side", lower=0.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        return (CouplingTorque(need_coupling(chain, self.place), torque, (self.torque_Nm, self.stiffness_Nm_rad), state=True),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        t = scales.stiffness * scales.deflection
+        return [
+            {"torque_Nm": 0.05 * t, "stiffness_Nm_rad": 0.3 * scales.stiffness},
+            {"torque_Nm": 0.1 * t, "stiffness_Nm_rad": 2.0 * scales.stiffness},
+        ]

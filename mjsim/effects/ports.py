@@ -1,0 +1,202 @@
+"""Ports: the few ways in which physics can enter the equations of a chain.
+
+For body i with inertia J_i and coupling j between bodies j and j+1 (deflection d_j = r_j q_j + e_j - q_{j+1}):
+
+    J_i(q) q_i'' + J_i'(q) q_i'^2 / 2 = input - f_i q_i' - sum(coupling torques) - friction + body torques
+    T_j = k_j d_j + d_j' damping_j + coupling torques            (nothing inside a gap)
+
+An internal state s is declared in relaxation form, s' = alpha - beta s with beta >= 0, so that any runner can integrate it
+without a stability limit: the law writes ``out[1] = alpha, out[2] = beta``. ``spatial`` is the highest angular frequency of a law over the angle [rad per rad | m]; runners
+choose their step by it.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjsim.effects.law import Law
+
+__all__ = [
+    "BacklashLaw",
+    "BodyInertia",
+    "BodyTorque",
+    "CouplingTorque",
+    "Friction",
+    "Gap",
+    "InputDelay",
+    "InputLag",
+    "InputMap",
+    "OutputDelay",
+    "OutputLag",
+    "OutputMap",
+    "Port",
+    "SplitInertia",
+    "StaticMap",
+    "Twist",
+]
+
+
+class BacklashLaw(enum.Enum):
+    """What acts inside and at the edge of a gap b (Modelica ElastoBacklash, 1999 and 2007)."""
+
+    GATED = 0  # 1999: nothing inside; k (d -+ b/2) + damping d' outside, may pull
+    UNGATED = 1  # the damper acts inside the gap too: what plain MuJoCo does
+    NO_PULL = 2  # 2007: as GATED but never pulling
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Set-valued friction on a body: the law writes ``out[0]`` = sliding level, ``out[1]`` = breakaway level, both >= 0 [N m | N].
+
+    Evaluated for the direction ``z[DIRECTION]``; at rest the body sticks while the other torques stay within the breakaway levels.
+    """
+
+    body: int
+    law: Law
+    p: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BodyTorque:
+    """A torque on a body (positive drives it forward): ``out[0]`` [N m | N]; with an internal state, see the module's text."""
+
+    body: int
+    law: Law
+    p: tuple[float, ...]
+    state: bool = False
+    spatial: float = 0.0
+
+
+@dataclass(frozen=True)
+class CouplingTorque:
+    """A torque in a coupling, added to k d + damping d': ``out[0]`` [N m | N]."""
+
+    coupling: int
+    law: Law
+    p: tuple[float, ...]
+    state: bool = False
+
+
+@dataclass(frozen=True)
+class Twist:
+    """A kinematic error e of a coupling, a function of the driving body's angle: ``out[0]`` = e, ``out[1]`` = de/dangle."""
+
+    coupling: int
+    law: Law
+    p: tuple[float, ...]
+    spatial: float = 0.0
+
+
+@dataclass(frozen=True)
+class BodyInertia:
+    """A relative change of a body's inertia over its angle: ``out[0]`` = c(q) in J (1 + c), ``out[1]`` = dc/dq."""
+
+    body: int
+    law: Law
+    p: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A dead zone of total width ``width`` [rad | m], on the coupling's own (link) side."""
+
+    coupling: int
+    width: float
+
+
+@dataclass(frozen=True)
+class SplitInertia:
+    """Part of a body's inertia hangs on a further spring-damper: one more degree of freedom."""
+
+    body: int
+    inertia: float
+    stiffness: float
+    damping: float
+
+
+class StaticMap(enum.Enum):
+    """Memoryless signal maps, with one parameter c."""
+
+    CLIP = "u limited to [-c, c]"
+    DEAD = "u - clip(u, -c, c)"
+    DROOP = "u (1 - c u^2)"
+    ROUND = "c round(u / c)"
+    ADD = "u + c"
+
+    def apply(self, u: np.ndarray, c: float) -> np.ndarray:
+        """The map of an array of samples."""
+        match self:
+            case StaticMap.CLIP:
+                return np.clip(u, -c, c)
+            case StaticMap.DEAD:
+                return u - np.clip(u, -c, c)
+            case StaticMap.DROOP:
+                return u * (1.0 - c * u * u)
+            case StaticMap.ROUND:
+                return u if c == 0 else c * np.round(u / c)
+            case StaticMap.ADD:
+                return u + c
+
+
+@dataclass(frozen=True)
+class InputMap:
+    """A memoryless map of the commanded torque."""
+
+    map: StaticMap
+    c: float
+
+
+@dataclass(frozen=True)
+class InputLag:
+    """First-order lag of the commanded torque, time constant [s]."""
+
+    time_constant: float
+
+
+@dataclass(frozen=True)
+class InputDelay:
+    """Pure delay of the commanded torque [s]."""
+
+    delay: float
+
+
+@dataclass(frozen=True)
+class OutputMap:
+    """A memoryless map of the measured velocity."""
+
+    map: StaticMap
+    c: float
+
+
+@dataclass(frozen=True)
+class OutputLag:
+    """First-order lag of the measured signals, time constant [s]."""
+
+    time_constant: float
+
+
+@dataclass(frozen=True)
+class OutputDelay:
+    """Pure delay of the measured signals [s]."""
+
+    delay: float
+
+
+Port = (
+    Friction
+    | BodyTorque
+    | CouplingTorque
+    | Twist
+    | BodyInertia
+    | Gap
+    | SplitInertia
+    | InputMap
+    | InputLag
+    | InputDelay
+    | OutputMap
+    | OutputLag
+    | OutputDelay
+)

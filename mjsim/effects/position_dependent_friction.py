@@ -1,0 +1,64 @@
+"""Friction that varies over the motor's turn.
+
+tau_f = F (1 + a sin(n angle + phase)) sign(v)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.law import ANGLE, law
+from mjsim.effects.ports import Friction, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["PositionDependentFriction"]
+
+
+@law
+def level(z: Any, p: Any, out: Any) -> None:
+    """F (1 + a sin(n angle + phase))."""
+    out[0] = p[0] * (1.0 + p[1] * math.sin(p[2] * z[ANGLE] + p[3]))
+    out[1] = out[0]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class PositionDependentFriction(Effect):
+    """Friction that varies over the motor's turn; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "position_dependent_friction"
+    places: ClassVar[tuple[str, ...]] = ("motor",)
+    sentence: ClassVar[str] = (
+        "Dry friction at the {place} of {torque_Nm} that varies by {relative_amplitude} of itself, {cycles_per_rev} times a turn."
+    )
+    citation: ClassVar[str] = "Armstrong-Helouvry, Control of Machines with Friction (1991) ch. 4"
+    tolerance: ClassVar[float] = 2e-4
+    family: ClassVar[str] = "friction"
+    refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
+
+    torque_Nm: float = parameter(Quantity.TORQUE, "mean level", lower=0.0)
+    relative_amplitude: float = parameter(Quantity.RATIO, "variation over mean level", lower=0.0, upper=1.0)
+    cycles_per_rev: float = parameter(Quantity.CYCLES, "periods per turn of the motor", lower=0.0)
+    phase_rad: float = parameter(Quantity.PHASE, "phase at angle zero", nuisance=True)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        p = (self.torque_Nm, self.relative_amplitude, self.cycles_per_rev, self.phase_rad)
+        return (Friction(need_body(chain, self.place), level, p),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        return [
+            {"torque_Nm": 0.1 * scales.torque, "relative_amplitude": 0.3, "cycles_per_rev": n, "phase_rad": phase}
+            for n in scales.orders[:4]
+            for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)
+        ]

@@ -1,0 +1,44 @@
+"""Sensor quantisation: the measured velocity comes in steps.
+
+y = step round(v / step)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.ports import OutputMap, Port, StaticMap
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["SensorQuantisation"]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class SensorQuantisation(Effect):
+    """Sensor quantisation; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "sensor_quantisation"
+    places: ClassVar[tuple[str, ...]] = ("sensor",)
+    sentence: ClassVar[str] = "The sensor reports in steps of {step}."
+    citation: ClassVar[str] = "Widrow, Kollar, Quantization Noise (2008)"
+    tolerance: ClassVar[float] = 1e-5
+    family: ClassVar[str] = "signal"
+
+    step: float = parameter(Quantity.VELOCITY, "step of the reported velocity", lower=0.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        return (OutputMap(StaticMap.ROUND, self.step),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        return [{"step": 0.05 * scales.output}]

@@ -1,0 +1,44 @@
+"""Time delay in the command or in the measurement.
+
+tau(t) = u(t - T), or y(t) = v(t - T)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.ports import InputDelay, OutputDelay, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["TimeDelay"]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class TimeDelay(Effect):
+    """Time delay in the command or in the measurement; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "time_delay"
+    places: ClassVar[tuple[str, ...]] = ("actuator", "sensor")
+    sentence: ClassVar[str] = "A time delay of {delay_s} s at the {place} (bus, buffer or filter)."
+    citation: ClassVar[str] = "Normey-Rico, Camacho, Control of Dead-time Processes (2007)"
+    tolerance: ClassVar[float] = 1e-5
+    family: ClassVar[str] = "signal"
+
+    delay_s: float = parameter(Quantity.TIME, "delay", lower=0.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        return (InputDelay(self.delay_s),) if self.place == "actuator" else (OutputDelay(self.delay_s),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        return [{"delay_s": scales.dt}, {"delay_s": 6 * scales.dt}]

@@ -1,0 +1,61 @@
+"""Torque ripple (cogging): a torque locked to the motor angle.
+
+tau_r = a sin(n angle + phase), opposing the motor
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.law import ANGLE, law
+from mjsim.effects.ports import BodyTorque, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["TorqueRipple"]
+
+
+@law
+def torque(z: Any, p: Any, out: Any) -> None:
+    """-a sin(n angle + phase)."""
+    out[0] = -p[0] * math.sin(p[1] * z[ANGLE] + p[2])
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class TorqueRipple(Effect):
+    """Torque ripple; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "torque_ripple"
+    places: ClassVar[tuple[str, ...]] = ("motor",)
+    sentence: ClassVar[str] = (
+        "Torque ripple at the {place}: {amplitude_Nm}, {cycles_per_rev} times a turn (cogging, commutation or a ball screw)."
+    )
+    citation: ClassVar[str] = "Holtz, Springob, IEEE Trans. Ind. El. 43 (1996) 330"
+    tolerance: ClassVar[float] = 1e-4
+    family: ClassVar[str] = "position"
+
+    amplitude_Nm: float = parameter(Quantity.TORQUE, "amplitude", lower=0.0)
+    cycles_per_rev: float = parameter(Quantity.CYCLES, "periods per turn of the motor", lower=0.0)
+    phase_rad: float = parameter(Quantity.PHASE, "phase at angle zero", nuisance=True)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        p = (self.amplitude_Nm, self.cycles_per_rev, self.phase_rad)
+        return (BodyTorque(need_body(chain, self.place), torque, p, spatial=self.cycles_per_rev),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        return [
+            {"amplitude_Nm": 0.05 * scales.torque, "cycles_per_rev": n, "phase_rad": phase}
+            for n in scales.orders[:4]
+            for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)
+        ]

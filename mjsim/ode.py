@@ -1,0 +1,162 @@
+"""The analytic ODE of an axis: free run on a torque, and inverse dynamics along a measured motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjsim.axis import Axis
+from mjsim.system import System, assemble
+
+__all__ = ["DivergedError", "Trajectory", "apply_input", "inverse", "simulate"]
+
+
+class DivergedError(ArithmeticError):
+    """The run left the finite numbers; the message says when and what to change."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A simulated motion at the sample times (N samples, n bodies); arrays are read-only.
+
+    time (N) [s]; torque (N): commanded input [N m | N]; velocity, angle (N): measured at body 0, sensor effects included
+    [rad/s, rad | m/s, m]; q, v (N, n): true angles and velocities; coupling_torque (N, n-1) [N m | N], link side.
+    """
+
+    time: np.ndarray
+    torque: np.ndarray
+    velocity: np.ndarray
+    angle: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    coupling_torque: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("time", "torque", "velocity", "angle", "q", "v", "coupling_torque"):
+            getattr(self, name).flags.writeable = False
+
+
+def apply_input(system: System, u: np.ndarray) -> np.ndarray:
+    """The memoryless part of the actuator on the commanded torque (N,)."""
+    for m in system.input_maps:
+        u = m.map.apply(u, m.c)
+    return u
+
+
+def _own(a: np.ndarray) -> np.ndarray:
+    """A writable contiguous copy: one array type, so one compiled kernel."""
+    return np.array(a, float, order="C")
+
+
+def simulate(
+    axis: Axis | System,
+    torque: np.ndarray,
+    dt: float,
+    *,
+    initial: np.ndarray | None = None,
+    states: np.ndarray | None = None,
+    angle: np.ndarray | None = None,
+    t0: float = 0.0,
+    substeps: int | None = None,
+) -> Trajectory:
+    """Free-run an axis on a commanded torque (N,) held over each sample of dt [s].
+
+    ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
+    ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied; ``substeps`` overrides the accuracy rule of
+    `System.substeps`. Raises DivergedError.
+    """
+    from mjsim import kernel
+
+    s = axis if isinstance(axis, System) else assemble(axis)
+    n, count = s.n, len(torque)
+    u = _own(apply_input(s, np.asarray(torque, float)))
+    x0 = np.zeros((2, n))
+    if initial is not None:
+        given = np.asarray(initial, float)
+        x0[:, : given.shape[1]] = given
+        for i in range(given.shape[1], n):  # bodies that an effect added start undeflected
+            ratio = s.f[2, i - 1]
+            x0[:, i] = ratio * x0[:, i - 1]
+    s0 = np.zeros(s.n_states) if states is None else _own(states)
+    delay = s.input_delay / dt
+    shift = math.floor(delay + 1e-12)
+    split = max(0.0, delay - shift)
+    if split < 1e-9:
+        split = 0.0
+    locked = angle is not None
+    speed = 0.0
+    if s.spatial > 0:
+        speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
+    n_sub = substeps or s.substeps(dt, speed)
+    out = np.empty((count, 2 * n + s.n_states + n - 1))
+    status, at = kernel.integrate(
+        s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
+        s.input_lag, n_sub, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
+    )  # fmt: skip
+    if status:
+        raise DivergedError(
+            f"the run diverged at {t0 + at * dt:.4f} s (body {s.chain.bodies[0].joint!r}); check signs of damping and stiffness"
+        )
+    time = t0 + dt * np.arange(count)
+    velocity, measured = _sense(s, time, out[:, n], out[:, 0], dt)
+    return Trajectory(
+        time, np.array(torque, float), velocity, measured, out[:, :n].copy(), out[:, n : 2 * n].copy(),
+        out[:, 2 * n + s.n_states :].copy(),
+    )  # fmt: skip
+
+
+def _sense(s: System, time: np.ndarray, v: np.ndarray, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sensor path: delay, lag, then the memoryless maps (of the velocity)."""
+    if s.output_delay > 0:
+        from scipy.interpolate import CubicSpline
+
+        at = np.maximum(time - s.output_delay, time[0])
+        v, q = CubicSpline(time, v)(at), CubicSpline(time, q)(at)
+    if s.output_lag > 0:
+        v, q = _lag(v, s.output_lag, dt), _lag(q, s.output_lag, dt)
+    v, q = v.copy(), q.copy()
+    for m in s.output_maps:
+        v = m.map.apply(v, m.c)
+    return v, q
+
+
+def _lag(y: np.ndarray, tau: float, dt: float) -> np.ndarray:
+    """First-order lag of a signal that is linear between its samples: exact for that, starting settled."""
+    from scipy.signal import lfilter
+
+    a = math.exp(-dt / tau)
+    r = tau / dt * (1.0 - a)
+    b = [1.0 - r, r - a]
+    zi = [y[0] * (1.0 - b[0])]
+    return np.asarray(lfilter(b, [1.0, -a], y, zi=zi)[0])
+
+
+def inverse(
+    axis: Axis | System,
+    angle: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    dt: float,
+    *,
+    t0: float = 0.0,
+    rest: np.ndarray | None = None,
+) -> np.ndarray:
+    """Input torque (N,) that moves body 0 as measured (each array (N,)); bodies behind it run free from the deflections ``rest``.
+
+    Raises DivergedError, as when the chain behind body 0 is unstable once body 0 is held (non-minimum phase).
+    """
+    from mjsim import kernel
+
+    s = axis if isinstance(axis, System) else assemble(axis)
+    speed = float(np.max(np.abs(velocity))) if len(velocity) else 0.0
+    out = np.empty(len(angle))
+    status, at = kernel.drive(
+        s.f, s.gap_law, s.chain.gain, s.elements, s.parameters,
+        _own(angle), _own(velocity), _own(acceleration),
+        dt, s.substeps(dt, speed), t0, np.zeros((2, s.n)) if rest is None else _own(rest), out,
+    )  # fmt: skip
+    if status:
+        raise DivergedError(f"the inverse run diverged at {t0 + at * dt:.4f} s: the chain is unstable when its motor is held")
+    return out

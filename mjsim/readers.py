@@ -1,0 +1,112 @@
+"""Tables of numbers from files: CSV, MAT, NPZ, Parquet, MCAP. Each reader gives {column: array} or one clear line."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjsim.errors import InputError
+
+__all__ = ["READERS", "read_table"]
+
+Table = dict[str, np.ndarray]
+
+
+def read_table(path: Path) -> Table:
+    """Every numeric column of a file by its name; matrices keep their shape (rows, samples)."""
+    if path.stat().st_size == 0:
+        raise InputError(path, "the file is empty", "a recording", "record it again")
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(path, f"unknown kind of file {path.suffix!r}", f"one of {', '.join(READERS)}", "convert it")
+    table = reader(path)
+    if not table:
+        raise InputError(path, "no numeric column", "at least time, torque and one output", "check the file")
+    return table
+
+
+def _csv(path: Path) -> Table:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as handle:
+            header = [h.strip() for h in next(csv.reader(handle))]
+            try:
+                data = np.loadtxt(handle, delimiter=",", ndmin=2)
+            except ValueError:
+                raise _bad_cell(path, header) from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(path, "not a text file", "comma-separated values", "name it by its true format") from None
+    if "" in header or len(set(header)) != len(header):
+        raise InputError(path, "row 1: empty or repeated column name", "one name per column", "correct the header")
+    if all(_is_number(h) for h in header):
+        raise InputError(path, "row 1 holds numbers", "a header with column names", "add a header")
+    if data.size == 0:
+        raise InputError(path, "a header and no data", "one row per sample", "record it again")
+    if data.shape[1] != len(header):
+        raise InputError(path, f"{data.shape[1]} columns under {len(header)} names", "as many", "correct the header")
+    return {h: data[:, i].copy() for i, h in enumerate(header)}
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _bad_cell(path: Path, header: list[str]) -> InputError:
+    """Name the first row and column that is not a number."""
+    with path.open(newline="", encoding="utf-8-sig") as handle:
+        for number, row in enumerate(csv.reader(handle), start=1):
+            if number == 1 or not row:
+                continue
+            if len(row) != len(header):
+                return InputError(path, f"row {number} has {len(row)} cells", f"{len(header)}", "correct or remove the row")
+            for name, cell in zip(header, row, strict=True):
+                if not _is_number(cell):
+                    return InputError(path, f"row {number}, column {name!r}: {cell!r}", "a number", "correct or remove the row")
+    return InputError(path, "not comma-separated numbers", "CSV", "check the file")
+
+
+def _mat(path: Path) -> Table:
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(str(path), squeeze_me=True, struct_as_record=False)
+    except (ValueError, NotImplementedError, TypeError, OSError) as error:
+        hint = "save it with -v7" if isinstance(error, NotImplementedError) else "name it by its true format"
+        raise InputError(path, f"not a readable MAT file ({str(error).splitlines()[0]})", "MATLAB v4 to v7", hint) from None
+    table: Table = {}
+
+    def add(name: str, value: Any) -> None:
+        if hasattr(value, "_fieldnames"):
+            for field in value._fieldnames:
+                add(f"{name}.{field}" if name else field, getattr(value, field))
+            return
+        array = np.asarray(value)
+        if array.dtype.kind in "fiub" and array.ndim in (1, 2) and array.size > 1:
+            table[name] = array.astype(float)
+
+    for name, value in content.items():
+        if not name.startswith("__"):
+            add(name, value)
+    return table
+
+
+def _npz(path: Path) -> Table:
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            return {
+                k: content[k].astype(float)
+                for k in content.files
+                if content[k].dtype.kind in "fiub" and content[k].ndim in (1, 2)
+            }
+    except (ValueError, OSError) as error:
+        raise InputError(path, f"not a readable NPZ file ({error})", "numpy.savez", "name it by its true format") from None
+
+
+READERS: dict[str, Callable[[Path], Table]] = {".csv": _csv, ".mat": _mat, ".npz": _npz}

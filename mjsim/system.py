@@ -1,0 +1,159 @@
+"""An axis laid out as arrays for the compiled kernel: what the ports of its effects add up to."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjsim.axis import Axis, Body, Chain, Coupling
+from mjsim.effects import ports as P  # noqa: N812
+from mjsim.effects.law import N_LOCAL, STATE, Law
+
+__all__ = ["System", "assemble", "split_chain"]
+
+_KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
+
+
+@dataclass(frozen=True)
+class System:
+    """Arrays for `mjsim.kernel` and the signal path around it (see there for shapes)."""
+
+    chain: Chain
+    f: np.ndarray
+    gap_law: int
+    elements: np.ndarray
+    parameters: np.ndarray
+    has_friction: np.ndarray
+    n_states: int
+    input_maps: tuple[P.InputMap, ...]
+    input_lag: float
+    input_delay: float
+    output_maps: tuple[P.OutputMap, ...]
+    output_lag: float
+    output_delay: float
+    omega: float
+    spatial: float
+
+    @property
+    def n(self) -> int:
+        """Number of bodies."""
+        return len(self.chain.bodies)
+
+    def substeps(self, dt: float, max_speed: float, target: float = 0.12) -> int:
+        """RK4 steps per sample that keep (h w) under ``target`` for the chain, three times that for position-locked laws."""
+        w = max(self.omega, self.spatial * max_speed / 3.0)
+        if self.input_lag > 0:
+            w = max(w, 0.15 / self.input_lag)
+        return max(1, min(64, math.ceil(dt * w / target - 1e-9)))
+
+
+def split_chain(chain: Chain, port: P.SplitInertia) -> Chain:
+    """The chain with part of its last body's inertia on a further spring-damper."""
+    i = port.body
+    if i != len(chain.bodies) - 1:
+        raise ValueError("only the last body of a chain can be split")
+    body = chain.bodies[i]
+    if not 0 < port.inertia < body.inertia:
+        raise ValueError(f"inertia to split off is {port.inertia}; expected between 0 and {body.inertia}")
+    near = dataclasses.replace(body, inertia=body.inertia - port.inertia)
+    far = Body(place="extra", inertia=port.inertia, viscous=0.0, joint=f"{body.joint}_extra")
+    joint = Coupling("extra", 1.0, port.stiffness, port.damping, f"{body.joint}_extra")
+    return dataclasses.replace(chain, bodies=(*chain.bodies[:-1], near, far), couplings=(*chain.couplings, joint))
+
+
+def _stiffness(law: Law, p: tuple[float, ...]) -> float:
+    """Slope of a stateful law's torque over its state: the spring that it is before it yields."""
+    z, out = [0.0] * N_LOCAL, [0.0] * 3
+    law(z, p, out)
+    base = out[0]
+    z[STATE] = 1.0
+    law(z, p, out)
+    return abs(out[0] - base)
+
+
+def assemble(axis: Axis) -> System:
+    """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
+    ports = [port for effect in axis.effects for port in effect.ports(axis.chain)]
+    chain = axis.chain
+    for port in ports:
+        if isinstance(port, P.SplitInertia):
+            chain = split_chain(chain, port)
+    n = len(chain.bodies)
+    f = np.zeros((6, n))
+    for i, body in enumerate(chain.bodies):
+        f[0, i], f[1, i] = body.inertia, body.viscous
+    for j, c in enumerate(chain.couplings):
+        f[2, j], f[3, j], f[4, j] = c.ratio, c.stiffness, c.damping
+    rows: list[tuple[int, int, int, int, int]] = []
+    values: list[float] = []
+    n_states = 0
+    stiff = np.zeros(n)  # extra stiffness seen by each body, for the choice of step
+    spatial = 0.0
+    friction = np.zeros(n, np.bool_)
+    for port in sorted((p for p in ports if type(p) in _KIND), key=lambda p: _KIND[type(p)]):
+        assert isinstance(port, P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction)
+        site = port.coupling if isinstance(port, P.Twist | P.CouplingTorque) else port.body
+        state = -1
+        if isinstance(port, P.CouplingTorque | P.BodyTorque) and port.state:
+            state = n_states
+            n_states += 1
+            k = _stiffness(port.law, port.p)
+            if isinstance(port, P.BodyTorque):
+                stiff[site] += k
+            else:
+                stiff[site] += k * f[2, site] ** 2
+                stiff[site + 1] += k
+        if isinstance(port, P.Twist | P.BodyTorque):
+            spatial = max(spatial, port.spatial)
+        if isinstance(port, P.Friction):
+            friction[site] = True
+        rows.append((_KIND[type(port)], site, port.law.address, len(values), state))
+        values.extend(port.p)
+    for port in ports:
+        if isinstance(port, P.Gap):
+            f[5, port.coupling] += 0.5 * port.width
+    return System(
+        chain=chain,
+        f=f,
+        gap_law=axis.backlash_law.value,
+        elements=np.array(rows, np.int64).reshape(-1, 5),
+        parameters=np.array(values or [0.0]),
+        has_friction=friction,
+        n_states=n_states,
+        input_maps=tuple(p for p in ports if isinstance(p, P.InputMap)),
+        input_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.InputLag))),
+        input_delay=float(sum(p.delay for p in ports if isinstance(p, P.InputDelay))),
+        output_maps=tuple(p for p in ports if isinstance(p, P.OutputMap)),
+        output_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.OutputLag))),
+        output_delay=float(sum(p.delay for p in ports if isinstance(p, P.OutputDelay))),
+        omega=_fastest(f, stiff),
+        spatial=spatial,
+    )
+
+
+def _fastest(f: np.ndarray, stiff: np.ndarray) -> float:
+    """Largest natural frequency or decay rate of the chain [rad/s]."""
+    a = state_matrix(f, stiff)
+    return float(np.max(np.abs(np.linalg.eigvals(a))))
+
+
+def state_matrix(f: np.ndarray, stiff: np.ndarray | None = None) -> np.ndarray:
+    """A (2n, 2n) of x' = A x + b u for x = (q, v), without gaps and effects."""
+    n = f.shape[1]
+    k = np.zeros((n, n))
+    d = np.diag(f[1]).astype(float)
+    for j in range(n - 1):
+        row = np.zeros(n)
+        row[j], row[j + 1] = f[2, j], -1.0
+        k += f[3, j] * np.outer(row, row)
+        d += f[4, j] * np.outer(row, row)
+    if stiff is not None:
+        k += np.diag(stiff)
+    a = np.zeros((2 * n, 2 * n))
+    a[:n, n:] = np.eye(n)
+    a[n:, :n] = -k / f[0][:, None]
+    a[n:, n:] = -d / f[0][:, None]
+    return a
