@@ -1,1 +1,1 @@
-"""The sealed benchmark: an independent plant writes recordings with concealed effects; the diagnosis sees only the files."""
+"""The sealed benchmark: an independent plant writes recordings with concealed effects, for a diagnosis to find."""

@@ -1,9 +1,9 @@
-"""Dry friction of one body as a differential inclusion, solved exactly over a step in which the other torques are constant.
+"""Dry friction of one body as a differential inclusion, solved exactly while the other torques are constant.
 
     J v' = F - L+ for v > 0,   J v' = F + L- for v < 0,   v = 0 stays while -B- <= F <= B+
 
-A body that comes to rest inside the step stays there or leaves again at once, with the time left of the step; a body that
-breaks loose inside the step moves for the time since it did. So a reversal costs no first-order error.
+A body that comes to rest inside the step stays there or leaves again at once, with the time left of the step; a body
+that breaks loose inside the step moves for the time since it did. So a reversal costs no first-order error.
 """
 
 from __future__ import annotations
@@ -16,33 +16,34 @@ __all__ = ["bristle_step", "dry_step"]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def dry_step(v, F, F_before, L_up, L_down, L0_up, L0_down, B_up, B_down, J, h, jump):
+def dry_step(v, drive, drive_before, L_up, L_down, L0_up, L0_down, B_up, B_down, J, h, jump):
     """Velocity [rad/s] after ``h`` seconds of the inclusion above.
 
-    ``L_*`` are the levels at the present speed, ``L0_*`` those at rest and ``B_*`` the breakaway levels [Nm]; ``F_before`` is
-    the torque one step ago, by which the moment of release is found; ``jump`` tells that the input jumped at the step's start.
+    ``L_*`` are the levels at the present speed, ``L0_*`` those at rest and ``B_*`` the breakaway levels [Nm];
+    ``drive_before`` is the torque one step ago, by which the moment of release is found; ``jump`` tells that the input
+    jumped at the step's start.
     """
     if v == 0.0:
-        if F > B_up:
+        if drive > B_up:
             level, bound = L0_up, B_up
-        elif F < -B_down:
+        elif drive < -B_down:
             level, bound = -L0_down, -B_down
         else:
             return 0.0
         time = h
-        if not jump and (F_before - bound) * (F - bound) <= 0.0 and F != F_before:
-            time = 0.5 * h + h * (F - bound) / (F - F_before)
-        return (F - level) / J * time
+        if not jump and bound != 0.0 and (drive_before - bound) * (drive - bound) <= 0.0 and drive != drive_before:
+            time = 0.5 * h + h * (drive - bound) / (drive - drive_before)
+        return (drive - level) / J * time
     level = L_up if v > 0.0 else -L_down
-    a = (F - level) / J
+    a = (drive - level) / J
     end = v + h * a
     if end * v > 0.0:
         return end
     left = h + v / a  # a opposes v here, so this is the time after the crossing
-    if F > B_up:
-        return left * (F - L0_up) / J
-    if F < -B_down:
-        return left * (F + L0_down) / J
+    if drive > B_up:
+        return left * (drive - L0_up) / J
+    if drive < -B_down:
+        return left * (drive + L0_down) / J
     return 0.0
 
 

@@ -1,4 +1,4 @@
-"""The numbers of the sealed plant: one flat record that the compiled solver reads; its defaults leave every law inactive."""
+"""The numbers of the sealed plant: one flat record that the compiled solver reads; every law is inactive by default."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GAP_IMPACT = 2.0  # k e (1 + c |phi'| sign(e phi')) : Hunt-Crossley compliant im
 class Laws(NamedTuple):
     """Every number the plant knows [SI; motor side for the motor, arm side for gearbox and arm].
 
-    The fields named as in Table 2 of the study are the linear axis; the others are effects, each inactive at its default.
+    The fields named as in Table 2 of the study are the linear axis; the others are effects, inactive at their defaults.
     """
 
     # linear axis (Table 2)
@@ -66,10 +66,11 @@ class Laws(NamedTuple):
     cubic_a: float = 0.0
     slip_stiffness_a: float = 0.0
     slip_torque_a: float = 0.0
-    slip_smooth: float = 0.0
+    slip_sharp: float = 0.0  # 0: Bouc-Wen, yields gradually; 1: one Maxwell element, yields at once
     error_amplitude: float = 0.0
     error_cycles: float = 0.0
     error_phase: float = 0.0
+    error_relaxed: float = 0.0  # 1: the axis starts with its spring unstrained in spite of the error at angle zero
 
     # torques on the motor and on the arm, the arm's inertia, a further mode
     ripple_amplitude: float = 0.0
@@ -98,7 +99,7 @@ class Laws(NamedTuple):
     sen_step: float = 0.0
     sen_offset: float = 0.0
     encoder_step: float = 0.0
-    repeat_amplitude: float = 0.0
+    repeat_amplitude: float = 0.0  # error of the angle over one turn [rad]; the velocity shows its derivative
     repeat_cycles: float = 0.0
     repeat_phase: float = 0.0
 

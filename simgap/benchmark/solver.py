@@ -1,9 +1,9 @@
 """The sealed plant's own solver: leapfrog with exact stick, a fixed fine step, compiled.
 
-One step of h seconds:  positions drift half a step; every torque is taken there, with velocities predicted to mid-step from
-the last acceleration; each body's velocity is advanced through its friction inclusion (`friction.dry_step`); positions drift
-the other half.  Second order also across reversals, contacts and releases.  The recorder samples at t = k/fs, *before* the
-torque of row k acts; that torque is held until row k + 1.
+One step of h seconds: positions drift half a step; every torque is taken there, with velocities predicted to mid-step
+from the last acceleration; each body's velocity is advanced through its friction inclusion (`friction.dry_step`);
+positions drift the other half. Second order also across reversals, contacts and releases. The recorder samples at
+t = k/fs, *before* the torque of row k acts; that torque is held until row k + 1.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _drive(u, p):
 
 @njit(cache=True, nogil=True, inline="always")
 def _motor_level(p, v, t, angle, load):
-    """Level [Nm] of the motor's dry friction, before its asymmetry, at speed v, time t, angle and transmitted torque."""
+    """Level [Nm] of the motor's dry friction, asymmetry apart, at speed v, time t, angle and transmitted torque."""
     level = p.coulomb_m + p.load_m * abs(load)
     if p.stribeck_extra > 0.0:
         x = v / p.stribeck_speed
@@ -44,10 +44,10 @@ def _motor_level(p, v, t, angle, load):
 
 @njit(cache=True, nogil=True)
 def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop, fs, substeps):
-    """Simulate from rest; returns logged torque [Nm], measured and true motor velocity [rad/s], measured and true angle [rad].
+    """Simulate from rest; returns logged torque [Nm], then measured and true motor velocity [rad/s] and angle [rad].
 
-    ``torque`` is the held input (a feed-forward when ``closed``: u = torque + kp (speed_set - v) + ki * integral).  ``drop``
-    is 1 on rows where the sensor repeats its last value.
+    ``torque`` is the held input (a feed-forward when ``closed``: u = torque + kp (speed_set - v) + ki * integral).
+    ``drop`` is 1 on rows where the sensor repeats its last value.
     """
     n = torque.size
     dt = 1.0 / fs
@@ -61,9 +61,9 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
     a_true = np.zeros(n)
     v_late = np.zeros(n + 1)  # lagged sensor signals at the delay's fraction before each row
     a_late = np.zeros(n + 1)
-    act_whole = int(math.floor(p.act_delay * fs + 1e-9))
+    act_whole = math.floor(p.act_delay * fs + 1e-9)
     act_part = max(p.act_delay - act_whole * dt, 0.0)
-    sen_whole = int(math.floor(p.sen_delay * fs + 1e-9))
+    sen_whole = math.floor(p.sen_delay * fs + 1e-9)
     sen_part = max(p.sen_delay - sen_whole * dt, 0.0)
     act_decay = math.exp(-h / p.act_lag) if p.act_lag > 0.0 else 0.0
     sen_decay = math.exp(-h / p.sen_lag) if p.sen_lag > 0.0 else 0.0
@@ -88,7 +88,9 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
             v_sensor = a_sensor = 0.0
         v_sensor += p.sen_offset
         if p.repeat_amplitude != 0.0:
-            v_sensor += p.repeat_amplitude * math.sin(p.repeat_cycles * qm + p.repeat_phase)
+            arg = p.repeat_cycles * qm + p.repeat_phase
+            v_sensor += p.repeat_amplitude * p.repeat_cycles * vm * math.cos(arg)
+            a_sensor += p.repeat_amplitude * math.sin(arg)
         v_clean = v_sensor
         v_sensor += noise_v[i]
         a_sensor += noise_a[i]
@@ -140,14 +142,14 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
             slope = r
             if p.error_amplitude != 0.0:
                 arg = p.error_cycles * qmh + p.error_phase
-                lead += p.error_amplitude * (math.sin(arg) - math.sin(p.error_phase))
+                lead += p.error_amplitude * (math.sin(arg) - p.error_relaxed * math.sin(p.error_phase))
                 slope += p.error_amplitude * p.error_cycles * math.cos(arg)
             rate = slope * pm - pg
             Tg = joint_torque(
                 lead - qgh - clutch, rate, slope * vm - vg, p.kg, p.cubic_g, p.dg, p.gap_g, p.gap_law_g, p.impact_g, h
             )
             if p.slip_stiffness_g > 0.0:
-                mid, slip_g = slip_step(slip_g, rate, p.slip_stiffness_g, p.slip_torque_g, p.slip_smooth, h)
+                mid, slip_g = slip_step(slip_g, rate, p.slip_stiffness_g, p.slip_torque_g, p.slip_sharp, h)
                 Tg += mid
             if abs(Tg) > p.x_clutch:
                 clutch += (abs(Tg) - p.x_clutch) / p.kg * math.copysign(1.0, Tg)
@@ -163,14 +165,14 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
                 turn = 0.5 * p.ka * p.x_soft * p.x_soft_cycles * math.cos(arg) * phi * phi
             Ta = joint_torque(phi, rate, vg - va, k_arm, p.cubic_a, p.da, p.gap_a, p.gap_law_a, p.impact_a, h)
             if p.slip_stiffness_a > 0.0:
-                mid, slip_a = slip_step(slip_a, rate, p.slip_stiffness_a, p.slip_torque_a, p.slip_smooth, h)
+                mid, slip_a = slip_step(slip_a, rate, p.slip_stiffness_a, p.slip_torque_a, p.slip_sharp, h)
                 Ta += mid
             Fa = Ta - turn
             J = Ja
             if p.inertia_amplitude != 0.0:
                 arg = p.inertia_cycles * qah + p.inertia_phase
-                J = Ja + p.Ja * p.inertia_amplitude * math.cos(arg)
-                Fa += 0.5 * p.Ja * p.inertia_amplitude * p.inertia_cycles * math.sin(arg) * pa * pa
+                J = Ja + p.Ja * p.inertia_amplitude * math.sin(arg)
+                Fa -= 0.5 * p.Ja * p.inertia_amplitude * p.inertia_cycles * math.cos(arg) * pa * pa
             if p.gravity != 0.0:
                 Fa -= p.gravity * math.sin(qah + p.gravity_phase)
             if p.Je > 0.0:
