@@ -15,7 +15,7 @@ __all__ = ["Detrend", "IOData", "frozen"]
 
 def frozen(values: ArrayLike, dtype: type = float) -> NDArray:
     """A read-only contiguous copy."""
-    array = np.array(values, dtype=dtype, order="C")
+    array: NDArray = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 

@@ -13,9 +13,9 @@ from ident.checks import check_estimation_data
 from ident.data import IOData, frozen
 from ident.kernel import filter_into
 from ident.model import PolyModel
-from ident.options import Focus, InitialCondition, Options
-from ident.search import factor, residual, search
-from ident.start import first_models, noise_model
+from ident.options import Focus, InitialCondition, Options, SearchOptions
+from ident.search import MARGIN, factor, residual, search
+from ident.start import first_models, noise_model, stabilised
 from ident.structure import Structure
 from mjsim.errors import InputError
 
@@ -99,7 +99,7 @@ def _best_state(s: Structure, theta: NDArray, u: NDArray, y: NDArray) -> tuple[N
     n = _sizes(s, True)
     full = np.r_[theta, np.zeros(n[5] + n[6])]
     w, v, e, signals, pulse = _buffers(y.size)
-    before = residual(full, n, s.nk, u, y, w, v, e)
+    before = residual(full, n, s.nk, u, y, w, v, e, _radius(1.0))
     if not np.isfinite(before):
         return np.zeros(n[5] + n[6]), before, before
     r = factor(full, n, s.nk, u, y, w, v, e, signals, pulse)
@@ -124,6 +124,61 @@ def _uses_state(s: Structure, kind: InitialCondition, before: float, after: floa
     return bool((before - after) / m / (after / free) > f_distribution.ppf(0.999, m, free))
 
 
+STAGES = (0.95, 0.98, 0.995)
+"""Limits on the roots of C, released one after the other where the limit binds."""
+
+
+def _radius(noise: float) -> NDArray:
+    """Largest root radius per polynomial for the search; only those of C and F are read."""
+    radius = np.full(7, 1.0 - MARGIN)
+    radius[2] = min(noise, 1.0 - MARGIN)
+    return radius
+
+
+def _descend(
+    first: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
+) -> tuple[NDArray, float, int, int, NDArray]:
+    """One start to its minimum: theta, loss, iterations, code, factor.
+
+    Levenberg-Marquardt in the coefficients themselves. Where that ends other than at a minimum inside the limits of stability, the
+    start is followed again in coordinates that can slide along the limit, C held within the first of the ``STAGES``.
+    """
+    theta, loss, iterations, code, _, r = search(
+        first, n, s.nk, u, y, free, how.max_iterations, how.tolerance, False, _radius(how.noise_radius)
+    )
+    c = _c_columns(s)
+    if code == 0 or not np.all(free[c]):
+        return theta, loss, int(iterations), int(code), r
+    radius = min(STAGES[0], how.noise_radius)
+    x = first.copy()
+    x[c] = stabilised(np.r_[1.0, x[c]], radius - 0.01)[1:]
+    x, end, more, code_x, _, r_x = search(x, n, s.nk, u, y, free, how.max_iterations, how.tolerance, True, _radius(radius))
+    total = int(iterations + more)
+    return (x, end, total, int(code_x), r_x) if end < loss else (theta, loss, total, int(code), r)
+
+
+def _release(
+    theta: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
+) -> tuple[NDArray, float, int, int, NDArray] | None:
+    """Follow the best end on as the limit on C's roots is moved out; None when no root of C is near its limit."""
+    c = _c_columns(s)
+    size = np.abs(np.roots(np.r_[1.0, theta[c]]))
+    if not np.all(free[c]) or size.size == 0 or size.max() < STAGES[0] - 0.005:
+        return None
+    best = None
+    total = 0
+    for radius in (x for x in (*STAGES[1:], how.noise_radius) if x <= how.noise_radius):
+        theta, loss, more, code, _, r = search(theta, n, s.nk, u, y, free, how.max_iterations, how.tolerance, True, _radius(radius))
+        total += int(more)
+        if np.isfinite(loss) and (best is None or loss < best[1]):
+            best = (theta, loss, total, int(code), r)
+    return best
+
+
+def _c_columns(s: Structure) -> slice:
+    return slice(s.na + s.nb, s.na + s.nb + s.nc)
+
+
 def _covariance(r: NDArray, n: int, variance: float) -> tuple[NDArray, bool]:
     """Parameter covariance from the factor of the gradient; the pseudo-inverse where the data leave directions open."""
     block = r[:-1, :-1]
@@ -144,7 +199,7 @@ def _prefiltered(data: IOData, options: Options) -> IOData:
         filtered = np.empty(len(data))
         filter_into(num / den[0], 0, den / den[0], np.asarray(x), filtered)
         out.append(filtered)
-    return data.with_signals(*out)
+    return data.with_signals(out[0], out[1])
 
 
 def pem(data: IOData, structure: Structure, options: Options | None = None, start: PolyModel | None = None) -> Estimate:
@@ -175,10 +230,11 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
     proposals = [] if held is not None else list(first_models(s, u, y))
     if start is not None:
         proposals.insert(0, ("given", start.theta / gain))
+    limit = _radius(options.search.noise_radius)
     w, v, e, *_ = _buffers(size)
     n0 = _sizes(s, False)
     for route, theta in proposals:
-        loss = residual(theta, n0, s.nk, u, y, w, v, e)
+        loss = residual(theta, n0, s.nk, u, y, w, v, e, limit)
         if np.isfinite(loss):
             candidates.append((loss, route, theta))
     if not candidates:
@@ -199,9 +255,7 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
         n = _sizes(s, with_state)
         theta = np.r_[first, state] if with_state else first
         free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
-        theta, loss, iterations, code, _, r = search(
-            theta, n, s.nk, u, y, free, options.search.max_iterations, options.search.tolerance
-        )
+        theta, loss, iterations, code, r = _descend(theta, n, s, u, y, free, options.search)
         if kind is InitialCondition.AUTO and not with_state and not ends:
             _, zero_loss, state_loss = _best_state(s, theta, u, y)
             if _uses_state(s, kind, zero_loss, state_loss, size):
@@ -209,9 +263,7 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
                 n = _sizes(s, True)
                 theta = np.r_[theta, _best_state(s, theta, u, y)[0]]
                 free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
-                theta, loss, more, code, _, r = search(
-                    theta, n, s.nk, u, y, free, options.search.max_iterations, options.search.tolerance
-                )
+                theta, loss, more, code, r = _descend(theta, n, s, u, y, free, options.search)
                 iterations += more
         log.append(Start(route, before / size * ys**2, loss / size * ys**2, int(iterations)))
         ends.append((float(loss), theta, int(code), r, with_state))
@@ -221,7 +273,13 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
 
     loss, theta, code, r, used = min(ends, key=lambda x: x[0])
     n = _sizes(s, used)
-    residual(theta, n, s.nk, u, y, w, v, e)
+    if code != 0:
+        free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
+        further = _release(theta, n, s, u, y, free, options.search)
+        if further is not None and further[1] < loss:
+            log.append(Start("released", loss / size * ys**2, further[1] / size * ys**2, further[2]))
+            theta, loss, _, code, r = further
+    residual(theta, n, s.nk, u, y, w, v, e, limit)
     count = s.n_parameters
     degrees = max(1, size - int(np.sum(free0)) - (theta.size - count))
     variance = loss / degrees
@@ -253,7 +311,7 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
 
 
 def _columns(r: NDArray, keep: NDArray) -> NDArray:
-    return np.linalg.qr(r[:, keep], mode="r")
+    return np.asarray(np.linalg.qr(r[:, keep], mode="r"))
 
 
 def _by_simulation(data: IOData, s: Structure, options: Options, began: float) -> Estimate:

@@ -39,17 +39,22 @@ class SearchOptions:
     tolerance: stop when the relative loss decrease that Gauss-Newton predicts falls below it (MATLAB ``Tolerance`` 0.01 is in per
     cent, that is 1e-4; here 1e-9).
     starts: at most so many initial values are followed to their minimum. The search ends early when two agree.
+    noise_radius: the roots of C stay within it. On data without power in a band (a low-pass before, a simulation without noise) the
+    best C runs to the unit circle and beyond use; the limit keeps the problem well posed. MATLAB limits it to 1.
     """
 
     max_iterations: int = 100
     tolerance: float = 1e-9
     starts: int = 4
+    noise_radius: float = 0.98
 
     def __post_init__(self) -> None:
         if not 1 <= self.max_iterations <= 100_000:
             raise InputError("max_iterations", f"{self.max_iterations}", "1 to 100000")
         if not 0.0 < self.tolerance < 1.0:
             raise InputError("tolerance", f"{self.tolerance}", "a number between 0 and 1")
+        if not 0.5 <= self.noise_radius <= 1.0:
+            raise InputError("noise_radius", f"{self.noise_radius}", "0.5 to 1")
         if not 1 <= self.starts <= 20:
             raise InputError("starts", f"{self.starts}", "1 to 20")
 

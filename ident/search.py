@@ -24,6 +24,10 @@ MARGIN = 1e-7
 """C and F keep their roots within 1 - MARGIN, so that predictor and model stay stable."""
 
 
+CURB = 1e-6
+"""Moving an unconstrained coordinate of C or F by one is worth at least this relative loss: coordinates at the limit stay put."""
+
+
 @njit(cache=True, nogil=True)
 def _polynomials(theta, n):
     """A, B, C, D, F, I, K out of theta."""
@@ -72,10 +76,10 @@ def _add_free_response(coefficients, den, out):
 
 
 @njit(cache=True, nogil=True)
-def residual(theta, n, nk, u, y, w, v, e):
+def residual(theta, n, nk, u, y, w, v, e, radius):
     """Fill w, v, e and return the sum of squares of e, or infinity when C or F is not stable."""
     a, b, c, d, f, i, k = _polynomials(theta, n)
-    if not (is_stable(c, MARGIN) and is_stable(f, MARGIN)):
+    if not (is_stable(c, 0.2*(1.0 - radius[2])) and is_stable(f, 0.2*(1.0 - radius[4]))):
         return np.inf
     one = np.ones(1)
     filter_into(b, nk, f, u, w)
@@ -140,8 +144,117 @@ def _reduced(r, free):
 
 
 @njit(cache=True, nogil=True)
-def search(theta, n, nk, u, y, free, max_iterations, tolerance):
+def to_reflection(poly, radius):
+    """Unconstrained coordinates x, shape (order,), of a monic polynomial with its roots within ``radius``.
+
+    atanh of the reflection coefficients (step-down recursion) of the polynomial with its roots divided by ``radius``.
+    """
+    n = poly.size - 1
+    a = poly.copy()
+    for i in range(n + 1):
+        a[i] /= radius**i
+    x = np.zeros(n)
+    b = np.empty(n + 1)
+    for m in range(n, 0, -1):
+        k = min(max(a[m], -1.0 + 1e-15), 1.0 - 1e-15)
+        x[m - 1] = np.arctanh(k)
+        g = 1.0 - k * k
+        for i in range(m):
+            b[i] = (a[i] - k * a[m - i]) / g
+        for i in range(m):
+            a[i] = b[i]
+    return x
+
+
+@njit(cache=True, nogil=True)
+def from_reflection(x, radius):
+    """Inverse of ``to_reflection`` (step-up), with the Jacobian of the coefficients 1 .. order, shape (order, order)."""
+    n = x.size
+    a = np.zeros(n + 1)
+    a[0] = 1.0
+    jac = np.zeros((n + 1, n))
+    old = np.zeros(n + 1)
+    old_jac = np.zeros((n + 1, n))
+    for m in range(1, n + 1):
+        k = np.tanh(x[m - 1])
+        for i in range(m + 1):
+            old[i] = a[i]
+            for j in range(n):
+                old_jac[i, j] = jac[i, j]
+        for i in range(1, m + 1):
+            a[i] = old[i] + k * old[m - i]
+            for j in range(m - 1):
+                jac[i, j] = old_jac[i, j] + k * old_jac[m - i, j]
+            jac[i, m - 1] = old[m - i] * (1.0 - k * k)
+    for i in range(1, n + 1):
+        a[i] *= radius**i
+        for j in range(n):
+            jac[i, j] *= radius**i
+    return a, jac[1:]
+
+
+@njit(cache=True, nogil=True)
+def _place(n, which):
+    pos = 0
+    for s in range(which):
+        pos += n[s]
+    return pos
+
+
+@njit(cache=True, nogil=True)
+def encode(theta, n, free, mapped, radius):
+    """Coordinates of the search: theta itself, or with C and F in their unconstrained coordinates if ``mapped``."""
+    x = theta.copy()
+    if mapped:
+        for which in (2, 4):
+            order, pos = n[which], _place(n, which)
+            if order and free[pos]:
+                poly = np.ones(order + 1)
+                poly[1:] = theta[pos : pos + order]
+                x[pos : pos + order] = to_reflection(poly, radius[which])
+    return x
+
+
+@njit(cache=True, nogil=True)
+def decode(x, n, free, mapped, radius):
+    """Inverse of ``encode``."""
+    theta = x.copy()
+    if mapped:
+        for which in (2, 4):
+            order, pos = n[which], _place(n, which)
+            if order and free[pos]:
+                poly, _ = from_reflection(x[pos : pos + order], radius[which])
+                theta[pos : pos + order] = poly[1:]
+    return theta
+
+
+@njit(cache=True, nogil=True)
+def _in_coordinates(r, x, n, free, radius):
+    """The factor with the columns of C and F replaced by those of their unconstrained coordinates."""
+    out = r.copy()
+    for which in (2, 4):
+        order, pos = n[which], _place(n, which)
+        if order == 0 or not free[pos]:
+            continue
+        _, jac = from_reflection(x[pos : pos + order], radius[which])
+        for i in range(r.shape[0]):
+            for j in range(order):
+                s = 0.0
+                for k in range(order):
+                    s += r[i, pos + k] * jac[k, j]
+                out[i, pos + j] = s
+    block = np.ascontiguousarray(out.T)
+    small = np.zeros_like(r)
+    _fold(small, block, r.shape[0])
+    return small
+
+
+@njit(cache=True, nogil=True)
+def search(theta, n, nk, u, y, free, max_iterations, tolerance, mapped, radius):
     """Levenberg-Marquardt from theta over the parameters with free[j] != 0.
+
+    ``radius``: largest root radius per polynomial (7,), read for C and F. ``mapped``: search C and F in coordinates in which every
+    point is stable, so that the search can follow the limit of stability instead of stopping at it.
 
     Returns theta, its sum of squares, iterations, status (0 converged, 1 iteration limit, 2 no further descent, 3 start unstable),
     the relative loss decrease that a further step predicts, and the full factor R at the end.
@@ -152,33 +265,45 @@ def search(theta, n, nk, u, y, free, max_iterations, tolerance):
     signals = np.zeros((8, samples))
     pulse = np.zeros(samples)
     pulse[0] = 1.0
+    x = encode(theta, n, free, mapped, radius)
     theta = theta.copy()
-    loss = residual(theta, n, nk, u, y, w, v, e)
+    loss = residual(theta, n, nk, u, y, w, v, e, radius)
     if not np.isfinite(loss):
         return theta, loss, 0, 3, np.inf, np.zeros((p + 1, p + 1))
     m = 0
     for j in range(p):
         m += free[j]
+    curbed = np.zeros(m)
+    if mapped:
+        col = 0
+        for j in range(p):
+            if free[j]:
+                for which in (2, 4):
+                    pos = _place(n, which)
+                    if pos <= j < pos + n[which]:
+                        curbed[col] = 1.0
+                col += 1
     mu, grow = 1e-4, 2.0
-    status, iteration = 1, 0
+    status, iteration, flat = 1, 0, 0
     predicted = np.inf
+    new = loss
+    trial = theta
+    trial_x = x
     r = factor(theta, n, nk, u, y, w, v, e, signals, pulse)
-    flat = 0
     for _ in range(max_iterations):
-        small = _reduced(r, free)
+        small = _reduced(_in_coordinates(r, x, n, free, radius) if mapped else r, free)
         scale = np.empty(m)
         for j in range(m):
             s = 0.0
             for i in range(j + 1):
                 s += small[i, j] * small[i, j]
             scale[j] = np.sqrt(s) if s > 0.0 else 1.0
-        total = 0.0
+            if curbed[j] > 0.0:
+                scale[j] = max(scale[j], 1e-3 * np.sqrt(loss))
         explained = 0.0
-        for i in range(m + 1):
-            total += small[i, m] * small[i, m]
-            if i < m:
-                explained += small[i, m] * small[i, m]
-        predicted = explained / total if total > 0.0 else 0.0
+        for i in range(m):
+            explained += small[i, m] * small[i, m]
+        predicted = explained / loss if loss > 0.0 else 0.0
         if predicted < tolerance:
             status = 0
             break
@@ -191,7 +316,7 @@ def search(theta, n, nk, u, y, free, max_iterations, tolerance):
                     work[i, j] = small[i, j] / (scale[j] if j < m else 1.0)
             damp = np.zeros((m + 1, m))
             for j in range(m):
-                damp[j, j] = np.sqrt(mu)
+                damp[j, j] = np.sqrt(mu + curbed[j] * CURB * loss / scale[j] ** 2)
             _fold(work, damp, m)
             step = np.zeros(m)
             solve_upper(work, m, work[:m, m].copy(), step)
@@ -201,13 +326,14 @@ def search(theta, n, nk, u, y, free, max_iterations, tolerance):
                 for j in range(i, m):
                     s += small[i, j] / scale[j] * step[j]
                 model += small[i, m] * small[i, m] - (small[i, m] - s) ** 2
-            trial = theta.copy()
+            trial_x = x.copy()
             col = 0
             for j in range(p):
                 if free[j]:
-                    trial[j] -= step[col] / scale[col]
+                    trial_x[j] -= step[col] / scale[col]
                     col += 1
-            new = residual(trial, n, nk, u, y, w, v, e)
+            trial = decode(trial_x, n, free, mapped, radius)
+            new = residual(trial, n, nk, u, y, w, v, e, radius)
             if new < loss:
                 gain = (loss - new) / model if model > 0.0 else 0.0
                 mu *= max(1.0 / 10.0, 1.0 - (2.0 * gain - 1.0) ** 3) if gain < 1.5 else 1.0
@@ -216,18 +342,17 @@ def search(theta, n, nk, u, y, free, max_iterations, tolerance):
                 accepted = True
                 break
             mu *= grow
-            grow *= 2.0
-            if mu > 1e16:
+            grow = min(2.0 * grow, 16.0)
+            if mu > 1e12:
                 break
         if not accepted:
-            residual(theta, n, nk, u, y, w, v, e)
+            residual(theta, n, nk, u, y, w, v, e, radius)
             status = 0 if predicted < 1e3 * tolerance else 2
             break
-        flat = flat + 1 if loss - new < 1e-3 * tolerance * loss else 0
-        loss = new
-        theta = trial
+        flat = flat + 1 if loss - new < max(tolerance, 1e-6 if mapped else 0.0) * loss else 0
+        loss, theta, x = new, trial, trial_x
         r = factor(theta, n, nk, u, y, w, v, e, signals, pulse)
-        if flat >= 8:
+        if flat >= 10:
             status = 2
             break
     return theta, loss, iteration, status, predicted, r
