@@ -251,11 +251,11 @@ def _settle(f, gap_law, gain, el, p, x, t, u, mode, w, z):
 
 
 @njit(cache=True, nogil=True)
-def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, tau, n_sub, x0, s0, angle, locked, t0, out):
+def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, x0, s0, angle, locked, t0, out):
     """Free run. u (N) torque held over each sample; out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
 
-    The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); tau > 0 lags it.
-    angle (N): measured angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample): 0 done,
+    The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
+    torque ahead of the first sample; tau > 0 lags it. angle (N): measured angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample): 0 done,
     1 diverged at that sample.
     """
     n = f.shape[1]
@@ -290,7 +290,7 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, tau, n
     any_event = False
     for i in range(n):
         any_event = any_event or has_friction[i] or f[5, i] > 0.0
-    lag = u[0]
+    lag = before
     for k in range(total):
         t = t0 + k * dt
         if locked:
@@ -316,7 +316,7 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, tau, n
             if span <= 0.0:
                 continue
             kk = k - shift - 1 if seg == 0 else k - shift
-            uk = u[kk] if kk > 0 else u[0]
+            uk = u[kk] if kk >= 0 else before
             sub = max(1, int(np.ceil(n_sub * span / dt - 1e-9)))
             for _sub in range(sub):
                 left = span / sub

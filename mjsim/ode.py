@@ -59,12 +59,14 @@ def simulate(
     states: np.ndarray | None = None,
     angle: np.ndarray | None = None,
     t0: float = 0.0,
+    before: float = 0.0,
     substeps: int | None = None,
 ) -> Trajectory:
     """Free-run an axis on a commanded torque (N,) held over each sample of dt [s].
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
-    ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied; ``substeps`` overrides the accuracy rule of
+    ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied; ``before``: commanded torque
+    ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the accuracy rule of
     `System.substeps`. Raises DivergedError.
     """
     from mjsim import kernel
@@ -93,7 +95,7 @@ def simulate(
     out = np.empty((count, 2 * n + s.n_states + n - 1))
     status, at = kernel.integrate(
         s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
-        s.input_lag, n_sub, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
+        float(before), s.input_lag, n_sub, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     if status:
         raise DivergedError(
