@@ -86,7 +86,7 @@ def reference_loss(s: System, u: np.ndarray, y: np.ndarray) -> float:
 
     theta = np.r_[s.B, s.C[1:], s.D[1:], s.F[1:]]
     n = np.array([0, *s.orders[:4], 0, 0])
-    return search(theta, n, s.orders[4], u, y, np.ones(theta.size, np.int64), 200, 1e-10)[1] / y.size
+    return search(theta, n, s.orders[4], u, y, np.ones(theta.size, np.int64), 200, 1e-10, False, np.full(7, 1 - 1e-7))[1] / y.size
 
 
 def run(out: Path, seeds: int, names: list[str], methods: list[str]) -> None:

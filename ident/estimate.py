@@ -149,30 +149,19 @@ def _descend(
     c = _c_columns(s)
     if code == 0 or not np.all(free[c]):
         return theta, loss, int(iterations), int(code), r
-    radius = min(STAGES[0], how.noise_radius)
+    total = int(iterations)
     x = first.copy()
-    x[c] = stabilised(np.r_[1.0, x[c]], radius - 0.01)[1:]
-    x, end, more, code_x, _, r_x = search(x, n, s.nk, u, y, free, how.max_iterations, how.tolerance, True, _radius(radius))
-    total = int(iterations + more)
-    return (x, end, total, int(code_x), r_x) if end < loss else (theta, loss, total, int(code), r)
-
-
-def _release(
-    theta: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
-) -> tuple[NDArray, float, int, int, NDArray] | None:
-    """Follow the best end on as the limit on C's roots is moved out; None when no root of C is near its limit."""
-    c = _c_columns(s)
-    size = np.abs(np.roots(np.r_[1.0, theta[c]]))
-    if not np.all(free[c]) or size.size == 0 or size.max() < STAGES[0] - 0.005:
-        return None
-    best = None
-    total = 0
-    for radius in (x for x in (*STAGES[1:], how.noise_radius) if x <= how.noise_radius):
-        theta, loss, more, code, _, r = search(theta, n, s.nk, u, y, free, how.max_iterations, how.tolerance, True, _radius(radius))
+    x[c] = stabilised(np.r_[1.0, x[c]], min(STAGES[0], how.noise_radius) - 0.01)[1:]
+    for radius in [r_ for r_ in STAGES if r_ < how.noise_radius] + [how.noise_radius]:
+        x, end, more, code_x, _, r_x = search(
+            x, n, s.nk, u, y, free, 2 * how.max_iterations, how.tolerance, True, _radius(radius)
+        )
         total += int(more)
-        if np.isfinite(loss) and (best is None or loss < best[1]):
-            best = (theta, loss, total, int(code), r)
-    return best
+        if end < loss:
+            theta, loss, code, r = x, end, code_x, r_x
+        if s.nc == 0 or np.max(np.abs(np.roots(np.r_[1.0, x[c]]))) < radius - 0.005:
+            break
+    return theta, loss, total, int(code), r
 
 
 def _c_columns(s: Structure) -> slice:
@@ -273,12 +262,6 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
 
     loss, theta, code, r, used = min(ends, key=lambda x: x[0])
     n = _sizes(s, used)
-    if code != 0:
-        free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
-        further = _release(theta, n, s, u, y, free, options.search)
-        if further is not None and further[1] < loss:
-            log.append(Start("released", loss / size * ys**2, further[1] / size * ys**2, further[2]))
-            theta, loss, _, code, r = further
     residual(theta, n, s.nk, u, y, w, v, e, limit)
     count = s.n_parameters
     degrees = max(1, size - int(np.sum(free0)) - (theta.size - count))

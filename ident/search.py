@@ -79,7 +79,7 @@ def _add_free_response(coefficients, den, out):
 def residual(theta, n, nk, u, y, w, v, e, radius):
     """Fill w, v, e and return the sum of squares of e, or infinity when C or F is not stable."""
     a, b, c, d, f, i, k = _polynomials(theta, n)
-    if not (is_stable(c, 0.2*(1.0 - radius[2])) and is_stable(f, 0.2*(1.0 - radius[4]))):
+    if not (is_stable(c, 0.2 * (1.0 - radius[2])) and is_stable(f, 0.2 * (1.0 - radius[4]))):
         return np.inf
     one = np.ones(1)
     filter_into(b, nk, f, u, w)
