@@ -1,1 +1,1 @@
-"""Package."""
+"""What the simulation left out: compare, locate, hypothesise, fit, validate, decide, report."""

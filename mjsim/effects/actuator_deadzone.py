@@ -32,6 +32,7 @@ class ActuatorDeadzone(Effect):
     )
     citation: ClassVar[str] = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("half_width_Nm",)
     family: ClassVar[str] = "signal"
 
     half_width_Nm: float = parameter(Quantity.TORQUE, "half the width of the zone", lower=0.0)

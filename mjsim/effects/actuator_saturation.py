@@ -30,6 +30,7 @@ class ActuatorSaturation(Effect):
     sentence: ClassVar[str] = "The actuator saturates: it delivers no more than {limit_Nm}."
     citation: ClassVar[str] = "Hippe, Windup in Control (2006)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ()
     family: ClassVar[str] = "signal"
 
     limit_Nm: float = parameter(Quantity.TORQUE, "largest torque delivered", lower=0.0)

@@ -40,6 +40,7 @@ class AsymmetricFriction(Effect):
     )
     citation: ClassVar[str] = "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS (2019)"
     tolerance: ClassVar[float] = 2e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "asymmetry_Nm")
     family: ClassVar[str] = "friction"
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 

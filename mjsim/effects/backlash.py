@@ -32,6 +32,7 @@ class Backlash(Effect):
         "M. Otter, Modelica.Mechanics.Rotational.ElastoBacklash (1999); Nordin, Gutman, Automatica 38 (2002) 1633"
     )
     tolerance: ClassVar[float] = 2e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("gap_rad",)
     family: ClassVar[str] = "coupling"
 
     gap_rad: float = parameter(Quantity.ANGLE, "total gap, link side", lower=0.0)

@@ -40,6 +40,7 @@ class CoulombFriction(Effect):
     )
     citation: ClassVar[str] = "C. A. Coulomb 1785; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
     tolerance: ClassVar[float] = 2e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "friction"
 
     torque_Nm: float = parameter(Quantity.TORQUE, "level of the friction torque, the same in both directions", lower=0.0)

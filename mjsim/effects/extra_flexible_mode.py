@@ -33,6 +33,7 @@ class ExtraFlexibleMode(Effect):
     )
     citation: ClassVar[str] = "Moberg, Modeling and Control of Flexible Manipulators, Linkoping (2010)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("inertia_kgm2", "stiffness_Nm_rad", "damping_Nms_rad")
     family: ClassVar[str] = "structure"
 
     inertia_kgm2: float = parameter(Quantity.INERTIA, "inertia behind the spring, split off the arm", lower=1e-12)

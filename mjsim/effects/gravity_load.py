@@ -40,6 +40,7 @@ class GravityLoad(Effect):
     )
     citation: ClassVar[str] = "Siciliano, Sciavicco, Villani, Oriolo, Robotics (2009) ch. 7"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "offset"
     refines: ClassVar[tuple[str, ...]] = ("torque_offset",)
 
@@ -53,4 +54,4 @@ class GravityLoad(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"torque_Nm": 0.1 * scales.torque, "phase_rad": phase} for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)]
+        return [{"torque_Nm": 0.1 * scales.torque, "phase_rad": 0.0} for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)]

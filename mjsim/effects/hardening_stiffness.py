@@ -39,6 +39,7 @@ class HardeningStiffness(Effect):
     )
     citation: ClassVar[str] = "Tuttle, Seering, IEEE Trans. Robotics and Automation 12 (1996) 368"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("coefficient_Nm_rad3",)
     family: ClassVar[str] = "coupling"
 
     coefficient_Nm_rad3: float = parameter(Quantity.CUBIC_STIFFNESS, "cubic stiffness, link side; negative softens")

@@ -43,6 +43,7 @@ class Hysteresis(Effect):
         "R. Bouc 1967; Y. K. Wen, J. Eng. Mech. 102 (1976) 249; Ruderman, Hoffmann, Bertram, IEEE Trans. Ind. El. 56 (2009) 3840"
     )
     tolerance: ClassVar[float] = 1e-3
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "stiffness_Nm_rad")
     family: ClassVar[str] = "coupling"
 
     torque_Nm: float = parameter(Quantity.TORQUE, "torque at which the element yields, link side", lower=1e-12)

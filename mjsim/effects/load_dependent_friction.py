@@ -40,6 +40,7 @@ class LoadDependentFriction(Effect):
     )
     citation: ClassVar[str] = "Bittencourt, Gunnarsson, Robotics and Computer-Integrated Manufacturing 28 (2012) 3"
     tolerance: ClassVar[float] = 1e-4
+    amplitudes: ClassVar[tuple[str, ...]] = ("coefficient",)
     family: ClassVar[str] = "friction"
 
     coefficient: float = parameter(Quantity.RATIO, "friction torque over transmitted torque", lower=0.0, upper=1.0)

@@ -41,6 +41,7 @@ class PositionDependentFriction(Effect):
     )
     citation: ClassVar[str] = "Armstrong-Helouvry, Control of Machines with Friction (1991) ch. 4"
     tolerance: ClassVar[float] = 2e-4
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "friction"
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
@@ -58,7 +59,6 @@ class PositionDependentFriction(Effect):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
         return [
-            {"torque_Nm": 0.1 * scales.torque, "relative_amplitude": 0.3, "cycles_per_rev": n, "phase_rad": phase}
+            {"torque_Nm": 0.1 * scales.torque, "relative_amplitude": 0.3, "cycles_per_rev": n, "phase_rad": 0.0}
             for n in scales.orders[:4]
-            for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)
         ]

@@ -41,6 +41,7 @@ class PreslidingFriction(Effect):
     )
     citation: ClassVar[str] = "P. Dahl 1968; Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40 (1995) 419"
     tolerance: ClassVar[float] = 1e-3
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "stiffness_Nm_rad")
     family: ClassVar[str] = "friction"
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 

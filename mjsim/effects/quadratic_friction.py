@@ -39,6 +39,7 @@ class QuadraticFriction(Effect):
     )
     citation: ClassVar[str] = "Swevers, Verdonck, De Schutter, IEEE Control Systems 27 (2007) 58"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("coefficient_Nm_s2_rad2",)
     family: ClassVar[str] = "speed"
 
     coefficient_Nm_s2_rad2: float = parameter(Quantity.QUADRATIC_DAMPING, "torque over speed squared")

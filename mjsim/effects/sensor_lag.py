@@ -30,6 +30,7 @@ class SensorLag(Effect):
     sentence: ClassVar[str] = "The sensor lags by {time_constant_s} s (a filter in the measurement)."
     citation: ClassVar[str] = "Franklin, Powell, Emami-Naeini, Feedback Control (2015)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("time_constant_s",)
     family: ClassVar[str] = "signal"
 
     time_constant_s: float = parameter(Quantity.TIME, "time constant", lower=0.0)

@@ -30,6 +30,7 @@ class SensorOffset(Effect):
     sentence: ClassVar[str] = "The sensor reads {value} when the axis stands still (offset)."
     citation: ClassVar[str] = "ISO 5725"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("value",)
     family: ClassVar[str] = "offset"
 
     value: float = parameter(Quantity.VELOCITY, "reading at rest")

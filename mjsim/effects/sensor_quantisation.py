@@ -30,6 +30,7 @@ class SensorQuantisation(Effect):
     sentence: ClassVar[str] = "The sensor reports in steps of {step}."
     citation: ClassVar[str] = "Widrow, Kollar, Quantization Noise (2008)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ()
     family: ClassVar[str] = "signal"
 
     step: float = parameter(Quantity.VELOCITY, "step of the reported velocity", lower=0.0)

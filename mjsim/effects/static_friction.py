@@ -38,6 +38,7 @@ class StaticFriction(Effect):
     sentence: ClassVar[str] = "Stiction at the {place}: it slides against {torque_Nm} but breaks away only at {peak} times that."
     citation: ClassVar[str] = "M. Otter, Modelica.Mechanics.Rotational.BearingFriction (1999)"
     tolerance: ClassVar[float] = 2e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "friction"
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 

@@ -30,6 +30,7 @@ class TimeDelay(Effect):
     sentence: ClassVar[str] = "A time delay of {delay_s} s at the {place} (bus, buffer or filter)."
     citation: ClassVar[str] = "Normey-Rico, Camacho, Control of Dead-time Processes (2007)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("delay_s",)
     family: ClassVar[str] = "signal"
 
     delay_s: float = parameter(Quantity.TIME, "delay", lower=0.0)

@@ -32,6 +32,7 @@ class TorqueGainDroop(Effect):
     )
     citation: ClassVar[str] = "Krause, Wasynczuk, Sudhoff, Analysis of Electric Machinery (2002)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("coefficient_per_Nm2",)
     family: ClassVar[str] = "signal"
 
     coefficient_per_Nm2: float = parameter(Quantity.PER_TORQUE_SQUARED, "relative loss per torque squared", lower=0.0)

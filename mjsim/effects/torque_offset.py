@@ -39,6 +39,7 @@ class TorqueOffset(Effect):
     )
     citation: ClassVar[str] = "Gautier, Venture, Proc. IFAC SYSID (2012)"
     tolerance: ClassVar[float] = 1e-5
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "offset"
 
     torque_Nm: float = parameter(Quantity.TORQUE, "offset, positive drives forward")

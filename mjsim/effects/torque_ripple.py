@@ -40,6 +40,7 @@ class TorqueRipple(Effect):
     )
     citation: ClassVar[str] = "Holtz, Springob, IEEE Trans. Ind. El. 43 (1996) 330"
     tolerance: ClassVar[float] = 1e-4
+    amplitudes: ClassVar[tuple[str, ...]] = ("amplitude_Nm",)
     family: ClassVar[str] = "position"
 
     amplitude_Nm: float = parameter(Quantity.TORQUE, "amplitude", lower=0.0)
@@ -54,8 +55,4 @@ class TorqueRipple(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [
-            {"amplitude_Nm": 0.05 * scales.torque, "cycles_per_rev": n, "phase_rad": phase}
-            for n in scales.orders[:4]
-            for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)
-        ]
+        return [{"amplitude_Nm": 0.05 * scales.torque, "cycles_per_rev": n, "phase_rad": 0.0} for n in scales.orders[:4]]

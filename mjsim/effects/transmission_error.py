@@ -42,6 +42,7 @@ class TransmissionError(Effect):
     )
     citation: ClassVar[str] = "Gravagno, Mucino, Pennestri, Mechanism and Machine Theory 152 (2020); ISO 230-2"
     tolerance: ClassVar[float] = 1e-4
+    amplitudes: ClassVar[tuple[str, ...]] = ("amplitude_rad",)
     family: ClassVar[str] = "position"
 
     amplitude_rad: float = parameter(Quantity.ANGLE, "amplitude, link side", lower=0.0)
@@ -56,8 +57,4 @@ class TransmissionError(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [
-            {"amplitude_rad": 0.1 * scales.deflection, "cycles_per_rev": n, "phase_rad": phase}
-            for n in scales.orders[:4]
-            for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)
-        ]
+        return [{"amplitude_rad": 0.1 * scales.deflection, "cycles_per_rev": n, "phase_rad": 0.0} for n in scales.orders[:4]]

@@ -1,0 +1,87 @@
+"""Recordings made ready for a fit: which samples count, the noise on them, whether they start in motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjsim.errors import InputError
+from mjsim.recording import Recording
+
+__all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "prepare", "white_noise_level"]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A recording and the part of it that a fit counts.
+
+    counts (N) bool; sigma: noise rms of the judged output (weights recordings against each other); moving: the axis is not at rest
+    at the first sample; before: torque held ahead of it.
+    """
+
+    recording: Recording
+    counts: np.ndarray
+    sigma: float
+    moving: bool
+    before: float
+
+
+def measured_velocity(recording: Recording) -> np.ndarray:
+    """The velocity channel, or the central difference of the angle where there is none [rad/s | m/s]."""
+    if recording.velocity is not None:
+        return recording.velocity
+    assert recording.angle is not None
+    return np.gradient(recording.angle, recording.dt)
+
+
+def white_noise_level(y: np.ndarray) -> float:
+    """Noise rms of a smooth signal: from its sixth differences, robust against the few samples at which it is not smooth.
+
+    The sixth difference of white noise of rms s has rms s sqrt(924); that of a band-limited signal is smaller by (w dt)^6.
+    Source: J. von Neumann et al., Ann. Math. Stat. 12 (1941) 153, for higher differences.
+    """
+    d = np.diff(y, 6) / np.sqrt(924.0)
+    if len(d) == 0:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(d - np.median(d))))
+
+
+def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:
+    """Check a recording and make it an experiment.
+
+    Raises InputError when it is too short, does not move, or is clipped flat for much of its length.
+    """
+    v = measured_velocity(recording)
+    n = len(v)
+    if n < minimum:
+        raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
+    noise = white_noise_level(v)
+    spread = float(np.std(v))
+    if np.ptp(recording.torque) == 0:
+        raise InputError(recording.source, "the torque is constant", "an input that varies", "excite the axis")
+    if spread == 0 or spread < 1.5 * noise:
+        raise InputError(
+            recording.source, f"the motion (rms {spread:.3g}) does not rise above its noise (rms {noise:.3g})",
+            "a moving axis", "excite it with more torque",
+        )  # fmt: skip
+    for name, signal in (("velocity", v), ("torque", recording.torque)):
+        top = np.max(np.abs(signal))
+        at_top = np.abs(signal) >= top * (1 - 1e-9)
+        flat = at_top[1:] & at_top[:-1] & (np.diff(signal) == 0)
+        if name == "velocity" and np.mean(flat) > 0.05:
+            raise InputError(recording.source, f"{name} stands at its limit {top:.4g} for {100 * np.mean(flat):.0f} % of the time",
+                             "an unclipped signal", "raise the sensor's range or lower the excitation")  # fmt: skip
+    head = v[: max(8, n // 2000)]
+    moving = bool(abs(np.mean(head)) > 5 * max(noise, 1e-9 * spread) / np.sqrt(len(head)) + 0.02 * spread)
+    before = float(recording.torque[0]) if moving else 0.0
+    return Experiment(
+        recording, np.ones(n, bool) if counts is None else counts, max(noise, 1e-6 * spread), moving, before
+    )  # fmt: skip
+
+
+def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray, np.ndarray]:
+    """Masks (estimation, held-out) of one recording: every third of ``blocks`` stretches of equal length is held out."""
+    index = np.minimum(np.arange(len(recording)) * blocks // len(recording), blocks - 1)
+    held = index % 3 == 2
+    return ~held, held

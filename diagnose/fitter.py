@@ -1,0 +1,278 @@
+"""Fit hypotheses to experiments: one weighted, if need be whitened, residual vector; equal budgets for all rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagnose.experiment import Experiment
+from diagnose.hypothesis import Hypothesis
+from diagnose.least_squares import Fit, Status, jacobian, levenberg_marquardt
+from diagnose.scales import scales_by_place
+from diagnose.view import View
+from mjsim.axis import Axis
+from mjsim.effects import Effect, Scales
+
+__all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
+
+
+def key_of(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """What tells two structures apart: the sorted keys of their effects."""
+    return tuple(sorted(e.key for e in effects))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted hypothesis: chi2 is the weighted sum of squares over n samples; ``effects`` carry the fitted values of recording 0."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    n: int
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """The structure."""
+        return key_of(self.hypothesis.effects)
+
+    @property
+    def chi2(self) -> float:
+        """Weighted sum of squares on the estimation samples."""
+        return self.fit.cost
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The supposed effects with their fitted values."""
+        nominal = len(self.hypothesis.nominal.effects)
+        return self.axis.effects[nominal:]
+
+    @property
+    def axis(self) -> Axis:
+        """The fitted axis (values of the first recording)."""
+        return self.hypothesis.axis(self.fit.x, 0)
+
+    @property
+    def linear(self) -> dict[str, float]:
+        """Fitted linear parameters."""
+        return {n: v for (o, n, _), v in self.hypothesis.values(self.fit.x).items() if o == "" and n != "initial_velocity"}
+
+    @property
+    def own(self) -> dict[tuple[str, str, int], float]:
+        """Fitted per-recording values."""
+        return {k: v for k, v in self.hypothesis.values(self.fit.x).items() if k[2] >= 0}
+
+    @property
+    def ok(self) -> bool:
+        """Whether the fit ran at all."""
+        return self.fit.status is not Status.FAILED
+
+    def standard_errors(self) -> np.ndarray:
+        """Standard errors of the scaled vector from the Gauss-Newton Hessian, residual variance estimated (p,)."""
+        J = self.fit.J
+        variance = self.chi2 / max(self.n - J.shape[1], 1)
+        scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
+        _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
+        s = np.maximum(s, 1e-10 * s[0])
+        return np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Weighted squared errors on held-out samples, in blocks: sse (B,), n (B,); rms and nrmse in the view's unit."""
+
+    sse: np.ndarray
+    n: np.ndarray
+    rms: float
+    nrmse: float
+
+    @property
+    def chi2(self) -> float:
+        """Weighted sum of squares."""
+        return float(np.sum(self.sse))
+
+
+@dataclass
+class Fitter:
+    """Everything that fits share: nominal axis, view, experiments, scales, whitening filter, threads."""
+
+    nominal: Axis
+    view: View
+    experiments: tuple[Experiment, ...]
+    held_out: tuple[Experiment, ...]
+    jobs: int = 2
+    orders: tuple[float, ...] = ()
+    whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
+    runs: int = 0
+
+    def __post_init__(self) -> None:
+        self._pool = ThreadPoolExecutor(max_workers=max(1, self.jobs))
+        self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
+        self._sigma = {id(e): e.sigma for e in (*self.experiments, *self.held_out)}
+        self.scales = scales_by_place(self.nominal, self.experiments[0], self.orders)
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def set_orders(self, orders: tuple[float, ...]) -> None:
+        """Take the spatial orders found in the residual as starts for position-locked effects."""
+        self.orders = orders
+        self.scales = scales_by_place(self.nominal, self.experiments[0], orders)
+
+    def set_sigma(self, experiment: Experiment, sigma: float) -> None:
+        """Weight of an experiment."""
+        self._sigma[id(experiment)] = sigma
+
+    def sigma(self, experiment: Experiment) -> float:
+        """Noise rms used as weight."""
+        return self._sigma[id(experiment)]
+
+    def counted(self, experiment: Experiment) -> np.ndarray:
+        """Mask of the compared samples that count."""
+        return self._counts[id(experiment)]
+
+    def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
+        """Run tasks on the threads; the answers come in the order of the tasks, so that the number of threads changes nothing."""
+        self.runs += len(tasks)
+        if self.jobs <= 1 or len(tasks) == 1:
+            return [t() for t in tasks]
+        return list(self._pool.map(lambda t: t(), tasks))
+
+    def error(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
+        """Measured minus predicted at every compared sample, in the view's unit."""
+        s = self.view.signals(axis, experiment, initial)
+        if s is None:
+            return None
+        e = s.measured - s.predicted
+        return e if np.all(np.isfinite(e)) else None
+
+    def weighted(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
+        """The error whitened, weighted and cut to the samples that count."""
+        e = self.error(axis, experiment, initial)
+        if e is None:
+            return None
+        if len(self.whitening) > 1:
+            from scipy.signal import lfilter
+
+            e = lfilter(self.whitening, [1.0], e)
+        return np.asarray(e[self.counted(experiment)] / self.sigma(experiment))
+
+    def residual(self, h: Hypothesis) -> Callable[[np.ndarray], np.ndarray | None]:
+        """Residual vector over all estimation experiments as a function of the scaled vector."""
+
+        def of(x: np.ndarray) -> np.ndarray | None:
+            parts = []
+            for r, experiment in enumerate(self.experiments):
+                try:
+                    axis = h.axis(x, r)
+                except ValueError:
+                    return None
+                part = self.weighted(axis, experiment, h.initial(x, r))
+                if part is None:
+                    return None
+                parts.append(part)
+            return np.concatenate(parts)
+
+        return of
+
+    def hypothesis(self, effects: Sequence[Effect], linear: Mapping[str, float] | None = None,
+                   own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
+        """Lay out a hypothesis on these experiments."""
+        moving = tuple(e.moving and self.view.channel == "velocity" for e in self.experiments)
+        return Hypothesis.build(self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own)
+
+    def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
+            tolerance: float = 1e-6) -> Fitted:  # fmt: skip
+        """Fit one hypothesis from its start."""
+        result = levenberg_marquardt(
+            self.residual(h), h.start if x0 is None else x0, h.bounds, step=np.full(len(h.entries), step), run=self.run,
+            max_iterations=iterations, tolerance=tolerance,
+        )  # fmt: skip
+        return Fitted(h, result, len(result.residual))
+
+    def refined(self, fitted: Fitted, step: float = 2e-4) -> Fitted:
+        """The same fit with a two-sided Jacobian at its solution, for covariances."""
+        h, f = fitted.hypothesis, fitted.fit
+        lower, upper = h.bounds
+        steps = np.full(len(h.entries), step)
+        residual = self.residual(h)
+        r = residual(f.x)
+        assert r is not None
+        forward = jacobian(residual, f.x, r, steps, lower, upper, self.run)
+        backward = jacobian(residual, f.x, r, -steps, lower, upper, self.run)
+        if forward is None or backward is None:
+            return fitted
+        J = 0.5 * (forward + backward)
+        return Fitted(h, Fit(f.x, f.cost, r, J, f.status, f.iterations, f.predicted_gain), fitted.n)
+
+    def validate(self, fitted: Fitted, blocks: int = 25) -> HeldOut | None:
+        """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is."""
+        h = fitted.hypothesis
+        axis = fitted.axis
+        sse, count, squares, total, spread = [], [], 0.0, 0, 0.0
+        for experiment in self.held_out:
+            solved = self._own_values(h, fitted, experiment)
+            if solved is None:
+                return None
+            effects_axis, initial = solved
+            e = self.error(effects_axis, experiment, initial)
+            if e is None:
+                return None
+            keep = self.counted(experiment)
+            w = e / self.sigma(experiment)
+            if len(self.whitening) > 1:
+                from scipy.signal import lfilter
+
+                w = lfilter(self.whitening, [1.0], w)
+            w2 = w**2
+            for part in np.array_split(np.flatnonzero(keep), blocks):
+                sse.append(float(np.sum(w2[part])))
+                count.append(len(part))
+            squares += float(np.sum(e[keep] ** 2))
+            total += int(np.sum(keep))
+            s = self.view.signals(axis, experiment, initial)
+            if s is not None:
+                m = s.measured[keep]
+                spread += float(np.sum((m - m.mean()) ** 2))
+        return HeldOut(np.array(sse), np.array(count), float(np.sqrt(squares / total)), float(np.sqrt(squares / spread)))
+
+    def _own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
+        """The fitted axis with this experiment's own phases and initial speed, estimated on it."""
+        moving = experiment.moving and self.view.channel == "velocity"
+        alone = Hypothesis.build(
+            h.nominal, fitted.effects, self.scales, 1, (moving,), fitted.linear,
+            {(o, n, 0): v for (o, n, r), v in fitted.own.items() if r == 0},
+        )  # fmt: skip
+        free = np.array([e.recording >= 0 for e in alone.entries])
+        x = alone.start.copy()
+        if free.any() and experiment not in self.experiments:
+
+            def residual(z: np.ndarray) -> np.ndarray | None:
+                y = x.copy()
+                y[free] = z
+                try:
+                    return self.weighted(alone.axis(y, 0), experiment, alone.initial(y, 0))
+                except ValueError:
+                    return None
+
+            lower, upper = alone.bounds
+            best: Fit | None = None
+            phases = [i for i, e in enumerate(alone.entries) if e.recording >= 0 and e.name == "phase_rad"]
+            starts = [x[free]]
+            if phases:
+                for turn in (1.57, 3.14, -1.57):
+                    y = x.copy()
+                    y[phases] += turn
+                    starts.append(y[free])
+            for z0 in starts:
+                f = levenberg_marquardt(
+                    residual, z0, (lower[free], upper[free]), step=np.full(int(free.sum()), 1e-3), run=self.run, max_iterations=8
+                )
+                if f.status is not Status.FAILED and (best is None or f.cost < best.cost):
+                    best = f
+            if best is None:
+                return None
+            x[free] = best.x
+        return alone.axis(x, 0), alone.initial(x, 0)

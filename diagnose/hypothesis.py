@@ -1,0 +1,164 @@
+"""A hypothesis: the nominal chain with a set of effects, all of whose numbers are free, laid out as one scaled vector.
+
+The vector holds, in this order: the linear parameters (as ratios to nominal), the parameters of the effects that are
+shared by all recordings, then for each recording its own: nuisance parameters (phases) and, when it does not start at rest,
+the speed at which it starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjsim.axis import Axis
+from mjsim.effects import Effect, NotApplicableError, Scales, effect_class
+from mjsim.quantity import Quantity
+
+__all__ = ["Entry", "Hypothesis", "make"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number of the vector: where it belongs, its scale and bounds [SI]; recording is -1 for shared ones."""
+
+    owner: str
+    name: str
+    quantity: Quantity
+    scale: float
+    lower: float
+    upper: float
+    start: float
+    recording: int = -1
+
+    @property
+    def label(self) -> str:
+        """owner.name, with the recording's number for its own parameters."""
+        tail = "" if self.recording < 0 else f"#{self.recording}"
+        return f"{self.owner}.{self.name}{tail}" if self.owner else f"{self.name}{tail}"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A nominal axis, the effects supposed on top of it (with start values), and the layout of the free vector."""
+
+    nominal: Axis
+    effects: tuple[Effect, ...]
+    entries: tuple[Entry, ...]
+    n_recordings: int
+
+    @classmethod
+    def build(
+        cls,
+        nominal: Axis,
+        effects: tuple[Effect, ...],
+        scales: Mapping[str, Scales],
+        n_recordings: int,
+        moving: tuple[bool, ...],
+        linear: Mapping[str, float] | None = None,
+        own: Mapping[tuple[str, str, int], float] | None = None,
+    ) -> Hypothesis:
+        """Lay out a vector; ``linear`` and ``own`` (per-recording values) give starts, the nominal values otherwise."""
+        entries = []
+        for p in nominal.chain.linear_parameters():
+            start = (linear or {}).get(p.name, p.value)
+            scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
+            positive = p.kind in ("inertia", "stiffness")
+            entries.append(Entry("", p.name, p.quantity, scale, 1e-3 * scale if positive else -math.inf, math.inf, start))
+        for effect in (*nominal.effects, *effects):
+            s = scales[effect.place]
+            for spec in type(effect).specs():
+                value = getattr(effect, spec.name)
+                entry = (spec.name, spec.quantity, _scale(spec.quantity, value, s), spec.lower, spec.upper)
+                if spec.nuisance:
+                    for r in range(n_recordings):
+                        start = (own or {}).get((effect.key, spec.name, r), value)
+                        entries.append(Entry(effect.key, *entry, start, r))
+                else:
+                    entries.append(Entry(effect.key, *entry, value))
+        speed = scales["motor"].velocity
+        for r in range(n_recordings):
+            if moving[r]:
+                start = (own or {}).get(("", "initial_velocity", r), 0.0)
+                entries.append(Entry("", "initial_velocity", Quantity.VELOCITY, 0.1 * speed, -math.inf, math.inf, start, r))
+        entries.sort(key=lambda e: e.recording)
+        return cls(nominal, effects, tuple(entries), n_recordings)
+
+    @property
+    def start(self) -> np.ndarray:
+        """The start as a scaled vector."""
+        return np.array([e.start / e.scale for e in self.entries])
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled lower and upper bounds."""
+        return np.array([e.lower / e.scale for e in self.entries]), np.array([e.upper / e.scale for e in self.entries])
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the supposed effects."""
+        return tuple(e.key for e in self.effects)
+
+    def values(self, x: np.ndarray) -> dict[tuple[str, str, int], float]:
+        """(owner, name, recording) -> SI value."""
+        return {(e.owner, e.name, e.recording): float(v * e.scale) for e, v in zip(self.entries, x, strict=True)}
+
+    def axis(self, x: np.ndarray, recording: int = 0) -> Axis:
+        """The axis that a vector stands for, with the numbers of one recording."""
+        v = self.values(x)
+        linear = {n: value for (owner, n, _), value in v.items() if owner == "" and n != "initial_velocity"}
+        effects = []
+        for effect in (*self.nominal.effects, *self.effects):
+            mine = {n: value for (owner, n, r), value in v.items() if owner == effect.key and r in (-1, recording)}
+            effects.append(effect.with_values(mine))
+        return Axis(self.nominal.chain.with_linear(linear), tuple(effects), self.nominal.backlash_law)
+
+    def initial(self, x: np.ndarray, recording: int) -> np.ndarray | None:
+        """Initial angles and velocities (2, n) when the recording starts in motion, else None."""
+        v = self.values(x).get(("", "initial_velocity", recording))
+        if v is None:
+            return None
+        chain = self.nominal.chain
+        out = np.zeros((2, len(chain.bodies)))
+        out[1] = [v * chain.total_ratio(i) for i in range(len(chain.bodies))]
+        return out
+
+    def applicable(self) -> bool:
+        """Whether every effect has a place on this chain."""
+        try:
+            for effect in self.effects:
+                effect.ports(self.nominal.chain)
+        except NotApplicableError:
+            return False
+        return True
+
+
+def _scale(quantity: Quantity, value: float, s: Scales) -> float:
+    if quantity is Quantity.PHASE:
+        return 1.0
+    if quantity is Quantity.CYCLES:
+        return 1.0 / max(s.travel, 1e-12)
+    if value != 0 and math.isfinite(value):
+        return abs(value)
+    return {
+        Quantity.TORQUE: 0.05 * s.torque,
+        Quantity.RATIO: 0.1,
+        Quantity.TIME: s.dt,
+        Quantity.VELOCITY: 0.05 * s.velocity,
+        Quantity.ANGLE: 0.1 * (s.deflection or s.travel),
+    }.get(quantity, 1.0)
+
+
+def _fallback_scale(nominal: Axis, kind: str, scales: Mapping[str, Scales]) -> float:
+    """Scale of a linear parameter whose nominal value is zero."""
+    s = scales["motor"]
+    return max(s.torque / max(s.velocity, 1e-12), 1e-12) * (0.05 if kind == "viscous" else 1.0)
+
+
+def make(effect_id: str, place: str, values: Mapping[str, float]) -> Effect:
+    """An effect by identifier with start values clipped into its bounds."""
+    cls = effect_class(effect_id)
+    clipped = {s.name: min(max(values[s.name], s.lower), s.upper) for s in cls.specs()}
+    return cls(place=place, **clipped)

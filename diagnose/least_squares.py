@@ -1,0 +1,132 @@
+"""Levenberg-Marquardt on simulated residuals, with bounds, wide secants and a status that says why it stopped."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Fit", "Status", "jacobian", "levenberg_marquardt"]
+
+
+class Status(enum.Enum):
+    """Why a fit stopped; the value is the advice."""
+
+    CONVERGED = "the gain of a further step is below the tolerance"
+    BUDGET = "stopped at the iteration budget: may improve with a larger one"
+    STALLED = "no step improves the cost, yet the gradient is not small: the cost is rough here"
+    FAILED = "the model could not be run at the start values"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Outcome: x (p,), cost = sum of squares, residual (N,), J (N, p) at the last linearisation, gradient measure, status."""
+
+    x: np.ndarray
+    cost: float
+    residual: np.ndarray
+    J: np.ndarray
+    status: Status
+    iterations: int
+    predicted_gain: float
+
+
+Residual = Callable[[np.ndarray], np.ndarray | None]
+
+
+def jacobian(
+    residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray,
+    run: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]],
+) -> np.ndarray | None:  # fmt: skip
+    """Forward secants (N, p); turned inward at a bound. None when a run fails."""
+    tasks, signs = [], []
+    for i in range(len(x)):
+        h = step[i]
+        if x[i] + h > upper[i] or (x[i] - h >= lower[i] and x[i] < 0 <= lower[i] + h):
+            h = -h
+        y = x.copy()
+        y[i] += h
+        signs.append(h)
+        tasks.append(lambda y=y: residual(y))
+    columns = run(tasks)
+    J = np.empty((len(r0), len(x)))
+    for i, (c, h) in enumerate(zip(columns, signs, strict=True)):
+        if c is None:
+            return None
+        J[:, i] = (c - r0) / h
+    return J
+
+
+def levenberg_marquardt(
+    residual: Residual,
+    x0: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    *,
+    step: np.ndarray,
+    run: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]],
+    max_iterations: int = 20,
+    tolerance: float = 1e-5,
+    damping: float = 1e-3,
+    J0: np.ndarray | None = None,
+) -> Fit:
+    """Minimise |r(x)|^2 within bounds.
+
+    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, when known.
+    """
+    lower, upper = bounds
+    x = np.clip(x0, lower, upper)
+    r = residual(x)
+    n_x = len(x)
+    if r is None:
+        return Fit(x, np.inf, np.empty(0), np.empty((0, n_x)), Status.FAILED, 0, 0.0)
+    cost = float(r @ r)
+    mu = damping
+    J = np.empty((len(r), n_x))
+    status = Status.BUDGET
+    gain = np.inf
+    iteration = 0
+    for iteration in range(1, max_iterations + 1):
+        new_J = J0 if J0 is not None and iteration == 1 else jacobian(residual, x, r, step, lower, upper, run)
+        if new_J is None:
+            status = Status.STALLED
+            break
+        J = new_J
+        A, g = J.T @ J, J.T @ r
+        scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
+        improved = False
+        for _ in range(8):
+            free = np.ones(n_x, bool)
+            for _pin in range(3):
+                d = np.zeros(n_x)
+                Af = A[np.ix_(free, free)] + mu * np.diag(scale[free])
+                d[free] = -np.linalg.lstsq(Af, g[free], rcond=1e-14)[0]
+                trial = x + d
+                out = free & ((trial < lower) | (trial > upper)) & ((x <= lower) | (x >= upper))
+                if not out.any():
+                    break
+                free &= ~out
+            trial = np.clip(x + d, lower, upper)
+            d = trial - x
+            gain = -float(2 * g @ d + d @ A @ d) / cost
+            if gain < tolerance * 0.1 and mu <= 1e-2:
+                status = Status.CONVERGED
+                break
+            r_new = residual(trial)
+            if r_new is not None and (c_new := float(r_new @ r_new)) < cost:
+                actual = (cost - c_new) / cost
+                x, r, cost = trial, r_new, c_new
+                mu = max(mu * (0.1 if actual > 0.5 * gain else 1.0), 1e-9)
+                improved = True
+                break
+            mu = max(mu, 1e-6) * 10
+        if status is Status.CONVERGED:
+            break
+        if not improved:
+            status = Status.CONVERGED if gain < 10 * tolerance else Status.STALLED
+            break
+        if actual < tolerance:
+            status = Status.CONVERGED
+            break
+    return Fit(x, cost, r, J, status, iteration, float(gain))

@@ -1,0 +1,90 @@
+"""Which spatial frequencies of the motor angle stand out of a residual: starts for ripple, transmission error and their like.
+
+A torque locked to the angle, cos(n q) or sin(n q), reaches the velocity through the fitted linear axis. For each order n the
+residual's energy that the two regressors explain is computed; peaks over n are the orders. The search is linear, so its
+cost is one filtering per order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjsim.axis import Axis
+from mjsim.system import assemble, state_matrix
+
+__all__ = ["find_orders", "torque_to_velocity"]
+
+
+def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0, without effects."""
+    from scipy.linalg import expm
+    from scipy.signal import ss2tf
+
+    linear = Axis(axis.chain)
+    s = assemble(linear)
+    n = s.n
+    a = state_matrix(s.f)
+    b = np.zeros((2 * n, 1))
+    b[n + body] = 1.0 / s.f[0, body]
+    # drop the rigid-body position: angles relative to a rigid chain, so that the system has no integrator
+    t = np.eye(2 * n)
+    for i in range(1, n):
+        t[i, 0] = -axis.chain.total_ratio(i)
+    keep = np.arange(1, 2 * n)
+    inv = np.linalg.inv(t)
+    a = (t @ a @ inv)[np.ix_(keep, keep)]
+    b = (t @ b)[keep]
+    c = np.zeros((1, 2 * n))
+    c[0, n] = 1.0
+    c = (c @ inv)[:, keep]
+    m = expm(np.block([[a, b], [np.zeros((1, len(keep) + 1))]]) * dt)
+    num, den = ss2tf(m[:-1, :-1], m[:-1, -1:], c, np.zeros((1, 1)))
+    return num[0], den
+
+
+def find_orders(
+    residual: np.ndarray, angle: np.ndarray, velocity: np.ndarray, b: np.ndarray, a: np.ndarray, dt: float, *, most: int = 5,
+    keep: np.ndarray | None = None,
+) -> tuple[float, ...]:  # fmt: skip
+    """Orders (cycles per unit angle / 2 pi, i.e. n in sin(n q)) at which the residual has most energy, strongest first.
+
+    residual, angle, velocity (N,): velocity residual, measured motor angle and velocity; (b, a): torque to velocity.
+    Orders range from one period over the travel to the one whose frequency reaches a quarter of the sampling rate.
+    """
+    from scipy.signal import lfilter
+
+    travel = float(np.ptp(angle))
+    if travel <= 0:
+        return ()
+    top = min(0.25 * 2 * np.pi / dt / max(float(np.percentile(np.abs(velocity), 90)), 1e-12), 60 * 2 * np.pi / travel * 20)
+    low = 2 * np.pi / travel * 1.5
+    count = int(min(600, max(60, 3 * (top - low) * travel / (2 * np.pi))))
+    grid = np.geomspace(low, top, count) if top / low > 50 else np.linspace(low, top, count)
+    # integer orders are likely: a turn of the motor is a period of what is fixed to it
+    grid = np.unique(np.concatenate([grid, np.arange(1.0, min(top, 64.0) + 0.5)]))
+    every = max(1, int(0.5 / (dt * 1000)))
+    mask = np.ones(len(residual), bool) if keep is None else keep
+    y = (residual - residual.mean()) * mask
+    found: list[tuple[float, float]] = []
+    for weight in (None, np.sign(velocity)):
+        power = np.empty(len(grid))
+        for i, n in enumerate(grid):
+            x = np.column_stack([np.sin(n * angle), np.cos(n * angle)])
+            if weight is not None:
+                x *= weight[:, None]
+            x = lfilter(b, a, x, axis=0)[::every] * mask[::every, None]
+            gram = x.T @ x + 1e-12 * np.trace(x.T @ x) * np.eye(2)
+            c = x.T @ y[::every]
+            power[i] = float(c @ np.linalg.solve(gram, c))
+        for i in np.argsort(power)[::-1]:
+            left, right = power[max(i - 1, 0)], power[min(i + 1, len(grid) - 1)]
+            if power[i] >= left and power[i] >= right:
+                found.append((power[i], float(grid[i])))
+                if sum(1 for _ in found) >= most * (1 if weight is None else 2):
+                    break
+    found.sort(reverse=True)
+    out: list[float] = []
+    for _, n in found:
+        if all(abs(n - m) > 0.02 * m for m in out):
+            out.append(n)
+    return tuple(out[:most])

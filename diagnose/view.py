@@ -1,0 +1,141 @@
+"""How a model is judged against a recording: by its free-run motion, or by the force that the recorded motion needs.
+
+Motion (output error): the model runs on the recorded torque and its velocity is compared. Efficient and unbiased when the noise is
+in the sensor, also under feedback, since the torque that acted is recorded.
+Force (inverse dynamics): the model is moved as recorded and the torque that this needs is compared. For recordings under a tight
+position loop, whose motion says nothing and whose free run drifts on any disturbance of the torque.
+Both are low-passed alike where they are filtered, so that a comparison is of like with like (docs/decisions/feedback.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from diagnose.experiment import Experiment, measured_velocity
+from mjsim.axis import Axis
+from mjsim.effects import NotApplicableError
+from mjsim.ode import DivergedError, apply_input, inverse, simulate
+from mjsim.system import assemble
+
+__all__ = ["ForceView", "MotionView", "Signals", "View"]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What is compared, on one time grid (M): time [s], measured and predicted in the view's unit."""
+
+    time: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+
+
+class View(Protocol):
+    """A way to judge a model."""
+
+    channel: str
+
+    def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
+        """Measured and predicted, or None when the model cannot be run (diverged, or values outside its domain)."""
+
+    def counts(self, experiment: Experiment) -> np.ndarray:
+        """Which of the compared samples count (M) bool."""
+
+
+@dataclass(frozen=True)
+class MotionView:
+    """Free run on the recorded torque, judged on motor velocity."""
+
+    channel: str = "velocity"
+
+    def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
+        """Velocity measured and simulated at every sample."""
+        r = experiment.recording
+        try:
+            y = simulate(axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before)
+        except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
+            return None
+        return Signals(r.time, measured_velocity(r), y.velocity)
+
+    def counts(self, experiment: Experiment) -> np.ndarray:
+        """The experiment's own mask."""
+        return experiment.counts
+
+
+@dataclass(frozen=True)
+class ForceView:
+    """Inverse dynamics along the recorded motion, judged on torque.
+
+    cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling rate), then
+    decimation by ``decimate``. slow: samples below this fraction of the rms speed do not count (the direction of friction is unknown there).
+    """
+
+    cutoff_hz: float | None = None
+    decimate: int = 10
+    slow: float = 0.02
+    channel: str = "torque"
+
+    def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Angle, velocity, acceleration (low-passed, by central differences) and the filter's coefficients."""
+        from scipy.signal import sosfiltfilt
+
+        r = experiment.recording
+        sos = self._sos(r.dt)
+        if r.angle is not None:
+            q = sosfiltfilt(sos, r.angle)
+            v = np.gradient(q, r.dt)
+        else:
+            v = sosfiltfilt(sos, measured_velocity(r))
+            q = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * r.dt])
+        return q, v, np.gradient(v, r.dt), sos
+
+    def _sos(self, dt: float) -> np.ndarray:
+        from scipy.signal import butter
+
+        cutoff = self.cutoff_hz or 0.1 / dt
+        return np.asarray(butter(4, min(2 * cutoff * dt, 0.9), output="sos"))
+
+    def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
+        """Torque commanded (through the actuator effects) and torque needed, low-passed and decimated alike."""
+        from scipy.signal import sosfiltfilt
+
+        r = experiment.recording
+        q, v, a, sos = self._filtered(experiment)
+        try:
+            s = assemble(axis)
+            if s.output_delay > 0 or s.output_lag > 0:
+                lead = s.output_delay + s.output_lag
+                q, v, a = (_shift(x, lead, r.dt) for x in (q, v, a))
+            offset = sum(m.c for m in s.output_maps if m.map.name == "ADD")
+            needed = inverse(s, q, v - offset, a, r.dt)
+        except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
+            return None
+        delivered = apply_input(s, r.torque)
+        late = s.input_delay + s.input_lag
+        if late > 0:
+            delivered = _shift(delivered, -late, r.dt)
+        # the command is held over each sample: it acts half a sample late on average
+        delivered = _shift(delivered, -0.5 * r.dt, r.dt)
+        every = slice(None, None, self.decimate)
+        return Signals(r.time[every], sosfiltfilt(sos, delivered)[every], sosfiltfilt(sos, needed)[every])
+
+    def counts(self, experiment: Experiment) -> np.ndarray:
+        """The experiment's mask without the filter's ends and standstill."""
+        r = experiment.recording
+        _, v, _, _ = self._filtered(experiment)
+        moving = np.abs(v) > self.slow * math.sqrt(float(np.mean(v**2)))
+        edge = math.ceil(2.0 / ((self.cutoff_hz or 0.1 / r.dt) * r.dt))
+        inside = np.zeros(len(r), bool)
+        inside[edge : len(r) - edge] = True
+        return (experiment.counts & moving & inside)[:: self.decimate]
+
+
+def _shift(x: np.ndarray, lead: float, dt: float) -> np.ndarray:
+    """x(t + lead) by cubic interpolation, ends held."""
+    from scipy.interpolate import CubicSpline
+
+    t = dt * np.arange(len(x))
+    return np.asarray(CubicSpline(t, x)(np.clip(t + lead, t[0], t[-1])))
