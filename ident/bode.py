@@ -28,8 +28,8 @@ class Bode:
     """G at K frequencies [Hz], with standard errors of its magnitude and phase.
 
     response: complex (K,). magnitude_std: relative standard error of abs(G), (K,). phase_std_deg: [deg], (K,). Both come from the
-    parameter covariance P by the delta method: with g = (dG/dtheta)/G, var(ln abs G) = Re(g) P Re(g)', var(arg G) = Im(g) P Im(g)'.
-    Zero when the model has no covariance.
+    parameter covariance P by the delta method: with g = (dG/dtheta)/G, var(ln abs G) = Re(g) P Re(g)', var(arg G) = Im(g) P
+    Im(g)'. Zero when the model has no covariance.
     """
 
     frequency_hz: NDArray

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,11 +59,16 @@ def check_clipping(data: IOData) -> None:
             at = np.abs(x - limit) <= 1e-12 * span
             runs = np.flatnonzero(at[:-1] & at[1:] & np.r_[at[2:], False])
             share = float(np.mean(at))
-            if runs.size > 3 and share > 0.005 and not (limit == 0.0):
+            entries = np.flatnonzero(~at[:-1] & at[1:])
+            if runs.size <= 3 or share <= 0.005 or limit == 0.0 or entries.size == 0:
+                continue
+            # a quantised signal dwells on its top step too, but gets there by one step; a clipped one arrives at speed
+            step = float(np.min(np.diff(np.unique(x))))
+            if float(np.median(np.abs(x[entries + 1] - x[entries]))) > 1.5 * step:
                 raise InputError(
                     data.source,
-                    f"{what} sits at its limit {limit:.6g} in {100 * share:.1f} % of the samples, first at sample {runs[0]} (clipped)",
-                    "a signal within its range",
+                    f"{what} sits at its limit {limit:.6g} in {100 * share:.1f} % of the samples, first at sample {runs[0]}
+                    (clipped)", "a signal within its range",
                     "record with less amplitude or a wider range",
                 )
 
@@ -80,7 +87,7 @@ def check_estimation_data(data: IOData, s: Structure) -> None:
     quarter = max(1, n // 8)
     sizes = [float(np.std(data.y[i * quarter : (i + 1) * quarter])) for i in range(8)]
     inputs = [float(np.std(data.u[i * quarter : (i + 1) * quarter])) for i in range(8)]
-    grows = all(b > 4.0 * a for a, b in zip(sizes, sizes[1:], strict=False))
+    grows = all(b > 4.0 * a for a, b in pairwise(sizes))
     if grows and sizes[-1] > 1e4 * sizes[0] and max(inputs) < 1e3 * max(min(inputs), 1e-300):
         raise InputError(
             data.source, f"output {data.y_name} grows without limit (unstable)", "a stable or stabilised system", "close a loop"

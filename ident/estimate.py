@@ -57,8 +57,10 @@ class Start:
 class Estimate:
     """An estimated model and how it came about.
 
-    model: the polynomial model with covariance. data: what it was estimated from (after the prefilter). residuals: e(t), shape (N,).
-    loss: mean of e^2. initial_plant, initial_noise: the coefficients of I and K. initial_condition: the kind used. starts: the log.
+    model: the polynomial model with covariance. data: what it was estimated from (after the prefilter). residuals: e(t), shape
+    (N,).
+    loss: mean of e^2. initial_plant, initial_noise: the coefficients of I and K. initial_condition: the kind used. starts: the
+    log.
     """
 
     model: PolyModel
@@ -140,8 +142,8 @@ def _descend(
 ) -> tuple[NDArray, float, int, int, NDArray]:
     """One start to its minimum: theta, loss, iterations, code, factor.
 
-    Levenberg-Marquardt in the coefficients themselves. Where that ends other than at a minimum inside the limits of stability, the
-    start is followed again in coordinates that can slide along the limit, C held within the first of the ``STAGES``.
+    Levenberg-Marquardt in the coefficients themselves. Where that ends other than at a minimum inside the limits of stability,
+    the start is followed again in coordinates that can slide along the limit, C held within the first of the ``STAGES``.
     """
     theta, loss, iterations, code, _, r = search(
         first, n, s.nk, u, y, free, how.max_iterations, how.tolerance, False, _radius(how.noise_radius)

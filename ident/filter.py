@@ -12,8 +12,8 @@ BUTTERWORTH)``
 ``LowPass(.., ZERO_PHASE)`` the same, forward and backward                         ``idfilt(data, 8, 0.4, 'noncausal')``
 ==========================  =====================================================  ==========================================
 
-Order of the two: 2000 Hz is decimated by ten first, to 5 ms; the low-pass edge is 0.4 of the *new* Nyquist frequency of 628 rad/s,
-that is 251 rad/s = 40 Hz.
+Order of the two: 2000 Hz is decimated by ten first, to 5 ms; the low-pass edge is 0.4 of the *new* Nyquist frequency of 628
+rad/s, that is 251 rad/s = 40 Hz.
 """
 
 from __future__ import annotations
@@ -111,7 +111,8 @@ def low_pass(data: IOData, filter_: LowPass | None = None) -> IOData:
 
 
 def decimate(data: IOData, decimation: Decimation | None = None) -> IOData:
-    """Both channels through the same anti-alias filter, then every ``factor``-th sample from the first on; dt grows by the factor."""
+    """Both channels through the same anti-alias filter, then every ``factor``-th sample from the first on; dt grows by the
+    factor."""
     d = decimation or Decimation()
     if d.factor == 1:
         return data
@@ -123,6 +124,7 @@ def decimate(data: IOData, decimation: Decimation | None = None) -> IOData:
 def shared_filter(
     data: IOData, decimation: Decimation | None = None, low: LowPass | None = None, *, filtered: bool = True
 ) -> IOData:
-    """The study's pipeline: decimate, then low-pass at a fraction of the new Nyquist frequency (``filtered=False``: decimate only)."""
+    """The study's pipeline: decimate, then low-pass at a fraction of the new Nyquist frequency (``filtered=False``: decimate
+    only)."""
     data = decimate(data, decimation)
     return low_pass(data, low) if filtered else data

@@ -1,7 +1,7 @@
 """Compiled recursions: rational filters, and a least-squares factor built block by block.
 
-Everything here is linear in the number of samples in time and memory: filters run as recursions, and a regression on lagged signals
-is reduced to its triangular factor R a block of rows at a time, so that the N x n matrix never exists.
+Everything here is linear in the number of samples in time and memory: filters run as recursions, and a regression on lagged
+signals is reduced to its triangular factor R a block of rows at a time, so that the N x n matrix never exists.
 """
 
 from __future__ import annotations

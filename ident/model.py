@@ -28,8 +28,8 @@ class PolyModel:
     """A polynomial model (MATLAB ``idpoly``).
 
     A, C, D, F: monic, shape (order + 1,), rising powers of q^-1. B: shape (nb,), its first coefficient belongs to q^-nk.
-    noise_variance: variance of e [output unit squared]. covariance: of [a, b, c, d, f], shape (n, n), or None when the model was not
-    estimated. dt: sampling interval [s].
+    noise_variance: variance of e [output unit squared]. covariance: of [a, b, c, d, f], shape (n, n), or None when the model
+    was not estimated. dt: sampling interval [s].
     """
 
     structure: Structure

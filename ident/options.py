@@ -39,8 +39,8 @@ class SearchOptions:
     tolerance: stop when the relative loss decrease that Gauss-Newton predicts falls below it (MATLAB ``Tolerance`` 0.01 is in per
     cent, that is 1e-4; here 1e-9).
     starts: at most so many initial values are followed to their minimum. The search ends early when two agree.
-    noise_radius: the roots of C stay within it. On data without power in a band (a low-pass before, a simulation without noise) the
-    best C runs to the unit circle and beyond use; the limit keeps the problem well posed. MATLAB limits it to 1.
+    noise_radius: the roots of C stay within it. On data without power in a band (a low-pass before, a simulation without
+    noise) the best C runs to the unit circle and beyond use; the limit keeps the problem well posed. MATLAB limits it to 1.
     """
 
     max_iterations: int = 100

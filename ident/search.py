@@ -1,6 +1,7 @@
 """The prediction-error criterion, its analytic gradient and the Levenberg-Marquardt search, compiled.
 
-Parameters: theta = [a, b, c, d, f, i, k] with the numbers of coefficients in ``n = (na, nb, nc, nd, nf, ni, nq)``. The predictor is
+Parameters: theta = [a, b, c, d, f, i, k] with the numbers of coefficients in ``n = (na, nb, nc, nd, nf, ni, nq)``. The
+predictor is
 
     w = (B u + I delta) / F        v = A y - w        C e = D v + K delta
 
@@ -253,11 +254,11 @@ def _in_coordinates(r, x, n, free, radius):
 def search(theta, n, nk, u, y, free, max_iterations, tolerance, mapped, radius):
     """Levenberg-Marquardt from theta over the parameters with free[j] != 0.
 
-    ``radius``: largest root radius per polynomial (7,), read for C and F. ``mapped``: search C and F in coordinates in which every
-    point is stable, so that the search can follow the limit of stability instead of stopping at it.
+    ``radius``: largest root radius per polynomial (7,), read for C and F. ``mapped``: search C and F in coordinates in which
+    every point is stable, so that the search can follow the limit of stability instead of stopping at it.
 
-    Returns theta, its sum of squares, iterations, status (0 converged, 1 iteration limit, 2 no further descent, 3 start unstable),
-    the relative loss decrease that a further step predicts, and the full factor R at the end.
+    Returns theta, its sum of squares, iterations, status (0 converged, 1 iteration limit, 2 no further descent, 3 start
+    unstable), the relative loss decrease that a further step predicts, and the full factor R at the end.
     """
     p = theta.size
     samples = y.size

@@ -9,8 +9,8 @@ Routes to the plant B/F:
 * ``instrumental``: least squares, then simulated-input instruments on whitened data (IV4: Ljung, section 15.3);
 * ``least_squares``: low-order ARX.
 
-The noise model C/D then comes from what the plant leaves over: a long autoregression gives innovations, a regression on lags of both
-gives C and D (Hannan-Rissanen, 1982; Durbin, 1960).
+The noise model C/D then comes from what the plant leaves over: a long autoregression gives innovations, a regression on lags
+of both gives C and D (Hannan-Rissanen, 1982; Durbin, 1960).
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def _arx(u: NDArray, y: NDArray, na: int, nb: int, nk: int) -> tuple[NDArray, ND
 
 
 def _products(x: NDArray, z: NDArray, n: int, first_x: int, first_z: int, start: int) -> NDArray:
-    """M[i, j] = sum over t >= start of x(t - first_x - i) z(t - first_z - j), (n, n), by first row, first column and end corrections."""
+    """M[i, j] = sum over t >= start of x(t - first_x - i) z(t - first_z - j), (n, n), by first row, first column and end
+    corrections."""
     size = x.size
     m = np.empty((n, n))
 
@@ -204,7 +205,7 @@ def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, ND
         if not np.all(np.isfinite(whiten)) or not np.all(np.isfinite(denoised)):
             whiten, denoised = _ONE, y
         if simple is not None:
-            f0, b0 = simple
+            f0 = simple[0]
             raw = attempt("steiglitz", lambda: _steiglitz(u, y, f0, s.nb, s.nk))
             if whiten.size > 1:
                 uw, yw = _filter(whiten, _ONE, u), _filter(whiten, _ONE, y)

@@ -1,0 +1,77 @@
+"""Poles and zeros of the plant with confidence ellipses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data import frozen
+from ident.model import PolyModel
+
+__all__ = ["PoleZero", "Root", "pole_zero"]
+
+
+@dataclass(frozen=True)
+class Root:
+    """A root z with the covariance (2, 2) of its real and imaginary part, its frequency [Hz] and damping ratio."""
+
+    z: complex
+    covariance: NDArray
+    frequency_hz: float
+    damping: float
+
+    def ellipse(self, level: float = 0.95, points: int = 73) -> NDArray:
+        """Outline of the confidence region, complex (points,): chi-square with two degrees of freedom (one for a real root)."""
+        from scipy.stats import chi2
+
+        values, vectors = np.linalg.eigh(self.covariance)
+        real = abs(self.z.imag) < 1e-12
+        radius = np.sqrt(chi2.ppf(level, 1 if real else 2) * np.maximum(values, 0.0))
+        turn = np.linspace(0, 2 * np.pi, points)
+        outline = vectors @ (radius[:, None] * np.array([np.cos(turn), np.sin(turn)]))
+        return self.z + outline[0] + 1j * outline[1]
+
+
+@dataclass(frozen=True)
+class PoleZero:
+    """Poles and zeros of G."""
+
+    poles: tuple[Root, ...]
+    zeros: tuple[Root, ...]
+    dt: float
+
+
+def _roots(poly: NDArray, covariance: NDArray | None, monic: bool, dt: float) -> tuple[Root, ...]:
+    """First-order error propagation: ``dz/dp_i = -z^(n-i) / P'(z)`` for the coefficient p_i of z^(n-i)."""
+    roots = np.roots(poly)
+    n = poly.size - 1
+    slope = np.polyder(poly)
+    out = []
+    for z in roots:
+        spread = np.zeros((2, 2))
+        if covariance is not None and covariance.size:
+            index = np.arange(1 if monic else 0, n + 1)
+            denominator = np.polyval(slope, z)
+            if abs(denominator) > 1e-12:
+                g = -(z ** (n - index)) / denominator
+                real = np.stack([g.real, g.imag])
+                spread = real @ covariance @ real.T
+        s = np.log(z) / dt if z != 0 else complex(-np.inf)
+        size = abs(s)
+        out.append(Root(complex(z), frozen(spread), float(size / 2 / np.pi), float(-s.real / size) if 0 < size < np.inf else 1.0))
+    return tuple(sorted(out, key=lambda r: (r.frequency_hz, r.z.imag)))
+
+
+def pole_zero(model: PolyModel) -> PoleZero:
+    """Poles (of A and F) and zeros (of B) with their uncertainty (MATLAB ``iopzplot`` with ``showConfidence``)."""
+    s, p = model.structure, model.covariance
+
+    def block(first: int, count: int) -> NDArray | None:
+        return None if p is None else p[first : first + count, first : first + count]
+
+    poles = _roots(model.A, block(0, s.na), True, model.dt) + _roots(
+        model.F, block(s.na + s.nb + s.nc + s.nd, s.nf), True, model.dt
+    )
+    return PoleZero(poles, _roots(model.B, block(s.na, s.nb), False, model.dt), model.dt)

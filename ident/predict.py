@@ -1,0 +1,104 @@
+"""k-step prediction and simulation with a fitted initial state, and the comparison of models on data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data import IOData, frozen
+from ident.kernel import filter_into
+from ident.model import PolyModel
+from mjsim.errors import InputError
+
+__all__ = ["Comparison", "compare", "predicted", "simulated"]
+
+_ONE = np.ones(1)
+
+
+def _filter(num: NDArray, den: NDArray, x: NDArray, delay: int = 0) -> NDArray:
+    out = np.empty(x.size)
+    filter_into(np.ascontiguousarray(num), delay, np.ascontiguousarray(den), np.ascontiguousarray(x), out)
+    return out
+
+
+def _pulse_responses(den: NDArray, count: int, size: int) -> NDArray:
+    """(size, count): the response of 1/den to a pulse, delayed by 0 .. count - 1."""
+    pulse = np.zeros(size)
+    pulse[0] = 1.0
+    h = _filter(_ONE, den, pulse)
+    return np.stack([np.r_[np.zeros(i), h[: size - i]] for i in range(count)], axis=1) if count else np.empty((size, 0))
+
+
+def simulated(model: PolyModel, data: IOData, *, initial: bool = True) -> NDArray:
+    """``G u`` plus the free response that fits the data best (``initial=False``: from rest), shape (N,); MATLAB ``compare``."""
+    s = model.structure
+    den = np.polymul(model.A, model.F)
+    y = _filter(model.B, den, np.asarray(data.u), s.nk)
+    count = min(max(s.na + s.nf, s.nb + s.nk - 1), len(data) // 4)
+    if not initial or count == 0 or not np.all(np.isfinite(y)):
+        return y
+    size = len(data) if not model.stable else min(len(data), _settling(den, len(data)))
+    basis = _pulse_responses(den, count, size)
+    scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+    weights = np.linalg.lstsq(basis / scale, data.y[:size] - y[:size], rcond=1e-9)[0]
+    y[:size] += (basis / scale) @ weights
+    return y
+
+
+def _settling(den: NDArray, limit: int) -> int:
+    """Samples until the slowest pole has decayed to 1e-8, at least four times the order."""
+    radius = float(np.max(np.abs(np.roots(den)), initial=0.0))
+    if radius >= 1.0:
+        return limit
+    return int(min(limit, max(4 * den.size, 20, np.log(1e-8) / np.log(max(radius, 1e-3)))))
+
+
+def predicted(model: PolyModel, data: IOData, horizon: int = 1) -> NDArray:
+    """k-step-ahead prediction, shape (N,); MATLAB ``predict(sys, data, k)``.
+
+    ``yhat(t|t-k) = W_k G u + (1 - W_k) y`` with ``W_k = Hbar_k / H`` and ``Hbar_k`` the first k terms of H's impulse response
+    (Ljung, section 3.2). The initial state of the plant is fitted to the data, the noise filter starts at rest.
+    """
+    if not (isinstance(horizon, int) and 1 <= horizon <= len(data)):
+        raise InputError("prediction horizon", f"{horizon!r}", f"a whole number of samples from 1 to {len(data)}")
+    pulse = np.zeros(horizon)
+    pulse[0] = 1.0
+    noise_den = np.polymul(model.A, model.D)
+    head = _filter(model.C, noise_den, pulse)
+    v = data.y - simulated(model, data)
+    weighted = _filter(noise_den, model.C, v)  # 1/H v = e
+    return np.asarray(data.y) - _filter(head, _ONE, weighted)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Measured against modelled output of several models.
+
+    names, fit_percent: one entry per model. outputs: (models, N). horizon: samples, or None for simulation.
+    """
+
+    names: tuple[str, ...]
+    fit_percent: tuple[float, ...]
+    outputs: NDArray
+    data: IOData
+    horizon: int | None
+
+
+def compare(data: IOData, models: dict[str, PolyModel], horizon: int | None = None) -> Comparison:
+    """Simulate (``horizon=None``) or predict the output of each model and give its NRMSE fit; MATLAB ``compare(data, sys,
+    k)``."""
+    from ident.quality import fit_percent
+
+    if not models:
+        raise InputError("compare", "no model", "at least one")
+    outputs = []
+    for name, model in models.items():
+        if abs(model.dt / data.dt - 1) > 1e-6:
+            raise InputError(
+                f"model {name}", f"dt = {model.dt:g} s, data {data.dt:g} s", "equal sampling intervals", "decimate the data alike"
+            )
+        outputs.append(simulated(model, data) if horizon is None else predicted(model, data, horizon))
+    fits = tuple(fit_percent(data.y, o) if np.all(np.isfinite(o)) else float("-inf") for o in outputs)
+    return Comparison(tuple(models), fits, frozen(np.array(outputs)), data, horizon)

@@ -1,0 +1,79 @@
+"""Nonparametric frequency responses: the check on every parametric model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data import IOData, frozen
+from mjsim.errors import InputError
+
+__all__ = ["SpectralEstimate", "etfe", "spectral"]
+
+
+@dataclass(frozen=True)
+class SpectralEstimate:
+    """Frequency response at K frequencies [Hz].
+
+    response: complex (K,). coherence: (K,), 0 to 1; 1 where nothing but u explains y linearly (NaN for an unsmoothed estimate).
+    noise_spectrum: (K,), power of what u does not explain [output unit^2 s]. relative_std: standard error of abs(G)/abs(G), (K,).
+    """
+
+    frequency_hz: NDArray
+    response: NDArray
+    coherence: NDArray
+    noise_spectrum: NDArray
+    relative_std: NDArray
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_hz", "coherence", "noise_spectrum", "relative_std"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "response", frozen(self.response, complex))
+
+    @property
+    def magnitude_db(self) -> NDArray:
+        """20 log10 abs(G) [dB]."""
+        return 20 * np.log10(np.maximum(np.abs(self.response), 1e-300))
+
+    @property
+    def phase_deg(self) -> NDArray:
+        """Phase [deg], in (-180, 180]."""
+        return np.degrees(np.angle(self.response))
+
+
+def etfe(data: IOData, floor: float = 1e-3) -> SpectralEstimate:
+    """Empirical transfer function estimate ``Y(f)/U(f)`` at the lines where abs(U) exceeds ``floor`` of its largest (MATLAB
+    ``etfe``)."""
+    u, y = np.fft.rfft(data.u), np.fft.rfft(data.y)
+    f = np.fft.rfftfreq(len(data), data.dt)
+    size = np.abs(u)
+    keep = (size > floor * size.max()) & (f > 0)
+    nothing = np.full(int(keep.sum()), np.nan)
+    return SpectralEstimate(f[keep], y[keep] / u[keep], nothing, nothing, nothing)
+
+
+def spectral(data: IOData, window: int | None = None) -> SpectralEstimate:
+    """Smoothed estimate ``Pyu / Pu`` with coherence (MATLAB ``spa``), by overlapping Hann-windowed segments (Welch).
+
+    ``window``: segment length in samples; default such that at least eight segments with half overlap fit (at most 1024).
+    The relative standard error is ``sqrt((1 - c) / (2 c m))`` with coherence c and m effective segments (Bendat & Piersol).
+    """
+    from scipy.signal import coherence, csd, welch
+
+    n = len(data)
+    if window is None:
+        window = min(1024, 2 ** int(np.log2(max(16, n // 5))))
+    if not 8 <= window <= n // 2:
+        raise InputError("spectral window", f"{window} samples", f"8 to half of the {n} samples")
+    fs = 1.0 / data.dt
+    f, pu = welch(data.u, fs, nperseg=window)
+    _, py = welch(data.y, fs, nperseg=window)
+    _, puy = csd(data.u, data.y, fs, nperseg=window)
+    _, c = coherence(data.u, data.y, fs, nperseg=window)
+    keep = (f > 0) & (pu > 1e-12 * pu.max())
+    c = np.clip(c[keep], 1e-12, 1.0)
+    segments = max(1.0, (2 * n / window - 1) * 0.95 * 9 / 11)
+    std = np.sqrt((1 - c) / (2 * c * segments))
+    return SpectralEstimate(f[keep], puy[keep] / pu[keep], c, py[keep] * (1 - c), std)
