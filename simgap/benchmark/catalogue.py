@@ -143,8 +143,8 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry("sensor_lag", "sensor", "sensor", {"time_constant_s": Draw(3e-4, 1e-2)}, {"time_constant_s": "sen_lag"},
           rivals=("act_delay",)),
     Entry("sensor_quantisation", "sensor", "sensor", {"step": Draw(0.1, 1.5)}, {"step": "sen_step"}),
-    Entry("sensor_offset", "sensor", "sensor", {"value": Draw(0.01, 1.0, signed=True)}, {"value": "sen_offset"},
-          rivals=("offset_m",)),
+    # no rival: the angle channel tells it from a torque offset
+    Entry("sensor_offset", "sensor", "sensor", {"value": Draw(0.01, 1.0, signed=True)}, {"value": "sen_offset"}),
 )
 
 

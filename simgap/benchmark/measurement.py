@@ -38,6 +38,11 @@ class Measurement:
             return "quantised"
         return "white" if not self.poles else f"ar{len(self.poles)}"
 
+    @property
+    def floor(self) -> float:
+        """Rms of what no model can predict in the velocity [rad/s]: its noise and the rounding to steps."""
+        return float(np.hypot(self.velocity_noise, self.velocity_step / np.sqrt(12)))
+
     def noise(self, rows: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Draw velocity noise, angle noise and the rows at which the sensor repeats itself."""
         e = rng.standard_normal(rows + 2000)

@@ -19,16 +19,20 @@ SUBSTEPS = 100  # solver steps a row: 5 us; its error is shown by halving in tes
 
 @dataclass(frozen=True)
 class Motion:
-    """Logged torque [Nm], measured and true motor velocity [rad/s], measured and true motor angle [rad] at ``RATE``."""
+    """Logged torque [Nm], measured and true motor velocity [rad/s], measured and true motor angle [rad] at ``RATE``.
+
+    ``end`` is the state one row after the last: angles of motor, gearbox, arm and split-off mass, then their speeds.
+    """
 
     torque: np.ndarray
     velocity: np.ndarray
     velocity_true: np.ndarray
     angle: np.ndarray
     angle_true: np.ndarray
+    end: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("torque", "velocity", "velocity_true", "angle", "angle_true"):
+        for name in ("torque", "velocity", "velocity_true", "angle", "angle_true", "end"):
             getattr(self, name).flags.writeable = False
 
     @property

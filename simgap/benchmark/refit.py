@@ -10,7 +10,7 @@ from mjsim.errors import InputError
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.plant import free_run
 
-__all__ = ["LINEAR", "Refit", "refit", "rms"]
+__all__ = ["COARSE", "LINEAR", "Refit", "refit", "rms"]
 
 LINEAR = ("Jm", "Jg", "Ja", "fm", "kg", "ka", "dg", "da")
 COARSE = 25  # solver steps a row: 20 us is enough for a size

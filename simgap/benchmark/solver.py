@@ -44,7 +44,8 @@ def _motor_level(p, v, t, angle, load):
 
 @njit(cache=True, nogil=True)
 def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop, fs, substeps):
-    """Simulate from rest; returns logged torque [Nm], then measured and true motor velocity [rad/s] and angle [rad].
+    """Simulate from rest; returns logged torque [Nm], then measured and true motor velocity [rad/s] and angle [rad],
+    and the state at the end: angles [rad] of motor, gearbox, arm and the mass split off it, then their speeds [rad/s].
 
     ``torque`` is the held input (a feed-forward when ``closed``: u = torque + kp (speed_set - v) + ki * integral).
     ``drop`` is 1 on rows where the sensor repeats its last value.
@@ -246,4 +247,4 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
                 x = (sen_part - left) / h
                 v_late[i + 1] = sv + (sv_old - sv) * x
                 a_late[i + 1] = sa + (sa_old - sa) * x
-    return u_log, v_meas, v_true, a_meas, a_true
+    return u_log, v_meas, v_true, a_meas, a_true, np.array([qm, qg, qa, qe, vm, vg, va, ve])

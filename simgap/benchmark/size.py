@@ -1,0 +1,79 @@
+"""How large a concealed effect is in the recording, in units of the noise, and how much of it other parameters can hide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from simgap.benchmark.catalogue import Entry
+from simgap.benchmark.laws import Laws
+from simgap.benchmark.plant import free_run
+from simgap.benchmark.refit import COARSE, LINEAR, Refit, refit, rms
+
+__all__ = ["RIVAL_SCALE", "Size", "hidden_by_linear", "raw", "sizes", "without"]
+
+# Step units of the rival fields that a refit may free.
+RIVAL_SCALE = {"coulomb_m": 0.1, "offset_m": 0.05, "act_delay": 1e-3}
+
+
+@dataclass(frozen=True)
+class Size:
+    """Rms over the noise rms of the output difference that the effect makes, in a free run on the logged torque.
+
+    ``raw``: with and without it. ``after_refit``: what the best linear parameters leave. ``distinct``: what is left when the
+    simpler effects that resemble it are fitted as well.
+    """
+
+    raw: float
+    after_refit: float
+    distinct: float
+
+
+def without(laws: Laws, entry: Entry) -> Laws:
+    """The plant less one effect."""
+    idle = Laws()
+    names = [*entry.fields.values(), *entry.fixed]
+    return laws._replace(**{name: getattr(idle, name) for name in names})
+
+
+def raw(laws: Laws, entries: Sequence[Entry], torque: np.ndarray) -> float:
+    """Rms [rad/s] of the output difference with and without the effects."""
+    bare = laws
+    for entry in entries:
+        bare = without(bare, entry)
+    a = free_run(laws, torque, substeps=COARSE).velocity
+    return rms(a - free_run(bare, torque, substeps=COARSE).velocity)
+
+
+def hidden_by_linear(laws: Laws, entries: Sequence[Entry], torque: np.ndarray, start: Laws | None = None) -> Refit:
+    """The best linear model of the plant's noise-free output, starting from ``start`` or from the plant's own."""
+    bare = start or laws
+    for entry in entries:
+        bare = without(bare, entry)
+    return refit(bare, torque, free_run(laws, torque, substeps=COARSE).velocity, LINEAR, RIVAL_SCALE)
+
+
+def sizes(laws: Laws, entry: Entry, torque: np.ndarray, noise: float, low: float = 0.0, high: float = np.inf) -> Size | None:
+    """The three sizes of one effect of a plant that may hold others; None once ``after_refit`` is outside [low, high]."""
+    target = free_run(laws, torque, substeps=COARSE).velocity
+    bare = without(laws, entry)
+    first = refit(bare, torque, target, LINEAR, RIVAL_SCALE)
+    if not low * noise <= first.left <= high * noise:
+        return None
+    second = first
+    rivals = tuple(name for name in entry.rivals if getattr(bare, name) == getattr(Laws(), name))
+    if rivals:
+        start = first.laws
+        if "coulomb_m" in rivals:
+            level = max(laws.coulomb_m, laws.bristle_level, laws.deadzone, 0.02)
+            alone = bare._replace(coulomb_m=level)
+            start = min((start._replace(coulomb_m=1e-3), alone), key=lambda s: _error(s, torque, target))
+        second = refit(start, torque, target, LINEAR + rivals, RIVAL_SCALE)
+        second = min(first, second, key=lambda s: s.left)
+    return Size(raw(laws, [entry], torque) / noise, first.left / noise, second.left / noise)
+
+
+def _error(laws: Laws, torque: np.ndarray, target: np.ndarray) -> float:
+    return rms(free_run(laws, torque, substeps=COARSE).velocity - target)

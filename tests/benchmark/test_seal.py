@@ -1,0 +1,109 @@
+"""Cases and their envelope: reproducible, sized, without a hint, and not to be changed unseen."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import simgap.benchmark
+from mjsim.errors import InputError
+from simgap.benchmark.cases import LEVELS, SIZE, make_case
+from simgap.benchmark.experiment import draw_experiment
+from simgap.benchmark.laws import Laws
+from simgap.benchmark.measurement import Measurement
+from simgap.benchmark.plant import record
+from simgap.benchmark.refit import LINEAR, refit, rms
+from simgap.benchmark.seal import envelope_hash, open_envelope, write_cases
+
+
+def test_the_generator_knows_nothing_of_the_fitting_code() -> None:
+    folder = Path(simgap.benchmark.__file__).parent
+    allowed = {"mjsim.errors"}
+    for path in ("laws", "friction", "joints", "solver", "plant", "experiment", "measurement", "catalogue", "refit",
+                 "size", "cases", "seal"):  # fmt: skip
+        for node in ast.walk(ast.parse((folder / f"{path}.py").read_text())):
+            modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                modules = [node.module or ""]
+            for module in modules:
+                assert module.split(".")[0] not in {"mjsim", "ident", "diagnose"} or module in allowed, (path, module)
+
+
+@pytest.mark.parametrize("level", ["nothing", "parameters_only", "plain", "behind_feedback"])
+def test_a_case_is_reproducible_and_of_its_level(level: str) -> None:
+    a = make_case(level, np.random.default_rng([3, 1]))
+    b = make_case(level, np.random.default_rng([3, 1]))
+    assert a.truth == b.truth
+    assert np.array_equal(a.estimation.velocity, b.estimation.velocity)
+    assert np.array_equal(a.held_out.torque, b.held_out.torque)
+    for size in a.truth["size"].values():  # type: ignore[attr-defined]
+        assert size["distinct"] >= SIZE[level][0]
+        assert size["after_refit"] <= SIZE[level][1]
+    assert a.truth["closed_loop"] is True or level != "behind_feedback"
+    nominal = {n: getattr(Laws(), n) for n in LINEAR}
+    assert (a.truth["linear_parameters"] == nominal) == (level == "nothing")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", LEVELS)
+def test_every_level_gives_cases(level: str) -> None:
+    for seed in range(3):
+        truth = make_case(level, np.random.default_rng([11, seed])).truth
+        assert len(truth["effects"]) == {"nothing": 0, "parameters_only": 0, "two_effects": 2}.get(level, 1)  # type: ignore[arg-type]
+
+
+def test_a_refit_finds_other_linear_parameters() -> None:
+    u = draw_experiment("multisine", np.random.default_rng(2), 1.5, 3.0).torque
+    other = Laws(Jm=4.8e-4, kg=1.42e5, dg=-58.0, fm=0.037)
+    y = record(other, draw_experiment("multisine", np.random.default_rng(2), 1.5, 3.0), Measurement(0.0, 0.0),
+               np.random.default_rng(0), substeps=25).velocity_true  # fmt: skip
+    found = refit(Laws(), u, y, LINEAR, {})
+    assert found.left < 1e-4 * rms(y)
+    assert found.laws.kg == pytest.approx(1.42e5, rel=1e-3)
+
+
+def test_noise_has_its_rms_and_colour() -> None:
+    rng = np.random.default_rng(1)
+    white, angle, drop = Measurement(0.05, 1e-4).noise(20000, rng)
+    coloured, _, _ = Measurement(0.05, 1e-4, poles=(0.9 + 0j,)).noise(20000, rng)
+    assert rms(white) == pytest.approx(0.05, rel=0.03)
+    assert rms(coloured) == pytest.approx(0.05, rel=0.1)
+    assert np.corrcoef(coloured[1:], coloured[:-1])[0, 1] == pytest.approx(0.9, abs=0.02)
+    assert rms(angle) == pytest.approx(1e-4, rel=0.03)
+    assert not drop.any()
+
+
+def test_noise_reaches_the_torque_only_through_the_loop() -> None:
+    rng = np.random.default_rng(1)
+    loop = draw_experiment("speed_multisine", rng, 1.0, 1.0)
+    a = record(Laws(), loop, Measurement(0.05), np.random.default_rng(1))
+    b = record(Laws(), loop, Measurement(0.0), np.random.default_rng(1))
+    assert rms(a.torque - b.torque) > 0.5 * loop.kp * 0.05
+
+
+def test_the_envelope(tmp_path: Path) -> None:
+    out, truth = tmp_path / "sealed", tmp_path / "truth" / "truth.json"
+    counts = {"nothing": 2, "parameters_only": 1}
+    digest = write_cases(out, truth, counts, seed=5)
+    assert digest == envelope_hash(truth) == json.loads((out / "manifest.json").read_text())["envelope_sha256"]
+    names = sorted(p.name for p in out.iterdir())
+    assert names == [f"00{n}_{part}.csv" for n in (1, 2, 3) for part in ("estimation", "held_out")] + ["manifest.json"]
+    cases = open_envelope(out, truth)
+    assert sorted(c["level"] for c in cases.values()) == ["nothing", "nothing", "parameters_only"]
+    table = np.loadtxt(out / "001_estimation.csv", delimiter=",", skiprows=1)
+    assert table.shape == (20000, 4)
+    assert write_cases(tmp_path / "again", tmp_path / "t2" / "truth.json", counts, seed=5) == digest
+    truth.write_text(truth.read_text().replace("nothing", "plain", 1))
+    with pytest.raises(InputError, match="changed after it was sealed"):
+        open_envelope(out, truth)
+
+
+def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="behind_refit"):
+        write_cases(tmp_path / "a", tmp_path / "t.json", {"hard": 1}, seed=1)
+    with pytest.raises(InputError, match="another directory"):
+        write_cases(tmp_path / "a", tmp_path / "a" / "truth.json", {"nothing": 1}, seed=1)
