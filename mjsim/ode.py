@@ -110,29 +110,64 @@ def simulate(
 
 
 def _sense(s: System, time: np.ndarray, v: np.ndarray, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Sensor path: delay, lag, then the memoryless maps (of the velocity)."""
-    if s.output_delay > 0:
-        from scipy.interpolate import CubicSpline
+    """Sensor path: delay, lag, then the memoryless maps (of the velocity).
 
-        at = np.maximum(time - s.output_delay, time[0])
-        v, q = CubicSpline(time, v)(at), CubicSpline(time, q)(at)
+    Between samples the angle is the cubic through both angles and velocities: the held torque makes the acceleration jump at
+    every sample, so that a spline over several samples, or a straight line, is two orders worse than the motion itself.
+    """
+    if s.output_delay > 0:
+        v, q = _delay(v, q, s.output_delay / dt, dt)
     if s.output_lag > 0:
-        v, q = _lag(v, s.output_lag, dt), _lag(q, s.output_lag, dt)
+        v, q = _lag(v, q, s.output_lag, dt)
     v, q = v.copy(), q.copy()
     for m in s.output_maps:
         v = m.map.apply(v, m.c)
     return v, q
 
 
-def _lag(y: np.ndarray, tau: float, dt: float) -> np.ndarray:
-    """First-order lag of a signal that is linear between its samples: exact for that, starting settled."""
+def _cubic(v: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
+    """(4, N-1): coefficients over g = (t - t_k) / dt of the angle's Hermite cubic in each interval, less its start."""
+    step = np.diff(q)
+    a, b = dt * v[:-1], dt * v[1:]
+    return np.stack([np.zeros_like(a), a, 3 * step - 2 * a - b, a + b - 2 * step])
+
+
+def _delay(v: np.ndarray, q: np.ndarray, samples: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity and angle a number of samples ago, at rest where they start."""
+    back = math.ceil(samples - 1e-9)
+    g = max(0.0, back - samples)
+    c = _cubic(v, q, dt)
+    late_q = q[:-1] + g * (c[1] + g * (c[2] + g * c[3]))
+    late_v = v[:-1] if g == 0 else (c[1] + g * (2 * c[2] + 3 * g * c[3])) / dt
+    head = np.ones(min(back, len(v)))
+    tail = max(len(v) - back, 0)
+    if back == 0:
+        return v, q
+    return np.concatenate([v[0] * head, late_v[:tail]]), np.concatenate([q[0] * head, late_q[:tail]])
+
+
+def _lag(v: np.ndarray, q: np.ndarray, tau: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """First-order lag of both signals, exact for the cubic; they start settled."""
     from scipy.signal import lfilter
 
-    a = math.exp(-dt / tau)
-    r = tau / dt * (1.0 - a)
-    b = [1.0 - r, r - a]
-    zi = [y[0] * (1.0 - b[0])]
-    return np.asarray(lfilter(b, [1.0, -a], y, zi=zi)[0])
+    x = dt / tau
+    decay = math.exp(-x)
+    if x > 0.1:
+        moment = [1.0 - decay]
+        for m in (1, 2, 3):
+            moment.append(1.0 - m / x * moment[-1])
+    else:  # the recursion cancels; Gauss-Legendre is exact to rounding here
+        g, weight = np.polynomial.legendre.leggauss(8)
+        g, weight = 0.5 * (g + 1), 0.5 * weight
+        moment = [float(np.sum(weight * x * np.exp(-x * (1 - g)) * g**m)) for m in range(4)]
+    c = _cubic(v, q, dt)
+    drive_q = (1.0 - decay) * q[:-1] + sum(moment[m] * c[m] for m in (1, 2, 3))
+    drive_v = sum(m * moment[m - 1] * c[m] for m in (1, 2, 3)) / dt
+    out = [
+        np.concatenate([[y[0]], lfilter([1.0], [1.0, -decay], drive, zi=[decay * y[0]])[0]])
+        for y, drive in ((v, drive_v), (q, drive_q))
+    ]
+    return out[0], out[1]
 
 
 def inverse(

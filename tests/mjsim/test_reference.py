@@ -1,0 +1,117 @@
+"""The exact reference against the matrix exponential, against DOP853 with events, and against the kernel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robot_axis import CHAIN, DT, axis, chirp, effect, relative
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from mjsim import ode, reference
+from mjsim.effects import BacklashLaw
+from mjsim.system import assemble, state_matrix
+
+
+def test_linear_run_is_the_matrix_exponential() -> None:
+    u = chirp(2.0)
+    a = state_matrix(assemble(axis()).f)
+    b = np.zeros(6)
+    b[3] = 1 / CHAIN.bodies[0].inertia
+    m = np.zeros((7, 7))
+    m[:6, :6], m[:6, 6] = a, b
+    phi = expm(m * DT)
+    x, v = np.zeros(6), []
+    for value in u:
+        v.append(x[3])
+        x = phi[:6, :6] @ x + phi[:6, 6] * value
+    assert relative(reference.simulate(axis(), u, DT).velocity, np.array(v)) < 1e-11
+
+
+def test_friction_and_gap_against_dop853() -> None:
+    """Sliding and contact written out here, integrated by SciPy with located events on a smooth stretch of motion."""
+    friction, gap, dt = 0.05, 5e-4, 1e-3
+    u = np.full(80, 1.5)
+    run = reference.simulate(axis(effect("coulomb_friction", torque_Nm=friction), effect("backlash", gap_rad=gap)), u, dt)
+    r, k, d, ka, da = 1 / 118, 1.5e5, -62.0, 0.446e5, 20.0
+
+    def rates(_t: float, y: np.ndarray, side: int) -> np.ndarray:
+        q, v = y[:3], y[3:]
+        e = r * q[0] - q[1]
+        t0 = 0.0 if side == 0 else k * (e - side * gap / 2) + d * (r * v[0] - v[1])
+        t1 = ka * (q[1] - q[2]) + da * (v[1] - v[2])
+        acc = [(1.5 - 0.0355 * v[0] - friction - r * t0) / 4.56e-4, (t0 - t1) / 9.92, t1 / 1.72]
+        return np.concatenate([v, acc])
+
+    def edge(_t: float, y: np.ndarray, side: int) -> float:
+        e = r * y[0] - y[1]
+        return float(side * e - gap / 2 if side else gap / 2 - abs(e))
+
+    edge.terminal, edge.direction = True, -1  # type: ignore[attr-defined]
+    t, y, side, seen = 0.0, np.zeros(6), 0, {}
+    grid = dt * np.arange(80)
+    while t < grid[-1]:
+        inner = grid[(grid > t) & (grid <= grid[-1])]
+        s = solve_ivp(
+            rates, (t, grid[-1]), y, "DOP853", t_eval=inner, events=edge, args=(side,), rtol=1e-11, atol=1e-14, max_step=1e-3
+        )
+        seen.update(zip(s.t, s.y[3], strict=True))
+        if s.status != 1:
+            break
+        t, y = s.t_events[0][0], s.y_events[0][0]
+        e = r * y[0] - y[1]
+        side = 0 if side else (1 if e > 0 else -1)
+        # step off the edge, so that the same event is not met again
+        probe = solve_ivp(rates, (t, t + 1e-9), y, "DOP853", args=(side,), rtol=1e-12, atol=1e-16)
+        t, y = t + 1e-9, probe.y[:, -1]
+    assert np.all(run.velocity[1:] > 0)
+    expected = np.array([seen[g] for g in grid[1:]])
+    assert relative(run.velocity[1:], expected) < 1e-8
+
+
+CASES = {
+    "coulomb": [("coulomb_friction", {"torque_Nm": 0.1})],
+    "peak": [("static_friction", {"torque_Nm": 0.1, "peak": 5.0})],
+    "gap": [("backlash", {"gap_rad": 1e-3})],
+    "gap and peak": [("backlash", {"gap_rad": 5e-4}), ("static_friction", {"torque_Nm": 0.1, "peak": 2.0})],
+    "two gaps": [("backlash", {"gap_rad": 5e-4}), ("backlash", {"gap_rad": 2e-4, "place": "arm"})],
+    "asymmetric": [("asymmetric_friction", {"torque_Nm": 0.1, "asymmetry_Nm": 0.03}), ("torque_offset", {"torque_Nm": 0.05})],
+    "gearbox": [("coulomb_friction", {"torque_Nm": 5.0, "place": "gearbox"})],
+    "mode": [("extra_flexible_mode", {"inertia_kgm2": 0.5, "stiffness_Nm_rad": 2e4, "damping_Nms_rad": 2.0})],
+    "lag": [("actuator_lag", {"time_constant_s": 2e-3}), ("coulomb_friction", {"torque_Nm": 0.1})],
+    "delay": [("time_delay", {"delay_s": 1.23e-3}), ("torque_gain_droop", {"coefficient_per_Nm2": 0.1})],
+    "sensor lag": [("sensor_lag", {"time_constant_s": 2e-3})],
+    "sensor delay": [("time_delay", {"delay_s": 1.23e-3, "place": "sensor"})],
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_kernel_converges_to_the_reference(name: str) -> None:
+    model = axis(*(effect(k, **v) for k, v in CASES[name]))  # type: ignore[arg-type]
+    u = chirp(4.0)
+    exact = reference.simulate(model, u, DT).velocity
+    assert relative(ode.simulate(model, u, DT, substeps=16).velocity, exact) < 2e-6
+    assert relative(ode.simulate(model, u, DT).velocity, exact) < 1e-4
+
+
+@pytest.mark.parametrize("law", list(BacklashLaw))
+def test_scaling_law(law: BacklashLaw) -> None:
+    """Torque, friction and gap times a give the output times a."""
+    u = chirp(10.0)
+    big = axis(effect("backlash", gap_rad=5e-4), law=law)
+    small = axis(effect("backlash", gap_rad=1e-4), law=law)
+    assert relative(5 * reference.simulate(small, 0.2 * u, DT).velocity, reference.simulate(big, u, DT).velocity) < 1e-9
+
+
+def test_no_pull_never_pulls() -> None:
+    model = axis(effect("backlash", gap_rad=5e-4), law=BacklashLaw.NO_PULL)
+    run = reference.simulate(model, chirp(4.0), DT)
+    deflection = run.q[:, 0] / 118 - run.q[:, 1]
+    assert np.all(run.coupling_torque[:, 0] * np.sign(deflection) >= -1e-9)
+
+
+def test_what_is_not_affine_is_named() -> None:
+    model = axis(effect("quadratic_friction", coefficient_Nm_s2_rad2=1e-4))
+    with pytest.raises(reference.NotAffineError, match="quadratic_friction@motor"):
+        reference.simulate(model, chirp(0.1), DT)
+    assert reference.not_affine(axis(effect("coulomb_friction", torque_Nm=0.1))) is None
