@@ -1,0 +1,112 @@
+"""Whether an identified model is good, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from ident.checks import missing_bands
+from ident.estimate import Estimate, Status
+from ident.quality import Quality, quality
+from ident.residuals import ResidualTests, residual_tests
+
+__all__ = ["Grade", "Verdict", "excited_band", "judge"]
+
+
+class Grade(Enum):
+    """The verdict in one word or two."""
+
+    GOOD = "good"
+    """Plant and noise model describe the data to within noise."""
+    PLANT_GOOD = "plant good, noise model incomplete"
+    """Nothing of the input is left in the residuals, but they are not white."""
+    INCOMPLETE = "usable with care"
+    """The model follows the data closely, yet the residuals still hold something of the input."""
+    POOR = "poor"
+    """The model does not describe the data."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """grade; sentences: plain words, the first is the verdict; trusted_bands: whether the confidence bands may be believed."""
+
+    grade: Grade
+    sentences: tuple[str, ...]
+    trusted_bands: bool
+
+
+def excited_band(estimate: Estimate, floor: float = 1e-4) -> tuple[float, float]:
+    """Lowest and highest frequency [Hz] that hold all but ``floor`` of the input's power on either side."""
+    u = np.asarray(estimate.data.u) - estimate.data.u.mean()
+    power = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(u.size))) ** 2)
+    f = np.fft.rfftfreq(u.size, estimate.data.dt)
+    share = power / power[-1]
+    return float(f[np.searchsorted(share, floor)]), float(f[min(f.size - 1, np.searchsorted(share, 1 - floor))])
+
+
+def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quality | None = None) -> Verdict:
+    """Weigh residual tests, fit and the end of the search.
+
+    The fit that counts is the simulation's: one-step prediction is close to the data for any model when they are sampled fast.
+    """
+    tests, q = tests or residual_tests(estimate), figures or quality(estimate)
+    fit = q.simulation_percent
+    unexplained = 100 * min(1.0, max(0.0, 1 - fit / 100) ** 2) if np.isfinite(fit) else 100.0
+    s = estimate.model.structure
+    words: list[str] = []
+    if tests.independent and tests.white:
+        grade = Grade.GOOD
+        words.append(f"The model is good: {s} describes the data to within noise.")
+    elif tests.independent:
+        grade = Grade.PLANT_GOOD
+        words.append(
+            "The plant model is good, the noise model is not complete: the residuals are free of the input, but not white."
+        )
+    elif fit >= 80.0:
+        grade = Grade.INCOMPLETE
+        words.append(
+            "The model is usable with care: it follows the data, but the residuals still depend on the input, so something "
+            "systematic is missing (a higher order, a delay, or a nonlinearity)."
+        )
+    else:
+        grade = Grade.POOR
+        words.append("The model is poor: much of what the input does to the output is not in it.")
+    words.append(
+        f"Simulated from the input alone, it reproduces {fit:.1f} % of the output (NRMSE fit; {unexplained:.2g} % of the
+        output's variance is " f"left over); predicted one step ahead, {q.fit_percent:.1f} %."
+        if np.isfinite(fit)
+        else "Its simulation diverges."
+    )
+    lags = tests.lags
+    words.append(
+        f"Residuals: {tests.auto_outside} of {lags} lags outside the {100 * tests.level:g} % whiteness bound (joint p =
+        {tests.whiteness_p:.2g}), "
+        f"{tests.cross_outside} of {lags + 1} outside the bound of independence of the input (joint p =
+        {tests.independence_p:.2g})."
+    )
+    if tests.feedback:
+        words.append(
+            f"They also correlate with later inputs (p = {tests.feedback_p:.2g}): the data look as if taken under feedback, or
+            the low-pass " "spreads events in time. Under feedback only a complete noise model gives an unbiased plant."
+        )
+    if tests.mean_p < 0.001:
+        words.append("The residuals have an offset: remove the means first (--detrend mean).")
+    trusted = tests.independent and tests.white and estimate.status is not Status.ITERATION_LIMIT
+    words.append(
+        "The confidence bands may be believed."
+        if trusted
+        else "The confidence bands assume a complete model, which this is not: read them as a lower limit of the uncertainty."
+    )
+    low, high = excited_band(estimate)
+    words.append(
+        f"The input has its power between {low:.3g} and {high:.3g} Hz; what the model says outside is extrapolation."
+        if high < 0.97 * estimate.data.nyquist_hz or missing_bands(np.asarray(estimate.data.u), estimate.data.dt)
+        else f"The input has power over the whole band up to {estimate.data.nyquist_hz:.3g} Hz."
+    )
+    if estimate.status is not Status.CONVERGED:
+        words.append(f"The search ended with: {estimate.status.value}. {estimate.status.advice}")
+    if not estimate.model.stable:
+        words.append("The model is not stable.")
+    return Verdict(grade, tuple(words), trusted)
