@@ -42,4 +42,4 @@ class ActuatorSaturation(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"limit_Nm": c * scales.max_input} for c in (0.95, 0.8, 0.6)]
+        return [{"limit_Nm": c * scales.max_input} for c in (0.97, 0.9, 0.75, 0.6)]

@@ -108,7 +108,8 @@ class Effect(abc.ABC):
 
     Class attributes: ``id`` (contract identifier), ``places`` it can act at, ``sentence`` (plain words, a format string over
     the parameters and ``place``), ``citation``, ``tolerance`` (relative RMS within which the ODE and the MuJoCo realisation agree
-    on motor velocity), ``family`` (effects of one family refine one another and are rivals before they are partners).
+    on motor velocity), ``family`` (effects of one family are rivals before they are partners), ``refines``
+    (identifiers of the simpler effects that this one contains), ``amplitudes`` (parameters that scale its response together, while small).
     """
 
     id: ClassVar[str]
@@ -118,6 +119,7 @@ class Effect(abc.ABC):
     tolerance: ClassVar[float] = 1e-4
     family: ClassVar[str] = ""
     refines: ClassVar[tuple[str, ...]] = ()
+    amplitudes: ClassVar[tuple[str, ...]] = ()
 
     place: str = ""
 

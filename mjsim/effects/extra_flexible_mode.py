@@ -48,9 +48,9 @@ class ExtraFlexibleMode(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        j = 0.3 * scales.inertia
+        j = 0.25 * scales.inertia
         out = []
-        for hz in (5.0, 12.0, 20.0, 30.0, 45.0):
+        for hz in (4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 40.0, 55.0, 80.0):
             w = 2 * math.pi * hz
             out.append({"inertia_kgm2": j, "stiffness_Nm_rad": j * w * w, "damping_Nms_rad": 0.06 * j * w})
         return out

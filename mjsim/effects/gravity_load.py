@@ -54,4 +54,4 @@ class GravityLoad(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"torque_Nm": 0.1 * scales.torque, "phase_rad": 0.0} for phase in (0.0, math.pi / 2, math.pi, -math.pi / 2)]
+        return [{"torque_Nm": 0.1 * scales.torque, "phase_rad": 0.0}]
