@@ -67,12 +67,10 @@ def check_clipping(data: IOData) -> None:
             if float(np.median(np.abs(x[entries + 1] - x[entries]))) > 1.5 * step:
                 raise InputError(
                     data.source,
-                    f"{what} sits at its limit {limit:.6g} in {100 * share:.1f} % of the samples, first at sample
-                    {runs[0]}
-                 
-                  
-                   
-                    (clipped)", "a signal within its range", "record with less amplitude or a wider range",
+                    f"{what} sits at its limit {limit:.6g} in {100 * share:.1f} % of the samples, "
+                    f"first at sample {runs[0]} (clipped)",
+                    "a signal within its range",
+                    "record with less amplitude or a wider range",
                 )
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from ident.checks import missing_bands
-from ident.estimate import Estimate, Status
+from ident.estimate import Estimate, Status, pem
 from ident.quality import Quality, quality
 from ident.residuals import ResidualTests, residual_tests
+from mjsim.errors import InputError
 
-__all__ = ["Grade", "Verdict", "excited_band", "judge"]
+__all__ = ["Grade", "Verdict", "alternative", "excited_band", "judge"]
 
 
 class Grade(Enum):
@@ -37,13 +38,36 @@ class Verdict:
     trusted_bands: bool
 
 
-def excited_band(estimate: Estimate, floor: float = 1e-4) -> tuple[float, float]:
+def excited_band(estimate: Estimate, floor: float = 1e-3) -> tuple[float, float]:
     """Lowest and highest frequency [Hz] that hold all but ``floor`` of the input's power on either side."""
     u = np.asarray(estimate.data.u) - estimate.data.u.mean()
-    power = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(u.size))) ** 2)
+    power: np.ndarray = np.cumsum(np.abs(np.fft.rfft(u)) ** 2)
     f = np.fft.rfftfreq(u.size, estimate.data.dt)
     share = power / power[-1]
     return float(f[np.searchsorted(share, floor)]), float(f[min(f.size - 1, np.searchsorted(share, 1 - floor))])
+
+
+def alternative(estimate: Estimate, figures: Quality) -> str | None:
+    """A sentence on the same model with a direct term, if that follows the data much better; None otherwise.
+
+    Decimated or low-passed signals are band-limited, not held between samples: the sampled plant then acts on the present input too.
+    """
+    s = estimate.model.structure
+    if s.nk != 1:
+        return None
+    other = replace(s, nb=s.nb + 1, nk=0)
+    try:
+        rival = pem(estimate.data, other, estimate.options)
+    except InputError:
+        return None
+    fit = quality(rival).simulation_percent
+    if not np.isfinite(fit) or 100 - fit > 0.6 * (100 - figures.simulation_percent) or rival.loss > 0.9 * estimate.loss:
+        return None
+    orders = ",".join(map(str, other.listed))
+    return (
+        f"With a direct term (--orders {orders}) the simulation fits {fit:.1f} % instead of {figures.simulation_percent:.1f} %: decimated "
+        "signals are band-limited, not held between samples."
+    )
 
 
 def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quality | None = None) -> Verdict:
@@ -74,22 +98,22 @@ def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quali
         grade = Grade.POOR
         words.append("The model is poor: much of what the input does to the output is not in it.")
     words.append(
-        f"Simulated from the input alone, it reproduces {fit:.1f} % of the output (NRMSE fit; {unexplained:.2g} % of the
-        output's variance is " f"left over); predicted one step ahead, {q.fit_percent:.1f} %."
+        f"Simulated from the input alone, it reproduces {fit:.1f} % of the output (NRMSE fit; {unexplained:.2g} % of the "
+        f"output's variance is left over); predicted one step ahead, {q.fit_percent:.1f} %."
         if np.isfinite(fit)
         else "Its simulation diverges."
     )
-    lags = tests.lags
+    lags, level = tests.lags, 100 * tests.level
     words.append(
-        f"Residuals: {tests.auto_outside} of {lags} lags outside the {100 * tests.level:g} % whiteness bound (joint p =
-        {tests.whiteness_p:.2g}), "
-        f"{tests.cross_outside} of {lags + 1} outside the bound of independence of the input (joint p =
-        {tests.independence_p:.2g})."
+        f"Residuals: {tests.auto_outside} of {lags} lags outside the {level:g} % whiteness bound "
+        f"(joint p = {tests.whiteness_p:.2g}), "
+        f"{tests.cross_outside} of {lags + 1} outside the bound of independence of the input "
+        f"(joint p = {tests.independence_p:.2g})."
     )
     if tests.feedback:
         words.append(
-            f"They also correlate with later inputs (p = {tests.feedback_p:.2g}): the data look as if taken under feedback, or
-            the low-pass " "spreads events in time. Under feedback only a complete noise model gives an unbiased plant."
+            f"They also correlate with later inputs (p = {tests.feedback_p:.2g}): the data look as if taken under feedback, or "
+            "the filter spreads events in time. Under feedback only a complete noise model gives an unbiased plant."
         )
     if tests.mean_p < 0.001:
         words.append("The residuals have an offset: remove the means first (--detrend mean).")

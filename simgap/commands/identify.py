@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,8 @@ def _orders(text: str) -> tuple[int, int, int, int, int]:
         values = ()
     if len(values) != 5:
         raise InputError("--orders", repr(text), "five whole numbers nb,nc,nd,nf,nk such as 5,5,5,5,1")
-    return values  # type: ignore[return-value]
+    nb, nc, nd, nf, nk = values
+    return nb, nc, nd, nf, nk
 
 
 def _cutoff(text: str) -> float | None:
@@ -110,7 +112,8 @@ def command(
 ) -> None:
     """Fit a Box-Jenkins model to RECORDING and say whether it is good.
 
-    The recording is decimated (anti-alias filter), both channels are low-passed alike (order 8), then y = B/F u + C/D e is fitted.
+    The recording is decimated (anti-alias filter), both channels are low-passed alike (order 8),
+    then y = B/F u + C/D e is fitted.
     Writes identification.json, bode.png, residuals.png and identification.html.
 
     Example: simgap identify log.csv --out identified/
@@ -128,7 +131,7 @@ def command(
     from ident.residuals import residual_tests
     from ident.serial import to_dict, write_atomic
     from ident.spectral import spectral
-    from ident.verdict import excited_band, judge
+    from ident.verdict import Grade, alternative, excited_band, judge
 
     decimation = Decimation(factor)
     low = None if edge is None else LowPass(8, edge, Phase(phase))
@@ -144,6 +147,8 @@ def command(
     estimate = bj(data, wanted)
     tests, figures = residual_tests(estimate), quality(estimate)
     verdict = judge(estimate, tests, figures)
+    if verdict.grade is not Grade.GOOD and (hint := alternative(estimate, figures)):
+        verdict = replace(verdict, sentences=(*verdict.sentences, hint))
     response, roots = bode(estimate.model), pole_zero(estimate.model)
     comparison = compare(held_out or data, {str(estimate.model.structure): estimate.model})
     steps = [f"decimated by {factor} (Chebyshev I, order 8, 0.05 dB, zero phase)" if factor > 1 else "not decimated"]
