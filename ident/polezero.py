@@ -58,7 +58,7 @@ def _roots(poly: NDArray, covariance: NDArray | None, monic: bool, dt: float) ->
                 g = -(z ** (n - index)) / denominator
                 real = np.stack([g.real, g.imag])
                 spread = real @ covariance @ real.T
-        s = np.log(z) / dt if z != 0 else complex(-np.inf)
+        s = np.log(complex(z)) / dt if z != 0 else complex(-np.inf)
         size = abs(s)
         out.append(Root(complex(z), frozen(spread), float(size / 2 / np.pi), float(-s.real / size) if 0 < size < np.inf else 1.0))
     return tuple(sorted(out, key=lambda r: (r.frequency_hz, r.z.imag)))

@@ -42,15 +42,16 @@ def excited_band(estimate: Estimate, floor: float = 1e-3) -> tuple[float, float]
     """Lowest and highest frequency [Hz] that hold all but ``floor`` of the input's power on either side."""
     u = np.asarray(estimate.data.u) - estimate.data.u.mean()
     power: np.ndarray = np.cumsum(np.abs(np.fft.rfft(u)) ** 2)
-    f = np.fft.rfftfreq(u.size, estimate.data.dt)
-    share = power / power[-1]
-    return float(f[np.searchsorted(share, floor)]), float(f[min(f.size - 1, np.searchsorted(share, 1 - floor))])
+    f: np.ndarray = np.fft.rfftfreq(u.size, estimate.data.dt)
+    first, last = (int(np.searchsorted(power, s * power[-1])) for s in (floor, 1 - floor))
+    return float(f[first]), float(f[min(f.size - 1, last)])
 
 
 def alternative(estimate: Estimate, figures: Quality) -> str | None:
     """A sentence on the same model with a direct term, if that follows the data much better; None otherwise.
 
-    Decimated or low-passed signals are band-limited, not held between samples: the sampled plant then acts on the present input too.
+    Decimated or low-passed signals are band-limited, not held between samples: the sampled plant then acts on the
+    present input too.
     """
     s = estimate.model.structure
     if s.nk != 1:
@@ -65,8 +66,8 @@ def alternative(estimate: Estimate, figures: Quality) -> str | None:
         return None
     orders = ",".join(map(str, other.listed))
     return (
-        f"With a direct term (--orders {orders}) the simulation fits {fit:.1f} % instead of {figures.simulation_percent:.1f} %: decimated "
-        "signals are band-limited, not held between samples."
+        f"With a direct term (--orders {orders}) the simulation fits {fit:.1f} % instead of "
+        f"{figures.simulation_percent:.1f} %: decimated signals are band-limited, not held between samples."
     )
 
 
