@@ -1,0 +1,38 @@
+"""Compiling MJCF without side effects: warnings are caught and named, nothing is printed, no MUJOCO_LOG.TXT is left behind."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+
+from mjsim.errors import InputError
+
+__all__ = ["caught_warnings", "compile_file"]
+
+
+@contextlib.contextmanager
+def caught_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings in a list while the block runs; without this they go to the terminal and to a log file."""
+    caught: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: caught.append(str(message).strip()))
+    try:
+        yield caught
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def compile_file(path: str | Path) -> mujoco.MjModel:
+    """Compile an MJCF file; what MuJoCo says when it does not load becomes one line that names the file."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "no such file", "an MJCF model (.xml)", "check the path")
+    try:
+        with caught_warnings():
+            return mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(path, f"MuJoCo does not load it ({said})", "an MJCF model", "correct the element it names") from None
