@@ -12,7 +12,7 @@ from mjsim.recording import Recording
 __all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "prepare", "white_noise_level"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """A recording and the part of it that a fit counts.
 
@@ -72,8 +72,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         if name == "velocity" and np.mean(flat) > 0.05:
             raise InputError(recording.source, f"{name} stands at its limit {top:.4g} for {100 * np.mean(flat):.0f} % of the time",
                              "an unclipped signal", "raise the sensor's range or lower the excitation")  # fmt: skip
-    head = v[: max(8, n // 2000)]
-    moving = bool(abs(np.mean(head)) > 5 * max(noise, 1e-9 * spread) / np.sqrt(len(head)) + 0.02 * spread)
+    moving = _starts_in_motion(v, noise, spread)
     before = float(recording.torque[0]) if moving else 0.0
     return Experiment(
         recording, np.ones(n, bool) if counts is None else counts, max(noise, 1e-6 * spread), moving, before
@@ -85,3 +84,13 @@ def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray,
     index = np.minimum(np.arange(len(recording)) * blocks // len(recording), blocks - 1)
     held = index % 3 == 2
     return ~held, held
+
+
+def _starts_in_motion(v: np.ndarray, noise: float, spread: float) -> bool:
+    """Whether the speed at the first sample, extrapolated by a parabola, stands out of its noise and is no trifle."""
+    count = min(40, len(v) // 4)
+    k = np.arange(count)
+    basis = np.vander(k / count, 3, increasing=True)
+    start = np.linalg.lstsq(basis, v[:count], rcond=None)[0][0]
+    error = noise * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
+    return bool(abs(start) > 5 * error + 0.02 * spread)

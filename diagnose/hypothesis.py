@@ -66,7 +66,8 @@ class Hypothesis:
             start = (linear or {}).get(p.name, p.value)
             scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
             positive = p.kind in ("inertia", "stiffness")
-            entries.append(Entry("", p.name, p.quantity, scale, 1e-3 * scale if positive else -math.inf, math.inf, start))
+            low, high = (0.02 * scale, 50 * scale) if positive else (-50 * scale, 50 * scale)
+            entries.append(Entry("", p.name, p.quantity, scale, low, high, min(max(start, low), high)))
         for effect in (*nominal.effects, *effects):
             s = scales[effect.place]
             for spec in type(effect).specs():

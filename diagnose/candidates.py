@@ -1,0 +1,166 @@
+"""Which effects can be supposed next: every registered effect at every place that the chain has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.fitter import Fitted, Fitter
+from diagnose.hypothesis import make
+from mjsim.effects import Effect, NotApplicableError, effect_class, registered
+
+__all__ = ["Candidate", "Screened", "candidates", "conflicts", "screen"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a place, not yet with numbers."""
+
+    id: str
+    place: str
+
+    @property
+    def key(self) -> str:
+        """``id@place``."""
+        return f"{self.id}@{self.place}"
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A candidate's best start and what a linearised fit says it would gain [chi-square]."""
+
+    candidate: Candidate
+    effect: Effect
+    gain: float
+    starts: tuple[Effect, ...]
+
+
+def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """All effects and places that this chain offers; ``only`` restricts the identifiers (an unknown one raises KeyError)."""
+    for name in only:
+        effect_class(name)
+    out = []
+    for name, cls in registered().items():
+        if only and name not in only:
+            continue
+        for place in cls.places:
+            starts = cls.starts(fitter.scales[place])
+            if not starts:
+                continue
+            try:
+                make(name, place, starts[0]).ports(fitter.nominal.chain)
+            except NotApplicableError:
+                continue
+            out.append(Candidate(name, place))
+    return tuple(out)
+
+
+def conflicts(candidate: Candidate, present: Sequence[Effect]) -> bool:
+    """Whether a candidate says again what a present effect says: the same one, or one that refines or is refined by it."""
+    cls = effect_class(candidate.id)
+    for e in present:
+        if e.key == candidate.key or (e.id == candidate.id == "time_delay"):
+            return True
+        if e.place != candidate.place:
+            continue
+        if e.id in cls.refines or candidate.id in type(e).refines or (set(cls.refines) & set(type(e).refines)):
+            return True
+    return False
+
+
+def _variants(effect: Effect) -> Iterator[Effect]:
+    """The start itself and, when it has a phase, the same a quarter period on."""
+    yield effect
+    if "phase_rad" in effect.values:
+        yield effect.with_values({"phase_rad": effect.values["phase_rad"] + np.pi / 2})
+
+
+def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacing: Effect | None = None) -> list[Screened]:
+    """What each candidate promises on top of a fitted base, strongest first.
+
+    The response of the candidate at its start (a secant) is made orthogonal to the base's own parameters; the residual's projection
+    on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has it. A phase
+    enters as two responses in quadrature. An amplitude of the wrong sign gains nothing. With ``replacing``, each candidate takes the place
+    of that effect of the base, from which it inherits the parameters that they share.
+    """
+    J = base.fit.J
+    q, _ = np.linalg.qr(J / (np.linalg.norm(J, axis=0) + 1e-300))
+    r0 = base.fit.residual
+    starts: list[tuple[Candidate, Effect]] = []
+    tasks = []
+    for candidate in supposed:
+        cls = effect_class(candidate.id)
+        for values in cls.starts(fitter.scales[candidate.place]):
+            effect = make(candidate.id, candidate.place, values if replacing is None else _inherit(cls, values, replacing))
+            starts.append((candidate, effect))
+            present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
+            for variant in _variants(effect):
+                h = fitter.hypothesis((*present, variant), base.linear, base.own)
+                tasks.append(lambda h=h: fitter.residual(h)(h.start))
+    answers = iter(fitter.run(tasks))
+    best: dict[Candidate, list[tuple[float, Effect]]] = {c: [] for c in supposed}
+    for candidate, effect in starts:
+        responses = [next(answers) for _ in _variants(effect)]
+        scored = _project(effect, responses, r0, q, move=replacing is None)
+        if scored is not None:
+            best[candidate].append(scored)
+    out = []
+    for candidate, scored_starts in best.items():
+        scored_starts.sort(key=lambda s: -s[0])
+        if scored_starts:
+            out.append(Screened(candidate, scored_starts[0][1], scored_starts[0][0], tuple(s[1] for s in scored_starts)))
+    out.sort(key=lambda s: -s.gain)
+    return out
+
+
+def _inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect) -> dict[str, float]:
+    """Start values of a refinement: its level, and what else it shares, from the effect that it refines."""
+    merged = dict(values)
+    level = effect.values.get("torque_Nm")
+    if level is not None and merged.get("torque_Nm"):
+        factor = level / merged["torque_Nm"]
+        for name in cls.amplitudes:
+            merged[name] *= factor
+        merged["torque_Nm"] = level
+    for name, value in effect.values.items():
+        if name in merged and name != "torque_Nm":
+            merged[name] = value
+    return merged
+
+
+def _project(
+    effect: Effect, responses: list[np.ndarray | None], r0: np.ndarray, q: np.ndarray, *, move: bool
+) -> tuple[float, Effect] | None:
+    """(gain, start moved to the best amplitude and phase) for one start; None when it cannot be run."""
+    columns = []
+    for r in responses:
+        if r is None or len(r) != len(r0):
+            return None
+        d = r - r0
+        columns.append(d - q @ (q.T @ d))
+    D = np.column_stack(columns)
+    gram = D.T @ D
+    if not np.all(np.diag(gram) > 0):
+        return 0.0, effect
+    c = D.T @ r0
+    a = -np.linalg.lstsq(gram, c, rcond=1e-12)[0]
+    gain = float(-a @ c)
+    cls = type(effect)
+    amplitudes = cls.amplitudes
+    if not move:
+        return max(gain, 0.0), effect
+    if len(columns) == 2:
+        factor = float(np.hypot(a[0], a[1]))
+        effect = effect.with_values({"phase_rad": effect.values["phase_rad"] + float(np.arctan2(a[1], a[0]))})
+    else:
+        factor = float(a[0])
+    if amplitudes:
+        signed = all(s.lower < 0 for s in cls.specs() if s.name in amplitudes)
+        if factor < 0 and not signed:
+            return 0.0, effect
+        factor = float(np.sign(factor) * np.clip(abs(factor), 0.02, 20.0))
+        moved = {n: effect.values[n] * factor for n in amplitudes}
+        effect = make(effect.id, effect.place, {**effect.values, **moved})
+    return max(gain, 0.0), effect

@@ -1,0 +1,239 @@
+"""Search over structures: add, swap and drop effects until no move pays, with every rival refitted from good starts.
+
+The criterion compares whitened chi-squares (residual autocorrelation is thereby counted) with a price per parameter:
+
+    C = n log(chi2 / n) + price * (free parameters)
+
+A move is made only when it also pays on held-out data. Thresholds: docs/decisions/false-alarms.md.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagnose.candidates import Candidate, Screened, candidates, conflicts, screen
+from diagnose.fitter import Fitted, Fitter, HeldOut, key_of
+from diagnose.least_squares import Status
+from mjsim.effects import Effect, effect_class
+
+__all__ = ["Comparison", "Search", "SearchOptions"]
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Budgets and thresholds.
+
+    price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
+    held-out squared error; p_enter: largest one-sided p-value of the held-out gain; depth: most effects; width: rivals fitted in
+    full at each move; beam: structures from which the next move starts.
+    """
+
+    price: float = 8.0
+    entry: float = 25.0
+    material: float = 0.0015
+    p_enter: float = 0.01
+    depth: int = 3
+    width: int = 10
+    beam: int = 2
+    only: tuple[str, ...] = ()
+    seconds: float = math.inf
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A richer structure against a poorer one on held-out data: gain of squared error, relative, and its one-sided p-value."""
+
+    relative_gain: float
+    p_value: float
+
+
+def compare(before: HeldOut | None, after: HeldOut | None) -> Comparison:
+    """Paired blocks: t-test on the difference of squared errors, block by block."""
+    from scipy.stats import t as student
+
+    if before is None or after is None:
+        return Comparison(-math.inf, 1.0)
+    d = before.sse - after.sse
+    d = d[before.n > 0]
+    if len(d) < 3 or np.std(d) == 0:
+        return Comparison(float(np.sum(d) / max(before.chi2, 1e-300)), 1.0)
+    t = float(np.mean(d) / (np.std(d, ddof=1) / math.sqrt(len(d))))
+    return Comparison(float(np.sum(d) / before.chi2), float(student.sf(t, len(d) - 1)))
+
+
+@dataclass
+class Search:
+    """State of a search: everything fitted so far, by structure."""
+
+    fitter: Fitter
+    options: SearchOptions
+    progress: Callable[[str], None] = lambda _: None
+    pool: dict[tuple[str, ...], Fitted] = field(default_factory=dict)
+    held: dict[tuple[str, ...], HeldOut | None] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
+    tested: int = 0
+
+    def __post_init__(self) -> None:
+        self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
+        self._began = time.monotonic()
+
+    def criterion(self, f: Fitted) -> float:
+        """C of a fitted structure."""
+        return f.n * math.log(max(f.chi2, 1e-300) / f.n) + self.options.price * len(f.hypothesis.entries)
+
+    def held_out(self, f: Fitted) -> HeldOut | None:
+        """Held-out error, computed once per structure."""
+        if f.key not in self.held:
+            self.held[f.key] = self.fitter.validate(f)
+        return self.held[f.key]
+
+    def nominal(self) -> Fitted:
+        """The refitted nominal model: the rival to beat."""
+        if () not in self.pool:
+            self.pool[()] = self.fitter.fit(self.fitter.hypothesis(()))
+        return self.pool[()]
+
+    def _keep(self, f: Fitted) -> None:
+        old = self.pool.get(f.key)
+        if f.ok and (old is None or f.chi2 < old.chi2):
+            self.pool[f.key] = f
+            self.held.pop(f.key, None)
+
+    def expand(self, base: Fitted) -> list[Fitted]:
+        """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
+        free = [c for c in self.candidates if not conflicts(c, base.effects)]
+        ranked = screen(self.fitter, base, free)
+        self.screened[base.key] = ranked
+        self.tested += len(ranked)
+        floor = 0.4 * self.options.entry
+        visible = base.chi2 > 1.05 * base.n
+        promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
+        # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is something to explain
+        if visible:
+            promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
+        return self._race(base, [(base.effects, s) for s in promising])
+
+    def refine(self, base: Fitted) -> list[Fitted]:
+        """Fit the structures in which an effect of ``base`` is replaced by one that refines it, where the score says it can matter."""
+        entrants: list[tuple[tuple[Effect, ...], Screened]] = []
+        for effect in base.effects:
+            others = tuple(e for e in base.effects if e.key != effect.key)
+            supposed = [
+                c for c in self.candidates
+                if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
+                and _related(c.id, effect)
+                and (*(k for k in base.key if k != effect.key), c.key) not in {tuple(k) for k in self.pool}
+            ]  # fmt: skip
+            ranked = screen(self.fitter, base, supposed, replacing=effect)
+            self.tested += len(ranked)
+            entrants += [(others, s) for s in ranked if s.gain > 0.4 * self.options.entry]
+        return self._race(base, entrants)
+
+    def _race(self, base: Fitted, entrants: Sequence[tuple[tuple[Effect, ...], Screened]]) -> list[Fitted]:
+        """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win."""
+        running: list[Fitted] = []
+        far = base.chi2 > 1.5 * base.n
+        for present, s in entrants:
+            structure = effect_class(s.candidate.id).family == "structure"
+            fits = []
+            for effect in s.starts[: 6 if structure else 1]:
+                guesses = [self.fitter.hypothesis((*present, effect), base.linear, base.own)]
+                if far:
+                    guesses.append(self.fitter.hypothesis((*present, effect), None, base.own))
+                costs = self.fitter.run([lambda h=h: self.fitter.residual(h)(h.start) for h in guesses])
+                order = sorted(range(len(guesses)), key=lambda i: math.inf if costs[i] is None else float(costs[i] @ costs[i]))
+                h = guesses[order[0]]
+                borrow = base if order[0] == 0 else None
+                f = self.fitter.fit(h, iterations=2, tolerance=1e-4, borrow=borrow)
+                if f.ok:
+                    fits.append(f)
+            if fits:
+                running.append(min(fits, key=lambda f: f.chi2))
+            else:
+                self.failed[s.candidate.key] = "no start could be run"
+        for keep, iterations in ((6, 3), (4, 6), (3, 20)):
+            running.sort(key=lambda f: f.chi2)
+            best = running[0].chi2 if running else 0.0
+            going = []
+            for rank, f in enumerate(running):
+                hopeless = rank >= keep or f.n * math.log(f.chi2 / best) > 3e3 / math.sqrt(iterations) + 0.5 * f.n
+                if not hopeless and f.fit.status is Status.BUDGET:
+                    f = self.fitter.fit(f.hypothesis, f.fit.x, iterations=iterations)
+                going.append(f)
+            running = going
+        for f in running:
+            self._keep(f)
+        return running
+
+    def pays(self, before: Fitted, after: Fitted) -> bool:
+        """Whether ``after`` is better by the criterion, materially, and on held-out data."""
+        if self.criterion(before) - self.criterion(after) < self.options.entry:
+            return False
+        c = compare(self.held_out(before), self.held_out(after))
+        return c.relative_gain > self.options.material and c.p_value < self.options.p_enter
+
+    def run(self) -> Fitted:
+        """The best structure that the search finds."""
+        current = self.nominal()
+        self.progress(f"refitted nominal: chi2/n {current.chi2 / current.n:.4g}")
+        beam = [current]
+        expanded: set[tuple[str, ...]] = set()
+        for _ in range(self.options.depth + 2):
+            for state in beam:
+                if state.key in expanded or len(state.effects) >= self.options.depth:
+                    continue
+                expanded.add(state.key)
+                self.expand(state)
+                if time.monotonic() - self._began > self.options.seconds:
+                    break
+            best = self._best(current)
+            self.refine(best)
+            best = self._best(current)
+            if best.key == current.key:
+                break
+            current = best
+            self.progress(f"{' + '.join(current.key)}: chi2/n {current.chi2 / current.n:.4g}")
+            rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
+            beam = [current, *[f for f in rivals if f.key != current.key][: self.options.beam - 1]]
+        return self._eliminate(current)
+
+    def _best(self, current: Fitted) -> Fitted:
+        """The structure with the best criterion among those that pay against the current one."""
+        for f in sorted(self.pool.values(), key=self.criterion):
+            if f.key == current.key:
+                return current
+            if self.criterion(current) - self.criterion(f) < (
+                self.options.entry if len(f.effects) > len(current.effects) else 2.0
+            ):
+                continue
+            if len(f.effects) <= len(current.effects) or self.pays(current, f):
+                return f
+        return current
+
+    def _eliminate(self, current: Fitted) -> Fitted:
+        """Drop every effect that does not pay; try simpler forms of each."""
+        changed = True
+        while changed and current.effects:
+            changed = False
+            for effect in current.effects:
+                rest = tuple(e for e in current.effects if e.key != effect.key)
+                poorer = self.pool.get(key_of(rest))
+                if poorer is None:
+                    poorer = self.fitter.fit(self.fitter.hypothesis(rest, current.linear, current.own), iterations=20)
+                    self._keep(poorer)
+                if not self.pays(poorer, current):
+                    current, changed = poorer, True
+                    break
+        return current
+
+
+def _related(name: str, effect: Effect) -> bool:
+    """Whether an effect refines another, or both refine the same."""
+    cls = effect_class(name)
+    return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
