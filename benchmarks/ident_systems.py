@@ -62,18 +62,18 @@ def _pairs(*polar: tuple[float, float], real: float) -> NDArray:
 def _axis() -> System:
     a, b, c, d, _ = cont2discrete(axis_matrices(), 0.005)
     num, den = ss2tf(a, b, c, d)
-    return System(
-        "axis", 0.005, num[0][1:], _pairs((0.8, 1.0), (0.5, 2.0), real=-0.4), _pairs((0.9, 0.5), (0.7, 1.5), real=0.8), den, (5, 5, 5, 5, 1), 0.1
-    )  # fmt: skip
+    noise = _pairs((0.8, 1.0), (0.5, 2.0), real=-0.4), _pairs((0.9, 0.5), (0.7, 1.5), real=0.8)
+    return System("axis", 0.005, num[0][1:], *noise, den, (5, 5, 5, 5, 1), 0.1)
 
 
+_B, _C, _F = np.array([1.0, 0.5]), np.array([1, -1.0, 0.2]), np.array([1, -1.5, 0.7])
 SYSTEMS = {
     s.name: s
     for s in (
         _axis(),
         # Box-Jenkins example of MATLAB's System Identification Toolbox manual (Ljung)
-        System("ljung", 1.0, np.array([1.0, 0.5]), np.array([1, -1.0, 0.2]), np.array([1, 1.5, 0.7]), np.array([1, -1.5, 0.7]), (2, 2, 2, 2, 1), 0.5),
+        System("ljung", 1.0, _B, _C, np.array([1, 1.5, 0.7]), _F, (2, 2, 2, 2, 1), 0.5),
         # Astrom's ARMAX system (Soderstrom & Stoica), fitted as Box-Jenkins: F = D
-        System("astrom", 1.0, np.array([1.0, 0.5]), np.array([1, -1.0, 0.2]), np.array([1, -1.5, 0.7]), np.array([1, -1.5, 0.7]), (2, 2, 2, 2, 1), 0.5),
+        System("astrom", 1.0, _B, _C, _F, _F, (2, 2, 2, 2, 1), 0.5),
     )
-}  # fmt: skip
+}

@@ -5,9 +5,9 @@
 
 Each fit is a line of the output file; a second run takes up where the first stopped. ``--summary`` prints the table only.
 
-Error: rms over 200 frequencies of |G_hat / G - 1|. Wrong minimum: the loss of the returned model (from rest) exceeds the loss that a
-search from the true coefficients reaches so far that N log(V / V_ref) > 10. Seconds are processor time, so that other work on the
-machine does not count. SIPPY counts the delay as nk - 1.
+Error: rms over 200 frequencies of |G_hat / G - 1|. Wrong minimum: the loss of the returned model (from rest) exceeds the loss that
+a search from the true coefficients reaches so far that N log(V / V_ref) > 10. Seconds are processor time, so that other work on
+the machine does not count. SIPPY counts the delay as nk - 1. ``ident_statistics.py`` has the other bars.
 """
 
 from __future__ import annotations

@@ -237,7 +237,7 @@ def test_json_holds_the_contract(bj_truth):
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=4), st.lists(st.floats(-0.3, 0.3), max_size=3), st.integers(0, 4))
 def test_any_model_survives_json_and_control(b, f, nk):
-    b[0] = b[0] or 1.0
+    b, f = [round(x, 4) or 1.0 for x in b], [round(x, 4) or 0.1 for x in f]
     model = PolyModel(Structure.oe(len(b), len(f), nk), 0.01, [1], b, [1], [1], [1, *f])
     assert model_from_dict(model_to_dict(model)).theta.tolist() == model.theta.tolist()
     grid = np.linspace(0.5, 49, 20)
