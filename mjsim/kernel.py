@@ -4,10 +4,14 @@ Between events the equations of `mjsim.effects.ports` are smooth and RK4 is accu
 located to rounding and switch modes, so that neither friction nor backlash smears over a step and a fitted cost is smooth
 in the parameters. Laws are called by address (`mjsim.effects.law`), so that one compiled kernel serves all effects.
 
+Where the axis is affine between events (``affine``), a whole step is one product with the matrix exponential of the mode, kept
+for each mode that occurs; the matrices are read off the same rates, and RK4 only lands on events.
+
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address, first parameter, state index or -1. ``p``: parameters.
-``mode`` (3, n): friction mode, gap mode, whether the body has friction. ``z``: local quantities of a law and, behind them, what it writes. ``x`` (3, m): q, v, internal states.
+``mode`` (3, n): friction mode, gap mode, whether the body has friction. ``z``: local quantities of a law and, behind them,
+what it writes. ``x`` (3, m): q, v, internal states.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ __all__ = ["KIND_BODY", "KIND_COUPLING", "KIND_FRICTION", "KIND_INERTIA", "KIND_
 
 KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION = 0, 1, 2, 3, 4
 GATED, UNGATED, NO_PULL = 0, 1, 2
+SLOTS = 61  # modes whose propagators are kept at a time
 MAX_EVENTS = 64  # per sample; past that the step is taken as it is (chatter)
 
 
@@ -46,13 +51,12 @@ def _call_law(typingctx, address, z, p, out):  # pragma: no cover
 _call: Any = _call_law
 
 
-@njit(cache=True, nogil=True)
-def _rates(f, gap_law, gain, el, p, x, t, u, mode, w, z):
+def _rates_of(f, gap_law, gain, el, p, x, t, u, mode, w, z):
     """Accelerations and internal rates at one instant.
 
     Writes w (n_w, m): rows 0 accelerations, 1 torque balance without friction, 2 / 3 breakaway levels forward / backward of
-    stuck bodies, 4 coupling torques, 5 elastic deflections, 6 deflection rates, 7 kinematic slopes, 8 alpha, 9 beta, 10 sliding friction
-    (signed), 11 effective inertias, 12 raw deflections.
+    stuck bodies, 4 coupling torques, 5 elastic deflections, 6 deflection rates, 7 kinematic slopes, 8 alpha, 9 beta, 10 sliding
+    friction (signed), 11 effective inertias, 12 raw deflections.
     """
     n = f.shape[1]
     za, pa = z.ctypes.data, p.ctypes.data
@@ -161,6 +165,12 @@ def _rates(f, gap_law, gain, el, p, x, t, u, mode, w, z):
         w[0, i] = (w[1, i] - w[10, i]) / w[11, i]
 
 
+_rates: Any = njit(cache=True, nogil=True)(_rates_of)
+_rates_here: Any = njit(cache=True, nogil=True, inline="always")(
+    _rates_of
+)  # in the step: passing arrays costs as much as the work
+
+
 @njit(cache=True, nogil=True)
 def _relax(s, alpha, beta, h):
     """Exact flow of s' = alpha - beta s over h."""
@@ -175,7 +185,7 @@ def _relax(s, alpha, beta, h):
 def _step(f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z):
     """One RK4 step of length h from x to xn (each 3 x m: q, v, s); u relaxes from ``lag`` to ``u`` when tau > 0.
 
-    wk (12, m) holds the stage slopes.
+    wk (17, m) holds the stage slopes and, in its last row, the coupling torques at the start.
     """
     n = f.shape[1]
     for stage in range(4):
@@ -194,11 +204,13 @@ def _step(f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z
                 xn[1, i] = x[1, i] + c * h * wk[b + 1, i]
             for i in range(n_s):
                 xn[2, i] = _relax(x[2, i], wk[b + 2, i], wk[12 + stage - 1, i], c * h)
-        _rates(f, gap_law, gain, el, p, xn, t + c * h, ut, mode, w, z)
+        _rates_here(f, gap_law, gain, el, p, xn, t + c * h, ut, mode, w, z)
         b = 3 * stage
         for i in range(n):
             wk[b, i] = xn[1, i]
             wk[b + 1, i] = w[0, i] if mode[0, i] != 0 else 0.0
+            if stage == 0:
+                wk[16, i] = w[4, i]
         for i in range(n_s):
             wk[b + 2, i] = w[8, i]
             wk[12 + stage, i] = w[9, i]
@@ -251,12 +263,100 @@ def _settle(f, gap_law, gain, el, p, x, t, u, mode, w, z):
 
 
 @njit(cache=True, nogil=True)
-def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, x0, s0, angle, locked, t0, out):
+def _propagator(f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
+    """Matrices of the present mode over y = (q, v, lagged input, held input, 1), N = 2n + 3, read off the rates.
+
+    Writes phis (2, 2n+1, N): y(h) - y(0) for both steps h; rows (4n, N): accelerations, balances without friction, their rates
+    of change, coupling torques; level (2, n): breakaway levels forward and backward. a, power, term (N, N) are scratch.
+    """
+    n = f.shape[1]
+    size = 2 * n + 3
+    a[:] = 0.0
+    rows[:] = 0.0
+    for c in range(-1, 2 * n + 1):
+        for i in range(n):
+            xt[0, i] = 1.0 if c == i else 0.0
+            xt[1, i] = 1.0 if c == n + i else 0.0
+        _rates(f, gap_law, gain, el, p, xt, 0.0, 1.0 if c == 2 * n else 0.0, mode, w, z)
+        column = size - 1 if c < 0 else c
+        if c == 2 * n and tau <= 0.0:
+            column = 2 * n + 1
+        for i in range(n):
+            rows[i, column] = w[0, i]
+            rows[n + i, column] = w[1, i]
+            if i < n - 1:
+                rows[3 * n + i, column] = w[4, i]
+            if c < 0:
+                level[0, i] = w[2, i]
+                level[1, i] = w[3, i]
+            else:
+                rows[i, column] -= rows[i, size - 1]
+                rows[n + i, column] -= rows[n + i, size - 1]
+                rows[3 * n + i, column] -= rows[3 * n + i, size - 1]
+    for i in range(n):
+        a[i, n + i] = 1.0
+        if mode[0, i] == 0:
+            rows[i] = 0.0
+        a[n + i] = rows[i]
+    if tau > 0.0:
+        a[2 * n, 2 * n] = -1.0 / tau
+        a[2 * n, 2 * n + 1] = 1.0 / tau
+    for i in range(n):
+        for c in range(size):
+            total = 0.0
+            for r in range(size):
+                total += rows[n + i, r] * a[r, c]
+            rows[2 * n + i, c] = total
+    phis[:] = 0.0
+    for seg in range(2):
+        h = steps[seg]
+        if h <= 0.0:
+            continue
+        power[:] = 0.0
+        for r in range(size):
+            power[r, r] = 1.0
+        for k in range(1, 20):
+            for r in range(size):
+                for c in range(size):
+                    total = 0.0
+                    for b in range(size):
+                        total += a[r, b] * power[b, c]
+                    term[r, c] = total * h / k
+            for r in range(size):
+                for c in range(size):
+                    power[r, c] = term[r, c]
+                    if r <= 2 * n:
+                        phis[seg, r, c] += term[r, c]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _dips(g0, s0, g1, s1, h):
+    """Whether the cubic through two margins and their slopes falls below zero in between; the time of its minimum, or -1."""
+    if not (s0 < 0.0 and s1 > 0.0):
+        return -1.0
+    # g(e) = g0 + a e + b e^2 + c e^3, e = t / h
+    a = s0 * h
+    d = g1 - g0
+    b = 3.0 * d - 2.0 * a - s1 * h
+    c = a + s1 * h - 2.0 * d
+    root = b * b - 3.0 * a * c
+    if root < 0.0:
+        return -1.0
+    e = -a / (b + np.sqrt(root))
+    if not (e > 0.0 and e < 1.0):
+        return -1.0
+    return e * h if g0 + e * (a + e * (b + e * c)) < 0.0 else -1.0
+
+
+@njit(cache=True, nogil=True)
+def integrate(
+    f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, affine, x0, s0, angle, locked, t0, out
+):
     """Free run. u (N) torque held over each sample; out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
 
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
-    torque ahead of the first sample; tau > 0 lags it. angle (N): measured angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample): 0 done,
-    1 diverged at that sample.
+    torque ahead of the first sample; tau > 0 lags it. ``affine``: the equations are affine in every mode. angle (N): measured
+    angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample): 0 done, 1 diverged at that sample.
     """
     n = f.shape[1]
     n_s = s0.shape[0]
@@ -266,7 +366,7 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before
     xt = np.zeros((3, m))
     w = np.zeros((14, m))
     z = np.zeros(N_LOCAL + 3)
-    wk = np.zeros((16, m))
+    wk = np.zeros((17, m))
     mode = np.zeros((3, n), np.int64)
     for i in range(n):
         x[0, i] = x0[0, i]
@@ -291,6 +391,27 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before
     for i in range(n):
         any_event = any_event or has_friction[i] or f[5, i] > 0.0
     lag = before
+    spans = np.array([split * dt, (1.0 - split) * dt])
+    subs = np.ones(2, np.int64)
+    steps = np.zeros(2)
+    for seg in range(2):
+        subs[seg] = max(1, int(np.ceil(n_sub * spans[seg] / dt - 1e-9)))
+        steps[seg] = spans[seg] / subs[seg]
+    # the propagators by mode, a direct-mapped store
+    size = 2 * n + 3
+    slots = SLOTS if affine else 1
+    keys = np.full(slots, -1)
+    y = np.zeros(size)
+    yn = np.zeros(size)
+    a = np.zeros((size, size))
+    power = np.zeros((size, size))
+    term = np.zeros((size, size))
+    phis = np.zeros((slots, 2, 2 * n + 1, size))
+    rows = np.zeros((slots, 4 * n, size))
+    levels = np.zeros((slots, 2, n))
+    stride = np.zeros(n)  # largest change of a velocity in a step so far: only this near zero can a step hide a reversal
+    y[size - 1] = 1.0
+    yn[size - 1] = 1.0
     for k in range(total):
         t = t0 + k * dt
         if locked:
@@ -302,7 +423,26 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before
             out[k, n + i] = x[1, i]
         for i in range(n_s):
             out[k, 2 * n + i] = x[2, i]
-        if n > 1:
+        slot = 0
+        if affine:
+            code = 0
+            for i in range(n):
+                code = code * 9 + 3 * mode[0, i] + mode[1, i] + 4
+            slot = code % SLOTS
+            if keys[slot] != code:
+                keys[slot] = code
+                _propagator(
+                    f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis[slot], rows[slot], levels[slot]
+                )
+            for i in range(n):
+                y[i] = x[0, i]
+                y[n + i] = x[1, i]
+            for j in range(n - 1):
+                dot = 0.0
+                for c in range(size):
+                    dot += rows[slot, 3 * n + j, c] * y[c]
+                out[k, 2 * n + n_s + j] = dot
+        elif k == total - 1:
             _rates(f, gap_law, gain, el, p, x, t, u[k], mode, w, z)
             for j in range(n - 1):
                 out[k, 2 * n + n_s + j] = w[4, j]
@@ -311,20 +451,125 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before
         if k == total - 1:
             break
         events = 0
+        first = not affine
         for seg in range(2):
-            span = split * dt if seg == 0 else (1.0 - split) * dt
-            if span <= 0.0:
+            if spans[seg] <= 0.0:
                 continue
             kk = k - shift - 1 if seg == 0 else k - shift
             uk = u[kk] if kk >= 0 else before
-            sub = max(1, int(np.ceil(n_sub * span / dt - 1e-9)))
-            for _sub in range(sub):
-                left = span / sub
+            for _sub in range(subs[seg]):
+                left = steps[seg]
+                if affine:
+                    code = 0
+                    for i in range(n):
+                        code = code * 9 + 3 * mode[0, i] + mode[1, i] + 4
+                    slot = code % SLOTS
+                    if keys[slot] != code:
+                        keys[slot] = code
+                        _propagator(
+                            f,
+                            gap_law,
+                            gain,
+                            el,
+                            p,
+                            mode,
+                            tau,
+                            steps,
+                            w,
+                            z,
+                            xt,
+                            a,
+                            power,
+                            term,
+                            phis[slot],
+                            rows[slot],
+                            levels[slot],
+                        )
+                    for i in range(n):
+                        y[i] = x[0, i]
+                        y[n + i] = x[1, i]
+                    y[2 * n] = lag
+                    y[2 * n + 1] = uk
+                    for r in range(2 * n + 1):
+                        dot = 0.0
+                        for c in range(size):
+                            dot += phis[slot, seg, r, c] * y[c]
+                        yn[r] = y[r] + dot
+                    yn[2 * n + 1] = uk
+                    clean = True
+                    if any_event:
+                        for i in range(n):
+                            if mode[2, i] == 0:
+                                continue
+                            if mode[0, i] != 0:
+                                g0 = mode[0, i] * y[n + i]
+                                g1 = mode[0, i] * yn[n + i]
+                                stride[i] = max(stride[i], abs(g1 - g0))
+                                if g0 <= 0.0 or g1 <= 0.0:
+                                    clean = False
+                                elif min(g0, g1) < 2.0 * stride[i]:
+                                    s0 = 0.0
+                                    s1 = 0.0
+                                    for c in range(size):
+                                        s0 += rows[slot, i, c] * y[c]
+                                        s1 += rows[slot, i, c] * yn[c]
+                                    if _dips(g0, mode[0, i] * s0, g1, mode[0, i] * s1, left) >= 0.0:
+                                        clean = False
+                            else:
+                                f0 = 0.0
+                                f1 = 0.0
+                                s0 = 0.0
+                                s1 = 0.0
+                                for c in range(size):
+                                    f0 += rows[slot, n + i, c] * y[c]
+                                    f1 += rows[slot, n + i, c] * yn[c]
+                                    s0 += rows[slot, 2 * n + i, c] * y[c]
+                                    s1 += rows[slot, 2 * n + i, c] * yn[c]
+                                up = levels[slot, 0, i]
+                                down = levels[slot, 1, i]
+                                if (
+                                    min(up - f0, up - f1, f0 + down, f1 + down) <= 0.0
+                                    or _dips(up - f0, -s0, up - f1, -s1, left) >= 0.0
+                                    or _dips(f0 + down, s0, f1 + down, s1, left) >= 0.0
+                                ):
+                                    clean = False
+                        for j in range(n - 1):
+                            if f[5, j] <= 0.0:
+                                continue
+                            d0 = f[2, j] * y[j] - y[j + 1]
+                            d1 = f[2, j] * yn[j] - yn[j + 1]
+                            s0 = f[2, j] * y[n + j] - y[n + j + 1]
+                            s1 = f[2, j] * yn[n + j] - yn[n + j + 1]
+                            hb = f[5, j]
+                            if mode[1, j] != 0:
+                                side = mode[1, j]
+                                if (
+                                    min(side * d0, side * d1) <= hb
+                                    or _dips(side * d0 - hb, side * s0, side * d1 - hb, side * s1, left) >= 0.0
+                                ):
+                                    clean = False
+                            elif (
+                                max(abs(d0), abs(d1)) >= hb
+                                or _dips(hb - d0, -s0, hb - d1, -s1, left) >= 0.0
+                                or _dips(hb + d0, s0, hb + d1, s1, left) >= 0.0
+                            ):
+                                clean = False
+                    if clean:
+                        for i in range(n):
+                            x[0, i] = yn[i]
+                            x[1, i] = yn[n + i]
+                        lag = yn[2 * n] if tau > 0.0 else uk
+                        t += left
+                        continue
                 if any_event:
                     ue = uk if tau <= 0.0 else lag
                     _settle(f, gap_law, gain, el, p, x, t, ue, mode, w, z)
                 while left > 0.0:
                     _step(f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
+                    if first:
+                        first = False
+                        for j in range(n - 1):
+                            out[k, 2 * n + n_s + j] = wk[16, j]
                     h = left
                     hit = -1
                     if any_event and events < MAX_EVENTS:
@@ -335,10 +580,33 @@ def integrate(f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before
                             if ev >= n and f[5, ev - n] <= 0.0:
                                 continue
                             g = _margin(ev, f, gap_law, gain, el, p, xn, t + h, ue, mode, w, z)
+                            hi = h
                             if g >= 0.0:
-                                continue
+                                # the step may hide a reversal: violated in between, holding again at its end
+                                if ev < n:
+                                    if mode[0, ev] == 0:
+                                        continue
+                                    side_ev = mode[0, ev]
+                                    g0, s0, s1 = side_ev * x[1, ev], side_ev * wk[1, ev], side_ev * wk[10, ev]
+                                else:
+                                    j = ev - n
+                                    side_ev = mode[1, j]
+                                    d0, d1 = f[2, j] * x[0, j] - x[0, j + 1], f[2, j] * xn[0, j] - xn[0, j + 1]
+                                    if side_ev == 0:
+                                        side_ev = -1 if d0 + d1 > 0.0 else 1
+                                    g0 = side_ev * d0 + f[5, j] if mode[1, j] == 0 else side_ev * d0 - f[5, j]
+                                    s0 = side_ev * (f[2, j] * x[1, j] - x[1, j + 1])
+                                    s1 = side_ev * (f[2, j] * xn[1, j] - xn[1, j + 1])
+                                hi = _dips(g0, s0, g, s1, h)
+                                if hi < 0.0:
+                                    continue
+                                _step(f, gap_law, gain, el, p, x, xt, hi, t, uk, lag, tau, n_s, mode, w, wk, z)
+                                um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-hi / tau)
+                                g = _margin(ev, f, gap_law, gain, el, p, xt, t + hi, um, mode, w, z)
+                                if g >= 0.0:
+                                    continue
                             # bracket [lo, hi]: holds at lo, violated at hi
-                            lo, hi, ghi = 0.0, h, g
+                            lo, ghi = 0.0, g
                             glo = _margin(ev, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, w, z)
                             if glo <= 0.0:
                                 # the mode was entered at this very instant: look for a moment at which it holds
@@ -429,7 +697,7 @@ def drive(f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
     xn = np.zeros((3, m))
     w = np.zeros((14, m))
     z = np.zeros(N_LOCAL + 3)
-    wk = np.zeros((16, m))
+    wk = np.zeros((17, m))
     mode = np.zeros((3, n), np.int64)
     ratio = 1.0
     for i in range(n):

@@ -95,7 +95,7 @@ def simulate(
     out = np.empty((count, 2 * n + s.n_states + n - 1))
     status, at = kernel.integrate(
         s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
-        float(before), s.input_lag, n_sub, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
+        float(before), s.input_lag, n_sub, s.affine, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     if status:
         raise DivergedError(

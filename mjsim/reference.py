@@ -17,9 +17,8 @@ from numba import njit
 
 from mjsim.axis import Axis
 from mjsim.effects import ports as P  # noqa: N812
-from mjsim.effects.law import DIRECTION, N_LOCAL, Law
 from mjsim.ode import DivergedError, Trajectory, apply_input
-from mjsim.system import System, assemble, state_matrix
+from mjsim.system import System, assemble, constant, state_matrix
 
 __all__ = ["NotAffineError", "not_affine", "simulate"]
 
@@ -32,30 +31,15 @@ class NotAffineError(ValueError):
     """The axis has an effect that is not affine between events: the exact reference does not cover it."""
 
 
-def _constant(law: Law, p: tuple[float, ...], direction: float) -> tuple[float, float] | None:
-    """What the law writes when it is the same for all local quantities but the direction of slip, else None."""
-    rng = np.random.default_rng(0)
-    seen = set()
-    for scale in (1e-4, 1e-2, 1.0, 1e2):
-        for _ in range(3):
-            z = [float(a) for a in scale * rng.standard_normal(N_LOCAL)]
-            z[0] = abs(z[0])
-            z[DIRECTION] = direction
-            out = [0.0, 0.0, 0.0]
-            law(z, p, out)
-            seen.add((out[0], out[1]))
-    return seen.pop() if len(seen) == 1 else None
-
-
 def not_affine(axis: Axis) -> str | None:
     """Why the exact reference does not cover this axis (one line), or None when it does."""
     for effect in axis.effects:
         for port in effect.ports(axis.chain):
             if isinstance(port, P.Friction):
-                if _constant(port.law, port.p, 1.0) is None or _constant(port.law, port.p, -1.0) is None:
+                if constant(port.law, port.p, 1.0) is None or constant(port.law, port.p, -1.0) is None:
                     return f"the friction level of {effect.key} varies while it slides or sticks"
             elif isinstance(port, P.BodyTorque):
-                if port.state or _constant(port.law, port.p, 1.0) is None:
+                if port.state or constant(port.law, port.p, 1.0) is None:
                     return f"the torque of {effect.key} is not constant"
             elif isinstance(port, P.CouplingTorque | P.Twist | P.BodyInertia):
                 return f"{effect.key} is not affine"
@@ -68,12 +52,12 @@ def _constants(axis: Axis, n: int) -> tuple[np.ndarray, np.ndarray]:
     for effect in axis.effects:
         for port in effect.ports(axis.chain):
             if isinstance(port, P.Friction):
-                forward, backward = _constant(port.law, port.p, 1.0), _constant(port.law, port.p, -1.0)
+                forward, backward = constant(port.law, port.p, 1.0), constant(port.law, port.p, -1.0)
                 assert forward is not None
                 assert backward is not None
                 levels[port.body] += (forward[0], backward[0], forward[1], backward[1])
             elif isinstance(port, P.BodyTorque):
-                value = _constant(port.law, port.p, 1.0)
+                value = constant(port.law, port.p, 1.0)
                 assert value is not None
                 torque[port.body] += value[0]
     return levels, torque
@@ -380,7 +364,7 @@ def simulate(axis: Axis, torque: np.ndarray, dt: float, *, initial: np.ndarray |
         raise NotAffineError(reason)
     s: System = assemble(axis)
     n, count = s.n, len(torque)
-    levels, constant = _constants(axis, n)
+    levels, torques = _constants(axis, n)
     u = np.array(apply_input(s, np.asarray(torque, float)), float)
     x0 = np.zeros((2, n))
     if initial is not None:
@@ -396,7 +380,7 @@ def simulate(axis: Axis, torque: np.ndarray, dt: float, *, initial: np.ndarray |
     n_sub = max(1, math.ceil(dt * max(rates)))
     out, mid = np.empty((count, 2 * n + 2 + n - 1)), np.empty((count, 2 * n + 2))
     status, at = _run(
-        s.f, s.gap_law, s.chain.gain, s.input_lag, s.output_lag, levels, constant, s.has_friction, u, dt, shift, split,
+        s.f, s.gap_law, s.chain.gain, s.input_lag, s.output_lag, levels, torques, s.has_friction, u, dt, shift, split,
         late, n_sub, x0, out, mid,
     )  # fmt: skip
     if status:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from robot_axis import CHAIN, DT, axis, chirp, effect, relative
@@ -115,3 +117,29 @@ def test_what_is_not_affine_is_named() -> None:
     with pytest.raises(reference.NotAffineError, match="quadratic_friction@motor"):
         reference.simulate(model, chirp(0.1), DT)
     assert reference.not_affine(axis(effect("coulomb_friction", torque_Nm=0.1))) is None
+
+
+@pytest.mark.parametrize("name", ["linear", "coulomb", "gap", "gap and peak", "lag", "gearbox"])
+def test_propagators_and_runge_kutta_agree(name: str) -> None:
+    """The two ways in which the kernel takes a whole step: matrix exponentials of the modes, and RK4 (general axes)."""
+    model = assemble(axis(*(effect(k, **v) for k, v in CASES.get(name, []))))  # type: ignore[arg-type]
+    assert model.affine
+    u = chirp(2.0)
+    fast = ode.simulate(model, u, DT)
+    general = ode.simulate(dataclasses.replace(model, affine=False), u, DT, substeps=8)
+    assert relative(fast.velocity, general.velocity) < 1e-6
+    np.testing.assert_allclose(fast.coupling_torque, general.coupling_torque, atol=1e-3)
+
+
+def test_a_reversal_inside_one_step_is_seen() -> None:
+    """A body that comes to rest and slides on within one sample: RK4 in one step per sample once slid past it."""
+    model = axis(effect("coulomb_friction", torque_Nm=0.1))
+    exact = reference.simulate(model, chirp(10.0), DT).velocity
+    general = dataclasses.replace(assemble(model), affine=False)
+    assert relative(ode.simulate(general, chirp(10.0), DT, substeps=1).velocity, exact) < 4e-6
+
+
+def test_a_short_lag_is_resolved() -> None:
+    model = axis(effect("actuator_lag", time_constant_s=2e-5))
+    u = chirp(1.0)
+    assert relative(ode.simulate(model, u, DT).velocity, reference.simulate(model, u, DT).velocity) < 1e-10
