@@ -20,7 +20,7 @@ from simgap.benchmark.plant import Motion, free_run, record
 from simgap.benchmark.refit import COARSE, LINEAR, rms
 from simgap.benchmark.size import Size, hidden_by_linear, raw, sizes, without
 
-__all__ = ["LEVELS", "SIZE", "Case", "make_case"]
+__all__ = ["LEVELS", "SIZE", "Case", "effects_of", "make_case"]
 
 # Smallest size of what neither a linear refit nor a simpler effect hides, and largest of what the linear refit leaves,
 # both over the noise rms. Under noise both bounds are for the latter, and a tenth of the noise must be distinct.
@@ -121,24 +121,25 @@ def _search(
     level: str,
     rng: np.random.Generator,
     pool: tuple[Entry, ...],
+    first: str | None = None,
     count: int = 1,
     *,
     closed: bool = False,
     hide: Callable[[Laws, tuple[Entry, ...], np.ndarray, float], Laws] | None = None,
     under_noise: bool = False,
 ) -> _Found:
-    """Draw until every effect has the size that the level asks for."""
+    """Draw until every effect has the size that the level asks for; ``first`` is given up after half the tries."""
     low, high = SIZE[level]
-    chosen = _choose(rng, pool, count)
+    chosen = _choose(rng, pool, count, first)
     for attempt in range(TRIES):
         if attempt % 40 == 39:
-            chosen = _choose(rng, pool, count)
+            chosen = _choose(rng, pool, count, first if attempt < TRIES // 2 else None)
         measurement = _usual(rng)
         try:
             laws = _axis(rng)
             experiment = _experiment(rng, chosen, closed)
-            first = record(laws, experiment, measurement, rng, substeps=COARSE)
-            peak = float(np.max(np.abs(first.torque)))
+            bare = record(laws, experiment, measurement, rng, substeps=COARSE)
+            peak = float(np.max(np.abs(bare.torque)))
             laws, parameters = _dress(laws, chosen, rng, peak)
             if laws.droop * peak * peak > 0.3 or laws.cubic_g < 0 or laws.cubic_a < 0:
                 continue
@@ -180,11 +181,13 @@ def _sizes(laws: Laws, chosen: tuple[Entry, ...], torque: np.ndarray, noise: flo
     return out
 
 
-def _choose(rng: np.random.Generator, pool: tuple[Entry, ...], count: int) -> tuple[Entry, ...]:
-    """Draw effects of different groups: each effect alike likely, then its place or law."""
+def _choose(rng: np.random.Generator, pool: tuple[Entry, ...], count: int, first: str | None) -> tuple[Entry, ...]:
+    """Draw effects of different groups: each effect alike likely, then its place or law; ``first`` is one of them."""
     names = list(dict.fromkeys(e.effect for e in pool))
     while True:
         picked = [str(x) for x in rng.choice(names, count, replace=False)]
+        if first is not None and first not in picked:
+            picked[0] = first
         rows = [[e for e in pool if e.effect == name] for name in picked]
         entries = tuple(row[int(rng.integers(len(row)))] for row in rows)
         if len({e.group for e in entries}) == count:
@@ -230,47 +233,64 @@ def _hide(laws: Laws, entries: tuple[Entry, ...], torque: np.ndarray, limit: flo
     return best
 
 
-def _plain(rng: np.random.Generator) -> _Found:
-    return _search("plain", rng, CATALOGUE)
+_SMOOTH = tuple(e for e in CATALOGUE if e.effect != "sensor_quantisation")  # a step below the noise is noise
+_POOLS: dict[str, tuple[Entry, ...]] = {
+    "plain": CATALOGUE,
+    "under_noise": _SMOOTH,
+    "behind_refit": _SMOOTH,
+    "behind_feedback": CATALOGUE,
+    "two_effects": CATALOGUE,
+    "other_law": OTHER_LAWS,
+    "out_of_library": OUTSIDE,
+}
 
 
-def _other_law(rng: np.random.Generator) -> _Found:
-    return _search("other_law", rng, OTHER_LAWS)
+def effects_of(level: str) -> tuple[str, ...]:
+    """The effects that a level can conceal."""
+    return tuple(dict.fromkeys(e.effect for e in _POOLS.get(level, ())))
 
 
-def _under_noise(rng: np.random.Generator) -> _Found:
-    pool = tuple(e for e in CATALOGUE if e.effect != "sensor_quantisation")  # a step below the noise is noise
-    return _search("under_noise", rng, pool, under_noise=True)
+def _plain(rng: np.random.Generator, first: str | None) -> _Found:
+    return _search("plain", rng, CATALOGUE, first)
 
 
-def _behind_refit(rng: np.random.Generator) -> _Found:
-    pool = tuple(e for e in CATALOGUE if e.effect != "sensor_quantisation")
-    return _search("behind_refit", rng, pool, hide=_hide)
+def _other_law(rng: np.random.Generator, first: str | None) -> _Found:
+    return _search("other_law", rng, OTHER_LAWS, first)
 
 
-def _behind_feedback(rng: np.random.Generator) -> _Found:
-    return _search("behind_feedback", rng, CATALOGUE, closed=True)
+def _under_noise(rng: np.random.Generator, first: str | None) -> _Found:
+    pool = _POOLS["under_noise"]
+    return _search("under_noise", rng, pool, first, under_noise=True)
 
 
-def _two_effects(rng: np.random.Generator) -> _Found:
-    return _search("two_effects", rng, CATALOGUE, count=2)
+def _behind_refit(rng: np.random.Generator, first: str | None) -> _Found:
+    pool = _POOLS["behind_refit"]
+    return _search("behind_refit", rng, pool, first, hide=_hide)
 
 
-def _out_of_library(rng: np.random.Generator) -> _Found:
-    return _search("out_of_library", rng, OUTSIDE)
+def _behind_feedback(rng: np.random.Generator, first: str | None) -> _Found:
+    return _search("behind_feedback", rng, CATALOGUE, first, closed=True)
 
 
-def _nothing(rng: np.random.Generator) -> _Found:
+def _two_effects(rng: np.random.Generator, first: str | None) -> _Found:
+    return _search("two_effects", rng, CATALOGUE, first, count=2)
+
+
+def _out_of_library(rng: np.random.Generator, first: str | None) -> _Found:
+    return _search("out_of_library", rng, OUTSIDE, first)
+
+
+def _nothing(rng: np.random.Generator, _first: str | None) -> _Found:
     closed = bool(rng.random() < 0.15)
     return _Found(Laws(), (), (), _any_noise(rng), _experiment(rng, (), closed), ())
 
 
-def _parameters_only(rng: np.random.Generator) -> _Found:
+def _parameters_only(rng: np.random.Generator, _first: str | None) -> _Found:
     spread = float(rng.choice([0.06, 0.15, 0.3]))
     return _Found(_axis(rng, spread), (), (), _any_noise(rng), _experiment(rng, (), bool(rng.random() < 0.15)), ())
 
 
-LEVELS: dict[str, Callable[[np.random.Generator], _Found]] = {
+LEVELS: dict[str, Callable[[np.random.Generator, str | None], _Found]] = {
     "plain": _plain,
     "under_noise": _under_noise,
     "behind_refit": _behind_refit,
@@ -288,8 +308,10 @@ VERDICT = {"nothing": "no_mismatch", "parameters_only": "parameters_only", "out_
 SIMPLER = {"coulomb_m": "coulomb_friction", "offset_m": "torque_offset", "act_delay": "time_delay"}
 
 
-def make_case(level: str, rng: np.random.Generator) -> Case:
-    """Draw a case of a level; the same generator state gives the same case.
+def make_case(level: str, rng: np.random.Generator, first: str | None = None) -> Case:
+    """Draw a case of a level, with the effect ``first`` where it can have the size asked for; else another is drawn.
+
+    The same generator state gives the same case.
 
     The truth has the keys of the practice set (``effects``, ``where``, ``parameters``, ``velocity_noise_rms_rad_s``,
     ``closed_loop``, ``excitation``, ``linear_parameters``) and ``level``, ``verdict`` (the one expected), ``law`` (by
@@ -298,7 +320,9 @@ def make_case(level: str, rng: np.random.Generator) -> Case:
     """
     if level not in LEVELS:
         raise InputError("level", f"{level!r} is not known", f"one of {', '.join(LEVELS)}")
-    found = LEVELS[level](rng)
+    if first is not None and first not in effects_of(level):
+        raise InputError(f"level {level}", f"{first!r} cannot be concealed", f"one of {', '.join(effects_of(level))}")
+    found = LEVELS[level](rng, first)
     estimation = record(found.laws, found.experiment, found.measurement, rng)
     for _ in range(20):
         second = _held_out(rng, found.experiment)

@@ -13,12 +13,12 @@ import click
 import numpy as np
 
 from mjsim.errors import InputError
-from simgap.benchmark.cases import LEVELS, Case, make_case
+from simgap.benchmark.cases import LEVELS, Case, effects_of, make_case
 from simgap.benchmark.plant import Motion
 
 __all__ = ["envelope_hash", "open_envelope", "write_cases"]
 
-VERSION = 1  # of the generator: raise it when the same seed gives other recordings
+VERSION = 2  # of the generator: raise it when the same seed gives other recordings
 
 
 def _digest(data: bytes) -> str:
@@ -63,8 +63,9 @@ def write_cases(
 ) -> str:
     """Draw cases and write ``out/NNN_estimation.csv``, ``out/NNN_held_out.csv``, ``out/manifest.json``, ``truth``.
 
-    The cases are shuffled, so that a number says nothing; each has a generator of its own, seeded by (seed, level, index),
-    so that a case does not depend on the others. Returns the SHA-256 of the envelope, which the manifest carries.
+    The effects of a level take turns. The cases are shuffled, so that a number says nothing; each has a generator of its
+    own, seeded by (seed, level, index), so that a case does not depend on the others. Returns the SHA-256 of the
+    envelope, which the manifest carries.
     """
     counts = dict(counts)
     for level in counts:
@@ -81,13 +82,16 @@ def write_cases(
     for number, job in enumerate(order):
         level, k = jobs[job]
         began = time.perf_counter()
-        case: Case = make_case(level, np.random.default_rng([seed, list(LEVELS).index(level), k]))
+        which = list(LEVELS).index(level)
+        turn = np.random.default_rng([seed, which, 2**31]).permutation(effects_of(level)).tolist()
+        first = turn[k % len(turn)] if turn else None
+        case: Case = make_case(level, np.random.default_rng([seed, which, k]), first)
         name = f"{number + 1:03d}"
         for motion, part in ((case.estimation, "estimation"), (case.held_out, "held_out")):
             data = _csv(motion)
             _write(out / f"{name}_{part}.csv", data)
             digests[f"{name}_{part}.csv"] = _digest(data)
-        truths[name] = {**case.truth, "seed": [seed, list(LEVELS).index(level), k]}
+        truths[name] = {**case.truth, "seed": [seed, which, k]}
         if say:
             click.echo(f"{number + 1}/{len(jobs)} sealed in {time.perf_counter() - began:.1f} s", err=True)
     envelope = json.dumps({"generator": VERSION, "seed": seed, "cases": truths}, indent=1).encode() + b"\n"

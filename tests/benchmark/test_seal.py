@@ -107,3 +107,10 @@ def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
         write_cases(tmp_path / "a", tmp_path / "t.json", {"hard": 1}, seed=1)
     with pytest.raises(InputError, match="another directory"):
         write_cases(tmp_path / "a", tmp_path / "a" / "truth.json", {"nothing": 1}, seed=1)
+
+
+def test_the_effect_asked_for_is_concealed() -> None:
+    truth = make_case("behind_feedback", np.random.default_rng(3), "torque_ripple").truth
+    assert truth["effects"] == ["torque_ripple"]
+    with pytest.raises(InputError, match="slipping_clutch"):
+        make_case("out_of_library", np.random.default_rng(3), "backlash")
