@@ -305,6 +305,11 @@ LEVELS: dict[str, Callable[[np.random.Generator, str | None], _Found]] = {
 VERDICT = {"nothing": "no_mismatch", "parameters_only": "parameters_only", "out_of_library": "unexplained"}
 
 
+def _sensitivity(laws: Laws, torque: np.ndarray) -> float:
+    """Rms change [rad/s] of a free run when the torque changes by a millionth: what no model can be asked to meet."""
+    return rms(free_run(laws, torque).velocity - free_run(laws, torque * (1 + 1e-6)).velocity)
+
+
 SIMPLER = {"coulomb_m": "coulomb_friction", "offset_m": "torque_offset", "act_delay": "time_delay"}
 
 
@@ -316,7 +321,8 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
     The truth has the keys of the practice set (``effects``, ``where``, ``parameters``, ``velocity_noise_rms_rad_s``,
     ``closed_loop``, ``excitation``, ``linear_parameters``) and ``level``, ``verdict`` (the one expected), ``law`` (by
     which each effect was made), ``size`` (see `size.Size`; ``distinct`` is over the ``simpler`` effects),
-    ``measurement``, ``noise_kind``, ``repeat_over_noise``, ``held_out_excitation`` and both experiments' settings.
+    ``measurement``, ``noise_kind``, ``repeat_over_noise``, ``sensitivity_over_noise``, ``held_out_excitation`` and
+    both experiments' settings.
     """
     if level not in LEVELS:
         raise InputError("level", f"{level!r} is not known", f"one of {', '.join(LEVELS)}")
@@ -348,6 +354,10 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
         "velocity_noise_rms_rad_s": m.floor,
         "noise_kind": m.kind,
         "repeat_over_noise": float(repeat),
+        "sensitivity_over_noise": {
+            "estimation": _sensitivity(found.laws, estimation.torque) / m.floor,
+            "held_out": _sensitivity(found.laws, held_out.torque) / m.floor,
+        },
         "measurement": {**asdict(m), "poles": [[p.real, p.imag] for p in m.poles]},
         "closed_loop": found.experiment.closed,
         "excitation": found.experiment.excitation,

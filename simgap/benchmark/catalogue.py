@@ -177,6 +177,7 @@ OTHER_LAWS: tuple[Entry, ...] = (
     _other(find("backlash", "arm"), "never pulling", gap_law_a=GAP_NO_PULL),
     _other(find("hysteresis", "gearbox"), "one Maxwell-slip element", slip_sharp=1.0),
     _other(find("hysteresis", "arm"), "one Maxwell-slip element", slip_sharp=1.0),
+    _other(find("sensor_quantisation", "sensor"), "rounded ahead of the noise", sen_step_first=1.0),
     _other(find("transmission_error", "gearbox"), "unstrained at the start", error_relaxed=1.0),
 )
 

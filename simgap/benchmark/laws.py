@@ -97,6 +97,7 @@ class Laws(NamedTuple):
     sen_lag: float = 0.0
     sen_delay: float = 0.0
     sen_step: float = 0.0
+    sen_step_first: float = 0.0  # 1: rounded ahead of the noise (a coarse digital signal on a noisy line)
     sen_offset: float = 0.0
     encoder_step: float = 0.0
     repeat_amplitude: float = 0.0  # error of the angle over one turn [rad]; the velocity shows its derivative

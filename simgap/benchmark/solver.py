@@ -92,10 +92,12 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
             arg = p.repeat_cycles * qm + p.repeat_phase
             v_sensor += p.repeat_amplitude * p.repeat_cycles * vm * math.cos(arg)
             a_sensor += p.repeat_amplitude * math.sin(arg)
+        if p.sen_step > 0.0 and p.sen_step_first > 0.0:
+            v_sensor = p.sen_step * math.floor(v_sensor / p.sen_step + 0.5)
         v_clean = v_sensor
         v_sensor += noise_v[i]
         a_sensor += noise_a[i]
-        if p.sen_step > 0.0:
+        if p.sen_step > 0.0 and p.sen_step_first == 0.0:
             v_sensor = p.sen_step * math.floor(v_sensor / p.sen_step + 0.5)
         if p.encoder_step > 0.0:
             a_sensor = p.encoder_step * math.floor(a_sensor / p.encoder_step + 0.5)
