@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["AsymmetricFriction"]
 
@@ -50,6 +51,13 @@ class AsymmetricFriction(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (Friction(need_body(chain, self.place), level, (self.torque_Nm, self.asymmetry_Nm)),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        # F sign(v) + A, also at rest, is Coulomb friction F beside a constant torque -A
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        editor.offset(-self.asymmetry_Nm)
+        return None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
-from mjsim.effects.ports import Gap, Port
+from mjsim.effects.ports import BacklashLaw, Gap, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["Backlash"]
 
@@ -40,6 +41,13 @@ class Backlash(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (Gap(need_coupling(chain, self.place), self.gap_rad),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.gap(need_coupling(editor.chain, self.place), self.gap_rad)
+        if editor.backlash_law is BacklashLaw.UNGATED:
+            return None
+        return "the gated law of backlash: its gap is there, but its damper acts inside the gap too (law 'ungated')"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

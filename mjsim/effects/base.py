@@ -176,4 +176,4 @@ class Effect(abc.ABC):
         Returns None when all of it was written natively, else one line that says what plain MuJoCo lacks (the parameters
         then travel in the model's ``<custom>`` element, which simgap reads back).
         """
-        return f"{self.id} at {self.place} is not expressible in MJCF: plain MuJoCo runs without it"
+        return f"{self.id.replace('_', ' ')} at the {self.place}: MJCF has no element for it"

@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["CoulombFriction"]
 
@@ -51,6 +52,11 @@ class CoulombFriction(Effect):
         if self.place != "motor" and body == 0:
             raise NotApplicableError("a rigid axis has one body: its friction stands at the motor")
         return (Friction(body, level, (self.torque_Nm,)),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        return None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["ExtraFlexibleMode"]
 
@@ -44,6 +45,13 @@ class ExtraFlexibleMode(Effect):
         """Where the law acts."""
         body = need_body(chain, self.place)
         return (SplitInertia(body, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        body = need_body(editor.chain, self.place)
+        if editor.split(body, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad):
+            return None
+        return f"the flexible mode of the {self.place}: its body has no joint of its own"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

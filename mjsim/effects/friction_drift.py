@@ -18,6 +18,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["FrictionDrift"]
 
@@ -53,6 +54,11 @@ class FrictionDrift(Effect):
         """Where the law acts."""
         p = (self.torque_Nm, self.relative_change, self.time_constant_s)
         return (Friction(need_body(chain, self.place), level, p),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        return "the drift of friction: frictionloss has its final level"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["HardeningStiffness"]
 
@@ -47,6 +48,12 @@ class HardeningStiffness(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (CouplingTorque(need_coupling(chain, self.place), torque, (self.coefficient_Nm_rad3,)),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        if editor.cubic(need_coupling(editor.chain, self.place), self.coefficient_Nm_rad3):
+            return None
+        return f"the hardening of the {self.place}: no one element carries its spring"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

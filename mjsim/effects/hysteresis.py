@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["Hysteresis"]
 
@@ -52,6 +53,11 @@ class Hysteresis(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (CouplingTorque(need_coupling(chain, self.place), torque, (self.torque_Nm, self.stiffness_Nm_rad), state=True),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.plastic(need_coupling(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad)
+        return None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

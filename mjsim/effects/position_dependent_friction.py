@@ -18,6 +18,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["PositionDependentFriction"]
 
@@ -54,6 +55,11 @@ class PositionDependentFriction(Effect):
         """Where the law acts."""
         p = (self.torque_Nm, self.relative_amplitude, self.cycles_per_rev, self.phase_rad)
         return (Friction(need_body(chain, self.place), level, p),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        return "the variation of friction over the angle: frictionloss has its mean"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

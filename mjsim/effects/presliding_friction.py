@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["PreslidingFriction"]
 
@@ -51,6 +52,13 @@ class PreslidingFriction(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm, self.stiffness_Nm_rad), state=True),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        # LuGre with equal static and sliding level and no bristle damping is Dahl's law, whatever the Stribeck velocity
+        if editor.motor_part("bristle", lugre=(self.stiffness_Nm_rad, 0.0, self.torque_Nm, self.torque_Nm, 1.0)):
+            return None
+        return f"presliding friction at the {self.place}: its angle is not one joint's"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["QuadraticFriction"]
 
@@ -47,6 +48,12 @@ class QuadraticFriction(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (BodyTorque(need_body(chain, self.place), torque, (self.coefficient_Nm_s2_rad2,)),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        if editor.drag(need_body(editor.chain, self.place), self.coefficient_Nm_s2_rad2):
+            return None
+        return f"quadratic friction at the {self.place}: its angle is not one joint's"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

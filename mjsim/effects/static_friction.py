@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["StaticFriction"]
 
@@ -48,6 +49,11 @@ class StaticFriction(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (Friction(need_body(chain, self.place), level, (self.torque_Nm, self.peak)),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        return "the higher friction at rest: frictionloss has one level"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -18,6 +18,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["StribeckFriction"]
 
@@ -54,6 +55,11 @@ class StribeckFriction(Effect):
         """Where the law acts."""
         p = (self.torque_Nm, self.extra_static_torque_Nm, self.stribeck_velocity_rad_s)
         return (Friction(need_body(chain, self.place), level, p),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        return "the higher friction at low speed: frictionloss has the level at high speed only"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

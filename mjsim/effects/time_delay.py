@@ -16,6 +16,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["TimeDelay"]
 
@@ -38,6 +39,13 @@ class TimeDelay(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (InputDelay(self.delay_s),) if self.place == "actuator" else (OutputDelay(self.delay_s),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        if self.place == "actuator":
+            editor.delay_input(self.delay_s)
+            return None
+        return None if editor.delay_output(self.delay_s) else "the delay of the measurement: the model has no sensor for it"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -18,6 +18,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["TorqueRipple"]
 
@@ -51,6 +52,16 @@ class TorqueRipple(Effect):
         """Where the law acts."""
         p = (self.amplitude_Nm, self.cycles_per_rev, self.phase_rad)
         return (BodyTorque(need_body(chain, self.place), torque, p, spatial=self.cycles_per_rev),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        cycles = round(self.cycles_per_rev)
+        if abs(cycles - self.cycles_per_rev) > 1e-9:
+            return f"torque ripple of {self.cycles_per_rev:.6g} periods per turn: <dcmotor> takes whole numbers"
+        # cogging drives forward, the law here opposes: half a turn of phase
+        if editor.motor_part("cogging", cogging=(self.amplitude_Nm, cycles, self.phase_rad + math.pi)):
+            return None
+        return "torque ripple: the motor's angle is not one joint's"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -29,13 +29,17 @@ def outside(where: object, what: str, todo: str) -> InputError:
 
 @dataclass(frozen=True)
 class Mass:
-    """An inertia on a row. ``kind`` is body, or joint, tendon, actuator for an armature; ``id`` is its index there."""
+    """An inertia on a row; ``lever`` is the share that comes from a hinge body's centre standing off the axis.
+
+    ``kind`` is body, or joint, tendon, actuator for an armature; ``id`` is its index there.
+    """
 
     kind: str
     id: int
     name: str
     row: np.ndarray
     value: float
+    lever: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -215,6 +219,7 @@ def _body_masses(model: mujoco.MjModel, data: mujoco.MjData, source: object) -> 
         mujoco.mj_jacBodyCom(model, data, jacp, jacr, b)
         where = f"body {_label(model.body(b).name, b)}"
         mass = float(model.body_mass[b])
+        lever = 0.0
         turning = np.linalg.norm(jacr) > _TOL
         moving = np.linalg.norm(jacp) > _TOL
         if not turning and not moving:
@@ -230,10 +235,11 @@ def _body_masses(model: mujoco.MjModel, data: mujoco.MjData, source: object) -> 
             row = turn
             if moving:
                 scale = float(np.linalg.norm(move) / np.linalg.norm(turn))
-                value += mass * (scale * float(np.linalg.norm(arm))) ** 2
+                lever = mass * (scale * float(np.linalg.norm(arm))) ** 2
+                value += lever
         else:
             row, value = move, mass * float(arm @ arm)
-        out.append(Mass("body", b, model.body(b).name, row, value))
+        out.append(Mass("body", b, model.body(b).name, row, value, lever))
     return out
 
 

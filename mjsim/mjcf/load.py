@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,23 +47,39 @@ def load_axis(path: str | Path, *, actuator: str | None = None) -> Axis:
     return load_model(path, actuator=actuator).axis
 
 
-def load_model(path: str | Path, *, actuator: str | None = None) -> Model:
-    """`load_axis`, together with the compiled model and where each number stands in it."""
+def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[str, str] | None = None) -> Model:
+    """`load_axis`, together with the compiled model and where each number stands in it.
+
+    ``bound`` takes the place of the ``[model]`` table beside the file.
+    """
     path = Path(path)
     model = compile_file(path)
-    bound = _bound(path)
     carried = _carried(model, path)
-    layout = lay_out(model, path, actuator or bound.get("actuator"), carried.added if carried else ())
+    if bound is None:
+        bound = {**(dict(carried.bound) if carried else {}), **_bound(path)}
+    layout = lay_out(model, path, actuator or bound.get("actuator"), carried.ignored if carried else ())
     found = find_chain(layout, path, (_sensor(model, path, bound, "velocity"), _sensor(model, path, bound, "angle")))
     _linear_only(found, path, carried)
     _passive_actuators(model, path, carried)
     _no_contact(model, path)
     _at_rest(found, path)
     if carried is not None:
-        axis = Axis(found.chain, carried.effects, carried.law)
+        axis = _carried_axis(found, carried, path)
     else:
         axis = Axis(found.chain, tuple(_native_effects(found, path)), _law(found))
     return Model(path, found, axis, carried)
+
+
+def _carried_axis(found: Found, carried: custom.Carried, path: Path) -> Axis:
+    try:
+        axis = Axis(found.chain, carried.effects, carried.law)
+        for effect in axis.effects:
+            effect.ports(found.chain)
+    except ValueError as error:
+        raise InputError(
+            path, f"an effect it carries does not fit it ({error})", "places of this chain", "correct the text"
+        ) from None
+    return axis
 
 
 def _bound(path: Path) -> dict[str, str]:
@@ -81,15 +98,15 @@ def _bound(path: Path) -> dict[str, str]:
     return dict(table)
 
 
-def _sensor(model: mujoco.MjModel, path: Path, bound: dict[str, str], what: str) -> str:
+def _sensor(model: mujoco.MjModel, path: Path, bound: Mapping[str, str], what: str) -> str:
     """The bound sensor, else the one with the default name, else the first of its kind, else the default name."""
     names = [model.sensor(s).name for s in range(model.nsensor)]
     wanted = bound.get(f"{what}_sensor")
-    if wanted is not None:
+    default = f"motor_{what}"
+    if wanted is not None and wanted != default:
         if wanted not in names:
             raise InputError(path, f"no sensor {wanted!r}", f"one of: {', '.join(names) or 'none'}", "bind one that is there")
         return wanted
-    default = f"motor_{what}"
     kinds = {
         "velocity": (mujoco.mjtSensor.mjSENS_JOINTVEL, mujoco.mjtSensor.mjSENS_ACTUATORVEL),
         "angle": (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_ACTUATORPOS),
@@ -100,7 +117,7 @@ def _sensor(model: mujoco.MjModel, path: Path, bound: dict[str, str], what: str)
 
 def _carried(model: mujoco.MjModel, path: Path) -> custom.Carried | None:
     for t in range(model.ntext):
-        if model.text(t).name == custom.NAME:
+        if mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, t) == custom.NAME:
             start, size = int(model.text_adr[t]), int(model.text_size[t])
             return custom.unpack(model.text_data[start : start + size - 1].decode(), path)
     return None
@@ -129,7 +146,7 @@ def _linear_only(found: Found, path: Path, carried: custom.Carried | None) -> No
 def _passive_actuators(model: mujoco.MjModel, path: Path, carried: custom.Carried | None) -> None:
     for a in range(model.nu):
         name = model.actuator(a).name
-        if model.actuator_ctrlnum[a] == 0 and (carried is None or name not in carried.added):
+        if model.actuator_ctrlnum[a] == 0 and (carried is None or name not in carried.ignored):
             raise outside(path, f"actuator {name!r} acts by itself", "remove it")
 
 

@@ -1,0 +1,126 @@
+"""Axis -> a corrected copy of an authored MJCF."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjsim.axis import Axis
+from mjsim.errors import InputError
+from mjsim.mjcf import custom
+from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.editor import MjcfEditor
+from mjsim.mjcf.load import Model, load_model
+from mjsim.mjcf.xmltext import XmlText
+
+__all__ = ["Written", "write_corrected"]
+
+
+@dataclass(frozen=True)
+class Written:
+    """The file that was written, and one line for each thing that plain MuJoCo lacks in it (simgap has it)."""
+
+    path: Path
+    lacks: tuple[str, ...]
+
+
+def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, comment: str = "") -> Written:
+    """Write a copy of an authored MJCF that holds this axis: its linear parameters and all of its effects.
+
+    What MJCF expresses is written by its own elements; everything is carried in ``<custom>``, which `load_axis` reads back and
+    which alone counts there, so that nothing acts twice. ``comment`` stands at the head of the correction. The rest of the file
+    stays as its author left it. A file that was corrected before is first taken back to what it was.
+    """
+    nominal, out = Path(nominal_path), Path(out_path)
+    source = load_model(nominal, actuator=axis.chain.actuator)
+    _same_shape(nominal, source.axis, axis)
+    with tempfile.TemporaryDirectory() as work:
+        if source.carried is not None:
+            source = _restored(source, Path(work) / "nominal.xml")
+        editor = MjcfEditor(source.path, source.found, axis.chain, axis.backlash_law)
+        editor.linear()
+        own = {e.key: e for e in source.axis.effects}
+        # what the author wrote by MJCF's own elements and still holds stands there already
+        said = [effect.native(editor) for effect in axis.effects if own.get(effect.key) != effect]
+        lacks = tuple(line for line in said if line is not None)
+        editor.relocate(out)
+        beside = nominal.with_suffix(".toml")
+        binding = source.carried.binding if source.carried else ""
+        carried = custom.Carried(
+            axis.effects, axis.backlash_law, tuple(editor.ignored),
+            (
+                ("actuator", axis.chain.actuator), ("velocity_sensor", axis.chain.velocity_sensor),
+                ("angle_sensor", axis.chain.angle_sensor),
+            ),
+            tuple(editor.added), tuple(editor.undo),
+            beside.read_text(encoding="utf-8") if beside.is_file() else binding,
+        )  # fmt: skip
+        lines = _head(editor, axis, lacks, comment)
+        editor.xml.append(editor.xml.root, ["<custom>", *(f"  {x}" for x in lines), *(f"  {x}" for x in custom.element(carried)),
+                                            "</custom>"])  # fmt: skip
+        _save(editor.xml.text, out)
+    return Written(out, lacks)
+
+
+def _same_shape(path: Path, nominal: Axis, axis: Axis) -> None:
+    a, b = nominal.chain, axis.chain
+    names = [[x.joint for x in c.bodies] + [x.joint for x in c.couplings] for c in (a, b)]
+    ratios = ([c.ratio for c in a.couplings], [c.ratio for c in b.couplings])
+    if names[0] != names[1] or not np.allclose(*ratios, rtol=1e-9) or not np.isclose(a.gain, b.gain, rtol=1e-9):
+        raise InputError(
+            path, "the axis is not this model's", "bodies, ratios and gain as in the file", "load the axis from this file"
+        )
+
+
+def _restored(source: Model, at: Path) -> Model:
+    """The file before its correction, written to ``at``."""
+    assert source.carried is not None
+    editor = MjcfEditor(source.path, source.found, source.axis.chain)
+    editor.undo_all(list(source.carried.undo), list(source.carried.added))
+    drop(editor.xml)
+    editor.relocate(at)
+    at.write_text(editor.xml.text, encoding="utf-8")
+    bound = dict(source.carried.bound)
+    again = load_model(at, bound=bound)
+    return Model(at, again.found, again.axis, source.carried)
+
+
+def drop(xml: XmlText) -> None:
+    """Remove the <custom> section of an earlier correction."""
+    node = xml.find(lambda n: n.tag == "text" and n.attributes.get("name") == custom.NAME)
+    if node is not None:
+        alone = node.parent is not None and len(node.parent.children) == 1
+        xml.remove(node.parent if alone and node.parent is not None else node)
+
+
+def _head(editor: MjcfEditor, axis: Axis, lacks: tuple[str, ...], comment: str) -> list[str]:
+    """The comment that says what was changed and what plain MuJoCo lacks."""
+    parts = [comment] if comment else []
+    changed = [
+        f"{new.name} {old.value:.6g} -> {new.value:.6g} {new.quantity.unit(axis.chain.motion)}"
+        for old, new in zip(editor.chain.linear_parameters(), axis.chain.linear_parameters(), strict=False)
+        if old.name == new.name and not np.isclose(old.value, new.value, rtol=1e-12, atol=0.0)
+    ]
+    parts.append("Corrected by simgap" + (": " + ", ".join(changed) if changed else "") + ".")
+    parts += [f"{e.describe()}" for e in axis.effects]
+    parts += [f"Plain MuJoCo lacks: {line}." for line in lacks]
+    parts.append("simgap reads the effects from the text below, and from there only.")
+    lines = [line for p in parts for line in textwrap.wrap(p.replace("--", "- -"), 120, subsequent_indent="  ")]
+    return ["<!--", *(f"  {line}" for line in lines), "-->"]
+
+
+def _save(text: str, out: Path) -> None:
+    """Write beside the final name, let MuJoCo load it, then move it there."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = out.with_name(f".{out.name}.part.xml")
+    try:
+        part.write_text(text, encoding="utf-8")
+        compile_file(part)
+        os.replace(part, out)
+    finally:
+        part.unlink(missing_ok=True)
