@@ -128,7 +128,7 @@ def test_propagators_and_runge_kutta_agree(name: str) -> None:
     fast = ode.simulate(model, u, DT)
     general = ode.simulate(dataclasses.replace(model, affine=False), u, DT, substeps=8)
     assert relative(fast.velocity, general.velocity) < 1e-6
-    np.testing.assert_allclose(fast.coupling_torque, general.coupling_torque, atol=1e-3)
+    np.testing.assert_allclose(fast.coupling_torque, general.coupling_torque, atol=1e-2)
 
 
 def test_a_reversal_inside_one_step_is_seen() -> None:
