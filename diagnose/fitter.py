@@ -72,13 +72,14 @@ class Fitted:
         return self.fit.status is not Status.FAILED
 
     def standard_errors(self) -> np.ndarray:
-        """Standard errors of the scaled vector from the Gauss-Newton Hessian, residual variance estimated (p,)."""
+        """Standard errors [SI] of the vector's numbers from the Gauss-Newton Hessian, residual variance estimated (p,)."""
         J = self.fit.J
         variance = self.chi2 / max(self.n - J.shape[1], 1)
         scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
         s = np.maximum(s, 1e-10 * s[0])
-        return np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
+        slope = np.array([abs(e.slope(v)) for e, v in zip(self.hypothesis.entries, self.fit.x, strict=True)])
+        return slope * np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,7 @@ class Fitter:
         for i, e in enumerate(h.entries):
             if e.label in known:
                 scale, column = known[e.label]
-                J[:, i] = column * (e.scale / scale)
+                J[:, i] = column if e.log else column * (e.scale / scale)
         return J
 
     def refined(self, fitted: Fitted, step: float = 2e-4) -> Fitted:

@@ -22,7 +22,10 @@ __all__ = ["Entry", "Hypothesis", "make"]
 
 @dataclass(frozen=True)
 class Entry:
-    """One number of the vector: where it belongs, its scale and bounds [SI]; recording is -1 for shared ones."""
+    """One number of the vector: where it belongs, its scale and bounds [SI]; recording is -1 for shared ones.
+
+    ``log``: the vector holds log(value / scale), for inertias and stiffnesses, whose ratio is what a response depends on.
+    """
 
     owner: str
     name: str
@@ -32,6 +35,19 @@ class Entry:
     upper: float
     start: float
     recording: int = -1
+    log: bool = False
+
+    def scaled(self, value: float) -> float:
+        """SI value -> vector."""
+        return math.log(max(value, 1e-300) / self.scale) if self.log else value / self.scale
+
+    def si(self, x: float) -> float:
+        """Vector -> SI value."""
+        return self.scale * math.exp(min(x, 600.0)) if self.log else x * self.scale
+
+    def slope(self, x: float) -> float:
+        """d(SI value) / d(vector)."""
+        return self.si(x) if self.log else self.scale
 
     @property
     def label(self) -> str:
@@ -67,18 +83,21 @@ class Hypothesis:
             scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
             positive = p.kind in ("inertia", "stiffness")
             low, high = (0.02 * scale, 50 * scale) if positive else (-50 * scale, 50 * scale)
-            entries.append(Entry("", p.name, p.quantity, scale, low, high, min(max(start, low), high)))
+            entries.append(Entry("", p.name, p.quantity, scale, low, high, min(max(start, low), high), -1, positive))
         for effect in (*nominal.effects, *effects):
             s = scales[effect.place]
             for spec in type(effect).specs():
                 value = getattr(effect, spec.name)
-                entry = (spec.name, spec.quantity, _scale(spec.quantity, value, s), spec.lower, spec.upper)
+                scale = _scale(spec.quantity, value, s)
+                log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
+                low, high = (1e-4 * scale, 1e4 * scale) if log else (spec.lower, spec.upper)
+                entry = (spec.name, spec.quantity, scale, low, high)
                 if spec.nuisance:
                     for r in range(n_recordings):
                         start = (own or {}).get((effect.key, spec.name, r), value)
-                        entries.append(Entry(effect.key, *entry, start, r))
+                        entries.append(Entry(effect.key, *entry, start, r, log))
                 else:
-                    entries.append(Entry(effect.key, *entry, value))
+                    entries.append(Entry(effect.key, *entry, value, -1, log))
         speed = scales["motor"].velocity
         for r in range(n_recordings):
             if moving[r]:
@@ -90,12 +109,12 @@ class Hypothesis:
     @property
     def start(self) -> np.ndarray:
         """The start as a scaled vector."""
-        return np.array([e.start / e.scale for e in self.entries])
+        return np.array([e.scaled(e.start) for e in self.entries])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Scaled lower and upper bounds."""
-        return np.array([e.lower / e.scale for e in self.entries]), np.array([e.upper / e.scale for e in self.entries])
+        return np.array([e.scaled(e.lower) for e in self.entries]), np.array([e.scaled(e.upper) for e in self.entries])
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -104,7 +123,7 @@ class Hypothesis:
 
     def values(self, x: np.ndarray) -> dict[tuple[str, str, int], float]:
         """(owner, name, recording) -> SI value."""
-        return {(e.owner, e.name, e.recording): float(v * e.scale) for e, v in zip(self.entries, x, strict=True)}
+        return {(e.owner, e.name, e.recording): float(e.si(v)) for e, v in zip(self.entries, x, strict=True)}
 
     def axis(self, x: np.ndarray, recording: int = 0) -> Axis:
         """The axis that a vector stands for, with the numbers of one recording."""

@@ -44,7 +44,7 @@ def jacobian(
     tasks, signs = [], []
     for i in range(len(x)):
         h = step[i]
-        if x[i] + h > upper[i] or (x[i] - h >= lower[i] and x[i] < 0 <= lower[i] + h):
+        if x[i] + h > upper[i] or x[i] + h < lower[i]:
             h = -h
         y = x.copy()
         y[i] += h
@@ -57,6 +57,24 @@ def jacobian(
             return None
         J[:, i] = (c - r0) / h
     return J
+
+
+def _bounded_step(A: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Minimiser of g d + d A d / 2 with the coordinates that would leave the bounds held at them."""
+    n = len(x)
+    d = np.zeros(n)
+    free = np.ones(n, bool)
+    for _ in range(n):
+        rhs = -(g[free] + A[np.ix_(free, ~free)] @ d[~free])
+        d[free] = np.linalg.lstsq(A[np.ix_(free, free)], rhs, rcond=1e-14)[0]
+        out = free & ((x + d < lower) | (x + d > upper))
+        if not out.any():
+            break
+        d[out] = np.clip(x[out] + d[out], lower[out], upper[out]) - x[out]
+        free &= ~out
+        if not free.any():
+            break
+    return d
 
 
 def levenberg_marquardt(
@@ -96,23 +114,19 @@ def levenberg_marquardt(
         A, g = J.T @ J, J.T @ r
         scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
         improved = False
-        for _ in range(8):
-            free = np.ones(n_x, bool)
-            for _pin in range(3):
-                d = np.zeros(n_x)
-                Af = A[np.ix_(free, free)] + mu * np.diag(scale[free])
-                d[free] = -np.linalg.lstsq(Af, g[free], rcond=1e-14)[0]
-                trial = x + d
-                out = free & ((trial < lower) | (trial > upper)) & ((x <= lower) | (x >= upper))
-                if not out.any():
-                    break
-                free &= ~out
+        first_gain: float | None = None
+        for _ in range(12):
+            d = _bounded_step(A + mu * np.diag(scale), g, x, lower, upper)
             trial = np.clip(x + d, lower, upper)
             d = trial - x
             gain = -float(2 * g @ d + d @ A @ d) / cost
-            if gain < tolerance * 0.1 and mu <= 1e-2:
+            first_gain = gain if first_gain is None else first_gain
+            if abs(gain) < tolerance * 0.1 and mu <= 1e-2:
                 status = Status.CONVERGED
                 break
+            if gain <= 0:
+                mu = max(mu, 1e-6) * 10
+                continue
             r_new = residual(trial)
             if r_new is not None and (c_new := float(r_new @ r_new)) < cost:
                 actual = (cost - c_new) / cost
@@ -124,7 +138,7 @@ def levenberg_marquardt(
         if status is Status.CONVERGED:
             break
         if not improved:
-            status = Status.CONVERGED if gain < 10 * tolerance else Status.STALLED
+            status = Status.CONVERGED if first_gain is not None and first_gain < 10 * tolerance else Status.STALLED
             break
         if actual < tolerance:
             status = Status.CONVERGED

@@ -141,18 +141,20 @@ class Search:
         far = base.chi2 > 1.5 * base.n
         for present, s in entrants:
             structure = effect_class(s.candidate.id).family == "structure"
-            fits = []
-            for effect in s.starts[: 6 if structure else 1]:
-                guesses = [self.fitter.hypothesis((*present, effect), base.linear, base.own)]
-                if far:
-                    guesses.append(self.fitter.hypothesis((*present, effect), None, base.own))
-                costs = self.fitter.run([lambda h=h: self.fitter.residual(h)(h.start) for h in guesses])
-                order = sorted(range(len(guesses)), key=lambda i: math.inf if costs[i] is None else float(costs[i] @ costs[i]))
-                h = guesses[order[0]]
-                borrow = base if order[0] == 0 else None
-                f = self.fitter.fit(h, iterations=2, tolerance=1e-4, borrow=borrow)
-                if f.ok:
-                    fits.append(f)
+            linears = (base.linear, None) if far else (base.linear,)
+            guesses = [
+                self.fitter.hypothesis((*present, effect), linear, base.own)
+                for linear in linears for effect in s.starts[: None if structure else 2]
+            ]  # fmt: skip
+            costs = self.fitter.run([lambda h=h: self.fitter.residual(h)(h.start) for h in guesses])
+            cost = [math.inf if c is None else float(c @ c) for c in costs]
+            order = sorted(range(len(guesses)), key=lambda i: cost[i])[: 6 if structure else 1]
+            borrows = [base if i < len(guesses) // len(linears) else None for i in order]
+            fits = [
+                self.fitter.fit(guesses[i], iterations=2, tolerance=1e-4, borrow=borrow)
+                for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
+            ]  # fmt: skip
+            fits = [f for f in fits if f.ok]
             if fits:
                 running.append(min(fits, key=lambda f: f.chi2))
             else:

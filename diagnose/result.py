@@ -1,0 +1,254 @@
+"""What a diagnosis is: verdict, findings, where the mismatch is, fits before and after, rivals, and what to measure next."""
+
+from __future__ import annotations
+
+import enum
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "Diagnosis",
+    "Estimate",
+    "Finding",
+    "FitFigures",
+    "Mismatch",
+    "Place",
+    "Rival",
+    "Share",
+    "StateShare",
+    "Traces",
+    "Verdict",
+]
+
+
+class Verdict(enum.Enum):
+    """The four answers; the value stands in the JSON."""
+
+    NO_MISMATCH = "no_mismatch"
+    PARAMETERS_ONLY = "parameters_only"
+    MISSING_PHYSICS = "missing_physics"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval and unit."""
+
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """As in the contract."""
+        return {"value": self.value, "ci95": list(self.ci95), "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that was found: what, where, how large, on what evidence, and which others the data cannot tell from it.
+
+    evidence: held_out_error_before / _after (rms without and with this effect, view's unit), p_value (held-out, one-sided, corrected
+    for the number of hypotheses), delta_chi2 (estimation, whitened), hypotheses (number tested).
+    """
+
+    effect: str
+    place: str
+    element: str
+    sentence: str
+    parameters: Mapping[str, Estimate]
+    evidence: Mapping[str, float]
+    equivalents: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Share:
+    """A stretch of time [s] or a band of frequency [Hz] and its share of the residual energy above noise (0..1)."""
+
+    low: float
+    high: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class StateShare:
+    """How much of the disturbance torque at the motor a function of one state explains (0..1), and that function.
+
+    state: its name; x: bin centres in unit; y: mean disturbance torque there; error: its standard error.
+    """
+
+    state: str
+    unit: str
+    share: float
+    x: np.ndarray
+    y: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place at which a disturbance could close the gap: rms of the torque (or signal) that does, how much of it one state explains."""
+
+    place: str
+    element: str
+    rms: float
+    unit: str
+    explained: float
+    by: str
+
+
+@dataclass(frozen=True, eq=False)
+class Mismatch:
+    """Where the refitted nominal model and the recording differ.
+
+    spectrum: (frequency_hz, residual psd, noise psd, output psd) arrays; above_noise: share of the residual energy that is not noise;
+    linear_share: share of it that is coherent with the input (the rest is nonlinear distortion or disturbance).
+    """
+
+    time: tuple[Share, ...]
+    frequency: tuple[Share, ...]
+    state: tuple[StateShare, ...]
+    place: tuple[Place, ...]
+    spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    above_noise: float
+    linear_share: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Intervals with their shares, as in the contract."""
+        return {
+            "time": [{"start_s": s.low, "end_s": s.high, "share": s.share} for s in self.time],
+            "frequency": [{"low_hz": s.low, "high_hz": s.high, "share": s.share} for s in self.frequency],
+            "state": [{"state": s.state, "unit": s.unit, "share": s.share} for s in self.state],
+            "place": [
+                {"place": p.place, "element": p.element, "rms": p.rms, "unit": p.unit, "explained": p.explained, "by": p.by}
+                for p in self.place
+            ],
+            "above_noise": self.above_noise,
+            "linear_share": self.linear_share,
+        }
+
+
+@dataclass(frozen=True)
+class FitFigures:
+    """Errors of one model: rms in the view's unit and nrmse (error over spread of the measurement), estimation and held-out."""
+
+    rms: float
+    nrmse: float
+    held_out_rms: float
+    held_out_nrmse: float
+
+    def as_dict(self) -> dict[str, float]:
+        """By name."""
+        return {"rms": self.rms, "nrmse": self.nrmse, "held_out_rms": self.held_out_rms, "held_out_nrmse": self.held_out_nrmse}
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A structure that was fitted: its effects, parameters, estimation and held-out error, how its fit ended."""
+
+    effects: tuple[str, ...]
+    n_parameters: int
+    rms: float
+    held_out_rms: float
+    criterion: float
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class Traces:
+    """Signals of one recording for the pictures (M samples): measured and the three predictions, in the view's unit."""
+
+    source: str
+    role: str
+    time: np.ndarray
+    measured: np.ndarray
+    nominal: np.ndarray | None
+    refitted: np.ndarray
+    corrected: np.ndarray
+    counted: np.ndarray
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The outcome; see the fields of the contract's ``diagnosis.json``. ``channel`` and ``unit``: what the models are judged on."""
+
+    verdict: Verdict
+    summary: str
+    findings: tuple[Finding, ...]
+    mismatch: Mismatch
+    linear_parameters: Mapping[str, Estimate]
+    nominal_parameters: Mapping[str, float]
+    fit: Mapping[str, FitFigures]
+    noise_floor: float
+    gap_closed: float
+    rivals: tuple[Rival, ...]
+    failed: Mapping[str, str]
+    notes: tuple[str, ...]
+    next_experiment: str | None
+    channel: str
+    unit: str
+    view: str
+    traces: tuple[Traces, ...]
+    recordings: tuple[Mapping[str, str], ...]
+    seed: int
+    seconds: float
+    versions: Mapping[str, str] = field(default_factory=dict)
+    false_alarm: Mapping[str, float] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The contract's JSON, with a few fields more."""
+        return {
+            "verdict": self.verdict.value,
+            "summary": self.summary,
+            "findings": [
+                {
+                    "effect": f.effect, "place": f.place, "element": f.element, "sentence": f.sentence,
+                    "parameters": {k: v.as_dict() for k, v in f.parameters.items()}, "evidence": dict(f.evidence),
+                    "equivalents": list(f.equivalents),
+                }
+                for f in self.findings
+            ],
+            "mismatch": self.mismatch.as_dict(),
+            "linear_parameters": {k: v.as_dict() for k, v in self.linear_parameters.items()},
+            "nominal_parameters": dict(self.nominal_parameters),
+            "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": self.noise_floor}},
+            "gap_closed": self.gap_closed,
+            "judged_on": {"channel": self.channel, "unit": self.unit, "view": self.view},
+            "rivals": [
+                {"effects": list(r.effects), "parameters": r.n_parameters, "rms": r.rms, "held_out_rms": r.held_out_rms,
+                 "criterion": r.criterion, "status": r.status} for r in self.rivals
+            ],
+            "failed": dict(self.failed),
+            "notes": list(self.notes),
+            "next_experiment": self.next_experiment,
+            "false_alarm": dict(self.false_alarm),
+            "seed": self.seed,
+            "versions": dict(self.versions),
+            "recordings": [dict(r) for r in self.recordings],
+            "seconds": self.seconds,
+        }  # fmt: skip
+
+    def write_json(self, path: Path) -> None:
+        """Write ``diagnosis.json`` in one move."""
+        scratch = path.with_suffix(".json.part")
+        scratch.write_text(json.dumps(_finite(self.as_dict()), indent=2) + "\n", encoding="utf-8")
+        scratch.replace(path)
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinities and no numpy numbers."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
