@@ -39,7 +39,8 @@ def coverage(seeds: int, n: int = 4000) -> None:
             phase.append(np.abs(off) <= 1.959964 * b.phase_std_deg)
         rate = np.mean(inside, axis=0)
         print(
-            f"{s.name:8s} {100 * rate.mean():19.2f} % {100 * rate.min():14.1f} % {100 * rate.max():5.1f} % {100 * np.mean(phase):9.2f} %"
+            f"{s.name:8s} {100 * rate.mean():19.2f} % {100 * rate.min():14.1f} % "
+            f"{100 * rate.max():5.1f} % {100 * np.mean(phase):9.2f} %"
         )
 
 
@@ -55,11 +56,12 @@ def hessian(s: System, seed: int, n: int) -> np.ndarray:
 
 def bound(seeds: int, n: int = 4000) -> None:
     print(
-        f"{'system':8s} {'seeds':>6s} {'variance / bound: mean':>22s} {'smallest':>9s} {'largest':>8s} {'own estimate / bound':>21s}"
+        f"{'system':8s} {'seeds':>6s} {'variance / bound: mean':>22s} "
+        f"{'smallest':>9s} {'largest':>8s} {'own estimate / bound':>21s}"
     )
     for s in SYSTEMS.values():
         information = np.mean([hessian(s, 50_000 + i, n) for i in range(20)], axis=0)
-        sigma = s.record(0, 10)[2]
+        sigma = s.record(0, n)[2]
         scale = np.sqrt(np.diag(information))
         limit = sigma**2 * np.diag(np.linalg.inv(information / np.outer(scale, scale))) / scale**2
         thetas, own = [], []

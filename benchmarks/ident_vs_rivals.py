@@ -3,11 +3,12 @@
     pip install -e '.[bench]'        (in a virtual environment of its own)
     OMP_NUM_THREADS=1 python benchmarks/ident_vs_rivals.py --seeds 200 --out out/ident_vs_rivals.jsonl
 
-Each fit is a line of the output file; a second run takes up where the first stopped. ``--summary`` prints the table only.
+Each fit is a line of the output file; a second run takes up where the first stopped. ``--summary`` prints the table only, over the
+seeds that every method has done.
 
-Error: rms over 200 frequencies of |G_hat / G - 1|. Wrong minimum: the loss of the returned model (from rest) exceeds the loss that
-a search from the true coefficients reaches so far that N log(V / V_ref) > 10. Seconds are processor time, so that other work on
-the machine does not count. SIPPY counts the delay as nk - 1. ``ident_statistics.py`` has the other bars.
+Error: rms over 200 frequencies of |G_hat / G - 1|. Wrong minimum: the loss of the returned model (from rest) exceeds the loss
+that a search from the true coefficients reaches so far that N log(V / V_ref) > 10. Seconds are processor time, so that other work
+on the machine does not count. SIPPY counts the delay as nk - 1. ``ident_statistics.py`` has the other bars.
 """
 
 from __future__ import annotations
@@ -134,11 +135,14 @@ def read(out: Path) -> list[dict]:
 def summary(out: Path) -> None:
     rows = read(out)
     print(
-        f"{'system':8s} {'method':6s} {'seeds':>5s} {'median error':>13s} {'max error':>11s} {'wrong minima':>12s} {'median s':>9s} {'max s':>8s}"
+        f"{'system':8s} {'method':6s} {'seeds':>5s} {'median error':>13s} {'max error':>11s} {'wrong minima':>12s} "
+        f"{'median s':>9s} {'max s':>8s}"
     )
     for name in dict.fromkeys(r["system"] for r in rows):
+        here = [r for r in rows if r["system"] == name]
+        common = set.intersection(*({r["seed"] for r in here if r["method"] == m} for m in {r["method"] for r in here}))
         for method in METHODS:
-            of = [r for r in rows if r["system"] == name and r["method"] == method]
+            of = [r for r in here if r["method"] == method and r["seed"] in common]
             if not of:
                 continue
             error, excess, seconds = (np.array([r[k] for r in of], float) for k in ("error", "excess", "seconds"))

@@ -13,7 +13,7 @@ from ident.estimate import Estimate
 from ident.polezero import PoleZero, Root
 from ident.predict import Comparison
 from ident.quality import Quality
-from ident.verdict import Verdict
+from ident.verdict import Verdict, excited_band
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,9 +40,11 @@ left }
 {% for sentence in verdict[1:] %}<p>{{ sentence }}</p>{% endfor %}</div>
 <h2>Frequency response</h2>
 <img alt="Bode plot of the model with its 95 % band over the spectral estimate" src="data:image/png;base64,{{ bode }}">
-{% if extrema %}<table><caption>Peaks and notches</caption><tr><th></th><th>frequency [Hz]</th><th>magnitude [dB]</th></tr>
-{% for e in extrema %}<tr><td>{{ e.kind }}</td><td>{{ "%.2f"|format(e.frequency_hz) }}</td><td>{{ "%.1f"|format(e.magnitude_db)
-}}</td></tr> {% endfor %}</table>{% endif %}
+{% if extrema %}<table><caption>Peaks and notches</caption>
+<tr><th></th><th>frequency [Hz]</th><th>magnitude [dB]</th><th></th></tr>
+{% for e in extrema %}<tr><td>{{ e.kind }}</td><td>{{ "%.2f"|format(e.frequency_hz) }}</td>
+<td>{{ "%.1f"|format(e.magnitude_db) }}</td><td>{{ "" if band[0] <= e.frequency_hz <= band[1] else "extrapolated" }}</td></tr>
+{% endfor %}</table>{% endif %}
 <h2>What is left over</h2>
 <img alt="Correlation of the residuals with themselves and with the input" src="data:image/png;base64,{{ residuals }}">
 <h2>Output, measured and simulated</h2>
@@ -131,6 +133,7 @@ def render_page(
         grade=verdict.grade.value,
         verdict=verdict.sentences,
         extrema=response.extrema(),
+        band=excited_band(estimate),
         roots=pairs,
         coefficients=rows,
         figures=numbers,

@@ -10,7 +10,7 @@ from ident.bode import Bode
 from ident.order import OrderSelection
 from ident.polezero import PoleZero
 from ident.predict import Comparison
-from ident.residuals import ResidualTests
+from ident.residuals import ResidualTests, p_text
 from ident.spectral import SpectralEstimate
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ def plot_bode(
                 if z > a * 1.01:
                     axis.axvspan(a, z, facecolor="none", edgecolor="0.75", hatch="////", linewidth=0, zorder=-1)
     if excited_hz is not None and excited_hz[1] < 0.97 * high_edge:
-        top.plot([], [], color="0.6", linewidth=0, marker="s", markerfacecolor="none", label="hatched: input has no power")
+        mark = {"facecolor": "none", "edgecolor": "0.6", "hatch": "////", "linewidth": 0}
+        top.fill_between([], [], [], label="input has no power here", **mark)
     top.set_xlim(low_edge, high_edge)
     top.set_ylabel(f"magnitude [dB{' re ' + unit if unit else ''}]")
     bottom.set_ylabel("phase [deg]")
@@ -115,9 +116,9 @@ def plot_residuals(tests: ResidualTests) -> Figure:
         axis.set_axisbelow(True)
         axis.legend(loc="upper right", fontsize=8, ncols=3)
     verdict = "white" if tests.white else "not white"
-    top.set_title(f"autocorrelation of the residuals: {verdict} (joint p = {tests.whiteness_p:.2g})", fontsize=10)
+    top.set_title(f"autocorrelation of the residuals: {verdict} (joint {p_text(tests.whiteness_p)})", fontsize=10)
     verdict = "free of past input" if tests.independent else "past input left in them"
-    bottom.set_title(f"cross-correlation with the input: {verdict} (joint p = {tests.independence_p:.2g})", fontsize=10)
+    bottom.set_title(f"cross-correlation with the input: {verdict} (joint {p_text(tests.independence_p)})", fontsize=10)
     top.set_xlabel("lag [samples]")
     bottom.set_xlabel("lag [samples]; negative lags tell of feedback")
     return figure

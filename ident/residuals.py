@@ -14,6 +14,11 @@ from ident.structure import Structure
 __all__ = ["ResidualTests", "check_residuals", "residual_tests"]
 
 
+def p_text(p: float) -> str:
+    """A p value as text: ``p = 0.03``, or ``p < 1e-300`` where it underflows."""
+    return f"p = {p:.2g}" if p > 1e-300 else "p < 1e-300"
+
+
 @dataclass(frozen=True)
 class ResidualTests:
     """Whiteness and independence of residuals, MATLAB ``resid`` (lag 25, 99 %) with a joint test added.

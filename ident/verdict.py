@@ -10,7 +10,7 @@ import numpy as np
 from ident.checks import missing_bands
 from ident.estimate import Estimate, Status, pem
 from ident.quality import Quality, quality
-from ident.residuals import ResidualTests, residual_tests
+from ident.residuals import ResidualTests, p_text, residual_tests
 from mjsim.errors import InputError
 
 __all__ = ["Grade", "Verdict", "alternative", "excited_band", "judge"]
@@ -100,20 +100,20 @@ def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quali
         words.append("The model is poor: much of what the input does to the output is not in it.")
     words.append(
         f"Simulated from the input alone, it reproduces {fit:.1f} % of the output (NRMSE fit; {unexplained:.2g} % of the "
-        f"output's variance is left over); predicted one step ahead, {q.fit_percent:.1f} %."
+        f"output's variance is left over); predicted one step ahead, {q.fit_percent:.4g} %."
         if np.isfinite(fit)
         else "Its simulation diverges."
     )
     lags, level = tests.lags, 100 * tests.level
     words.append(
         f"Residuals: {tests.auto_outside} of {lags} lags outside the {level:g} % whiteness bound "
-        f"(joint p = {tests.whiteness_p:.2g}), "
+        f"(joint {p_text(tests.whiteness_p)}), "
         f"{tests.cross_outside} of {lags + 1} outside the bound of independence of the input "
-        f"(joint p = {tests.independence_p:.2g})."
+        f"(joint {p_text(tests.independence_p)})."
     )
     if tests.feedback:
         words.append(
-            f"They also correlate with later inputs (p = {tests.feedback_p:.2g}): the data look as if taken under feedback, or "
+            f"They also correlate with later inputs ({p_text(tests.feedback_p)}): the data look as if taken under feedback, or "
             "the filter spreads events in time. Under feedback only a complete noise model gives an unbiased plant."
         )
     if tests.mean_p < 0.001:

@@ -159,9 +159,10 @@ def command(
     )
     steps.append(f"detrend: {detrend}")
     unit = f"{data.y_unit}/{data.u_unit}" if data.u_unit and data.y_unit else ""
+    band = excited_band(estimate)
     check = spectral(data) if len(data) >= 64 else None
     images = {
-        "bode": png(plot_bode({str(estimate.model.structure): response}, check, excited_band(estimate), unit)),
+        "bode": png(plot_bode({str(estimate.model.structure): response}, check, band, unit)),
         "residuals": png(plot_residuals(tests)),
         "comparison": png(plot_comparison(comparison)),
         "polezero": png(plot_pole_zero(roots)),
@@ -187,5 +188,6 @@ def command(
     if held_out is not None:
         click.echo(f"On {held_out.source} its simulation fits {comparison.fit_percent[0]:.1f} %.")
     for e in response.extrema():
-        click.echo(f"  {e.kind:5s} {e.frequency_hz:8.2f} Hz  {e.magnitude_db:7.1f} dB")
+        note = "" if band[0] <= e.frequency_hz <= band[1] else "  (extrapolated)"
+        click.echo(f"  {e.kind:5s} {e.frequency_hz:8.2f} Hz  {e.magnitude_db:7.1f} dB{note}")
     click.echo(f"Written: {out / 'identification.html'}")
