@@ -56,7 +56,7 @@ class Hysteresis(Effect):
 
     def native(self, editor: MjcfEditor) -> str | None:
         """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.plastic(need_coupling(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad)
+        editor.bristle_coupling(need_coupling(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad)
         return None
 
     @classmethod

@@ -55,8 +55,7 @@ class PreslidingFriction(Effect):
 
     def native(self, editor: MjcfEditor) -> str | None:
         """MJCF's own elements, or what plain MuJoCo lacks."""
-        # LuGre with equal static and sliding level and no bristle damping is Dahl's law, whatever the Stribeck velocity
-        if editor.motor_part("bristle", lugre=(self.stiffness_Nm_rad, 0.0, self.torque_Nm, self.torque_Nm, 1.0)):
+        if editor.bristle_body(need_body(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad):
             return None
         return f"presliding friction at the {self.place}: its angle is not one joint's"
 

@@ -59,7 +59,7 @@ class TorqueRipple(Effect):
         if abs(cycles - self.cycles_per_rev) > 1e-9:
             return f"torque ripple of {self.cycles_per_rev:.6g} periods per turn: <dcmotor> takes whole numbers"
         # cogging drives forward, the law here opposes: half a turn of phase
-        if editor.motor_part("cogging", cogging=(self.amplitude_Nm, cycles, self.phase_rad + math.pi)):
+        if editor.cogging(self.amplitude_Nm, cycles, self.phase_rad + math.pi):
             return None
         return "torque ripple: the motor's angle is not one joint's"
 

@@ -24,7 +24,7 @@ class Carried:
 
     effects and backlash law; ignored: elements that stand for an effect and are no part of the chain; bound: actuator and
     sensors; added (kind, name) and undo (kind, name, attribute, old value), oldest first: what was written into the author's
-    file; binding: the TOML text that stood beside it.
+    file; binding: the TOML text that stood beside it; lacks (effect, line): what plain MuJoCo does without.
     """
 
     effects: tuple[Effect, ...]
@@ -34,6 +34,7 @@ class Carried:
     added: tuple[tuple[str, str], ...] = ()
     undo: tuple[Edit, ...] = ()
     binding: str = ""
+    lacks: tuple[tuple[str, str], ...] = ()
 
 
 def element(carried: Carried) -> list[str]:
@@ -43,6 +44,7 @@ def element(carried: Carried) -> list[str]:
         f'"version": {VERSION}',
         f'"backlash_law": {json.dumps(carried.law.name.lower())}',
         '"effects": [' + ",\n  ".join(map(json.dumps, effects)) + "]",
+        '"lacks": [' + ",\n  ".join(map(json.dumps, carried.lacks)) + "]",
         f'"ignored": {json.dumps(carried.ignored)}',
         f'"bound": {json.dumps(dict(carried.bound))}',
         f'"added": {json.dumps(carried.added)}',
@@ -75,6 +77,7 @@ def unpack(text: str, source: object) -> Carried:
             tuple((str(k), str(n)) for k, n in table.get("added", [])),
             tuple((str(k), str(n), str(a), None if v is None else str(v)) for k, n, a, v in table.get("undo", [])),
             "".join(f"{line}\n" for line in table.get("binding", [])),
+            tuple((str(k), str(line)) for k, line in table.get("lacks", [])),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         said = str(error.args[0]) if error.args else type(error).__name__

@@ -23,6 +23,7 @@ __all__ = ["MjcfEditor", "number"]
 # largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf-native.md)
 FRICTION_STEP = 1e-4
 SLACK_STEP = 5e-5
+DELAY_STEP = 1e-4
 SLACK_ARMATURE = 5e-4
 IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 
@@ -404,14 +405,30 @@ class MjcfEditor:
         self.set(kind, name, stiffness=_row([linear, 0.0, coefficient / p.scale**4]))
         return True
 
-    def plastic(self, coupling: int, torque: float, stiffness: float) -> None:
-        """An elasto-plastic spring beside the coupling's own [N m, N m/rad | N, N/m]."""
+    def bristle_coupling(self, coupling: int, torque: float, stiffness: float) -> None:
+        """A yielding bristle beside the spring of a coupling, in the coupling's own units [N m, N m/rad | N, N/m]."""
         p = next((p for p in self.found.on_coupling[coupling] if p.element.stiffness[0]), self.found.on_coupling[coupling][0])
-        name = self.fresh("tendon", f"{self.chain.couplings[coupling].joint}_hysteresis")
-        k = stiffness / p.scale**2
-        self._tendon(
-            name, p.element.row, chain=False, stiffness=number(k), springyield=number(torque / abs(p.scale) / k), springlength="0"
-        )  # fmt: skip
+        where, target = p.element.kind, p.element.name
+        if where == "actuator":
+            target = self.fresh("tendon", f"{self.chain.couplings[coupling].joint}_across")
+            where = "tendon"
+            self._tendon(target, p.element.row, chain=False)
+        self._bristle(
+            f"{self.chain.couplings[coupling].joint}_hysteresis", where, target, torque / abs(p.scale), stiffness / p.scale**2
+        )
+
+    def bristle_body(self, body: int, torque: float, stiffness: float) -> bool:
+        """A yielding bristle between a body and the ground; False when the body's angle is not one joint's."""
+        joint = self._joint_of(body)
+        if joint is None:
+            return False
+        self._bristle(f"{joint}_bristle", "joint", joint, torque, stiffness)
+        return True
+
+    def _bristle(self, name: str, where: str, target: str, torque: float, stiffness: float) -> None:
+        # LuGre with one level and no bristle damping is s z, z' = v - s |v| z / F, whatever its Stribeck velocity
+        self.step(FRICTION_STEP)
+        self._passive_motor(name, where, target, lugre=(stiffness, 0.0, torque, torque, 1.0))
 
     def split(self, body: int, inertia: float, stiffness: float, damping: float) -> bool:
         """Hang part of a body's inertia on a further joint below it; False when the body has no joint of its own."""
@@ -457,11 +474,12 @@ class MjcfEditor:
     def lag_input(self, time_constant: float) -> None:
         """First-order lag of the command [s]."""
         if time_constant > 0:
-            self.set("actuator", self._general(), dyntype="filterexact", dynprm=number(time_constant))
+            self.set("actuator", self._general(), dyntype="filter", dynprm=number(time_constant))
 
     def delay_input(self, delay: float) -> None:
         """Delay of the command [s], in whole steps."""
         if delay > 0:
+            self.step(DELAY_STEP)
             self._follow(lambda: self._delay("actuator", self.found.layout.drive.name, delay))
 
     def _delay(self, kind: str, name: str, delay: float, **more: str) -> None:
@@ -483,18 +501,20 @@ class MjcfEditor:
             self._follow(lambda name=name: self._delay("sensor", name, delay, interp="linear"))  # type: ignore[misc]
         return bool(names)
 
-    def motor_part(self, what: str, **attributes: tuple[float, ...]) -> bool:
-        """A passive <dcmotor> at the driven joint (cogging, lugre); False when the driven body takes several joints."""
+    def cogging(self, amplitude: float, cycles: int, phase: float) -> bool:
+        """Torque amplitude sin(cycles angle + phase) on the driven body; False when its angle is not one joint's."""
         joint = self._joint_of(0)
         if joint is None:
             return False
-        name = self.fresh("actuator", f"{joint}_{what}")
-        extra = " ".join(f'{k}="{_row(v)}"' for k, v in attributes.items())
-        self.add(
-            "actuator", "actuator", name,
-            [f'<dcmotor name="{name}" joint="{joint}" input="none" resistance="1" motorconst="0 0" {extra}/>'],
-        )  # fmt: skip
+        self._passive_motor(f"{joint}_cogging", "joint", joint, cogging=(amplitude, float(cycles), phase))
         return True
+
+    def _passive_motor(self, name: str, where: str, target: str, **attributes: tuple[float, ...]) -> None:
+        """A <dcmotor> without input or electric part."""
+        name = self.fresh("actuator", name)
+        extra = " ".join(f'{k}="{_row(v)}"' for k, v in attributes.items())
+        line = f'<dcmotor name="{name}" {where}="{target}" input="none" resistance="1" motorconst="0 0" {extra}/>'
+        self.add("actuator", "actuator", name, [line])
 
     # ---- assets ---------------------------------------------------------------------------------------------------------
 

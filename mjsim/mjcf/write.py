@@ -46,8 +46,8 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
         editor.linear()
         own = {e.key: e for e in source.axis.effects}
         # what the author wrote by MJCF's own elements and still holds stands there already
-        said = [effect.native(editor) for effect in axis.effects if own.get(effect.key) != effect]
-        lacks = tuple(line for line in said if line is not None)
+        said = [(e.key, e.native(editor)) for e in axis.effects if own.get(e.key) != e]
+        lacks = tuple((key, line) for key, line in said if line is not None)
         editor.relocate(out)
         beside = nominal.with_suffix(".toml")
         binding = source.carried.binding if source.carried else ""
@@ -59,12 +59,13 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
             ),
             tuple(editor.added), tuple(editor.undo),
             beside.read_text(encoding="utf-8") if beside.is_file() else binding,
+            lacks,
         )  # fmt: skip
-        lines = _head(editor, axis, lacks, comment)
+        lines = _head(editor, axis, [line for _, line in lacks], comment)
         editor.xml.append(editor.xml.root, ["<custom>", *(f"  {x}" for x in lines), *(f"  {x}" for x in custom.element(carried)),
                                             "</custom>"])  # fmt: skip
         _save(editor.xml.text, out)
-    return Written(out, lacks)
+    return Written(out, tuple(line for _, line in lacks))
 
 
 def _same_shape(path: Path, nominal: Axis, axis: Axis) -> None:
@@ -98,7 +99,7 @@ def drop(xml: XmlText) -> None:
         xml.remove(node.parent if alone and node.parent is not None else node)
 
 
-def _head(editor: MjcfEditor, axis: Axis, lacks: tuple[str, ...], comment: str) -> list[str]:
+def _head(editor: MjcfEditor, axis: Axis, lacks: list[str], comment: str) -> list[str]:
     """The comment that says what was changed and what plain MuJoCo lacks."""
     parts = [comment] if comment else []
     changed = [
