@@ -3,8 +3,8 @@
     pip install -e '.[bench]'        (in a virtual environment of its own)
     OMP_NUM_THREADS=1 python benchmarks/ident_vs_rivals.py --seeds 200 --out out/ident_vs_rivals.jsonl
 
-Each fit is a line of the output file; a second run takes up where the first stopped. ``--summary`` prints the table only, over the
-seeds that every method has done.
+Each fit is a line of the output file; a second run takes up where the first stopped. ``--summary`` prints the table only, over
+the seeds that every method has done.
 
 Error: rms over 200 frequencies of |G_hat / G - 1|. Wrong minimum: the loss of the returned model (from rest) exceeds the loss
 that a search from the true coefficients reaches so far that N log(V / V_ref) > 10. Seconds are processor time, so that other work

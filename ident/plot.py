@@ -51,14 +51,15 @@ def plot_bode(
         keep = check.frequency_hz >= low_edge
         dots = {"color": "0.45", "marker": ".", "markersize": 3.0, "linestyle": "none", "zorder": 1}
         top.plot(check.frequency_hz[keep], check.magnitude_db[keep], label="spectral estimate (no model)", **dots)
-    reference = next(iter(responses.values()))
+    reference, band_label = next(iter(responses.values())), f"{100 * level:g} % band"
     for (name, b), style in zip(responses.items(), _cycle(len(responses)), strict=True):
         shown = b.frequency_hz >= low_edge
         x = b.frequency_hz[shown]
         if np.any(b.magnitude_std > 0):
             lower, upper = (edge[shown] for edge in b.magnitude_db_interval(level))
             sane = b.magnitude_std[shown] < 2.0
-            top.fill_between(x, lower, upper, where=sane, color=_BAND, linewidth=0, zorder=0, label=f"{100 * level:g} % band")
+            top.fill_between(x, lower, upper, where=sane, color=_BAND, linewidth=0, zorder=0, label=band_label)
+            band_label = "_"
             p_low, p_high = (edge[shown] for edge in b.phase_deg_interval(level))
             bottom.fill_between(x, p_low, p_high, where=sane, color=_BAND, linewidth=0, zorder=0)
         top.plot(x, b.magnitude_db[shown], color="black", linestyle=style, linewidth=1.3, label=name, zorder=3)
@@ -159,15 +160,17 @@ def plot_orders(selection: OrderSelection) -> Figure:
     axis = figure.subplots()
     choices = sorted(selection.choices, key=lambda c: (c.structure.n_parameters, c.structure.listed))
     x = np.arange(len(choices))
-    n = len(choices[0].estimate.data)
     for key, style, marker in (("bic", "-", "o"), ("aic", "--", "s")):
-        values = np.array([getattr(c, key) for c in choices]) / n
-        axis.plot(x, values, color="black", linestyle=style, marker=marker, markersize=4, linewidth=1, label=f"{key.upper()} / N")
+        values = np.array([getattr(c, key) for c in choices])
+        values = values - values.min()
+        axis.plot(x, values, color="black", linestyle=style, marker=marker, markersize=4, linewidth=1, label=key.upper())
         best = int(np.argmin(values))
         axis.plot(best, values[best], marker=marker, markersize=12, markerfacecolor="none", color="black", linestyle="none")
+    axis.set_yscale("symlog", linthresh=10)
+    axis.set_ylim(bottom=-3)
     axis.set_xticks(x, [" ".join(map(str, c.structure.listed)) for c in choices], rotation=90 if len(x) > 8 else 0, fontsize=8)
     axis.set_xlabel(f"orders of {choices[0].structure.name}; ringed: smallest")
-    axis.set_ylabel("criterion per sample")
+    axis.set_ylabel("above the smallest")
     axis.grid(True, color="0.92", linewidth=0.6)
     axis.legend(fontsize=8)
     return figure

@@ -57,14 +57,14 @@ def etfe(data: IOData, floor: float = 1e-3) -> SpectralEstimate:
 def spectral(data: IOData, window: int | None = None) -> SpectralEstimate:
     """Smoothed estimate ``Pyu / Pu`` with coherence (MATLAB ``spa``), by overlapping Hann-windowed segments (Welch).
 
-    ``window``: segment length in samples; default such that at least eight segments with half overlap fit (at most 1024).
+    ``window``: segment length in samples; default such that at least eight segments with half overlap fit (at most 8192).
     The relative standard error is ``sqrt((1 - c) / (2 c m))`` with coherence c and m effective segments (Bendat & Piersol).
     """
     from scipy.signal import coherence, csd, welch
 
     n = len(data)
     if window is None:
-        window = min(1024, 2 ** int(np.log2(max(16, n // 5))))
+        window = min(8192, 2 ** int(np.log2(max(16, n // 6))))
     if not 8 <= window <= n // 2:
         raise InputError("spectral window", f"{window} samples", f"8 to half of the {n} samples")
     fs = 1.0 / data.dt
