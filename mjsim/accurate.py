@@ -1,14 +1,14 @@
 """The accurate MuJoCo runner: MuJoCo steps an axis natively, and its step is cut so that it lands on every event.
 
-The axis is laid out as MuJoCo likes it best: each body on its own joint in its own units, each coupling a fixed tendon with native
-stiffness and damping, the torque a native motor, RK4. Between events nothing but MuJoCo acts. At an event `opt.timestep` is varied
-until the step ends on it; then the mode is switched in the model: the spring reference, stiffness and damping of the tendon
-(contact, gap, and the backlash law that the axis names), the mass of a body that sticks. So static friction with a peak and the
-1999 gated backlash law hold, which plain MJCF cannot express.
+The axis is laid out as MuJoCo likes it best: each body on its own joint in its own units, each coupling a fixed tendon with
+native stiffness and damping, the torque a native motor, RK4. Between events nothing but MuJoCo acts. At an event
+`opt.timestep` is varied until the step ends on it; then the mode is switched in the model: the spring reference, stiffness and
+damping of the tendon (contact, gap, and the backlash law that the axis names), the mass of a body that sticks. So static
+friction with a peak and the 1999 gated backlash law hold, which plain MJCF cannot express.
 
 Laws that MJCF lacks are called by address at each of the four stages, with MuJoCo's forward dynamics giving the acceleration
 (``qfrc_applied`` and the mass matrix carry them), so they are of fourth order too; no global callback is set. The loop is
-compiled and calls `mj_step` and `mj_forward` in MuJoCo's own library without the GIL: runs in threads do not wait for one another.
+compiled and calls `mj_step` and `mj_forward` in MuJoCo's own library without the GIL: threads do not wait for one another.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _entry_points() -> tuple[int, int]:
 
 @cache
 def _timestep_offset() -> int:
-    """Bytes from the start of an mjModel to opt.timestep: looked for by a value that is then changed, so that no layout is assumed."""
+    """Bytes from the start of an mjModel to opt.timestep, looked for by value: no layout of a version is assumed."""
     model = mujoco.MjModel.from_xml_string('<mujoco><option timestep="0.123456789"/></mujoco>')
     raw = (ctypes.c_double * 512).from_address(model._address)  # the sizes and mjOption stand at the head of the struct
     for i, first in enumerate(list(raw)):
@@ -148,7 +148,7 @@ def _timestep_offset() -> int:
 
 def _timestep(model: mujoco.MjModel) -> np.ndarray:
     """A view of opt.timestep, which the bindings give as a number only."""
-    return np.frombuffer((ctypes.c_double * 1).from_address(model._address + _timestep_offset()), float)
+    return np.ctypeslib.as_array((ctypes.c_double * 1).from_address(model._address + _timestep_offset()))
 
 
 @njit(cache=True, nogil=True)
@@ -209,7 +209,7 @@ def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque
         applied[j] -= ratio * whole - r * native
     for e in range(el.shape[0]):
         kind, i, si = el[e, 0], el[e, 1], el[e, 4]
-        if kind == KIND_TWIST or kind == KIND_COUPLING:
+        if kind < KIND_BODY:
             continue
         z[0], z[1], z[2], z[3], z[5], z[6] = t, x[0, i], x[1, i], mode[0, i], x[0, i], u
         z[4] = 0.0
@@ -292,7 +292,7 @@ def _advance(
         timestep[0] = h
         _mj(mj[2], mj[0], mj[1])
         for i in range(n):
-            xn[0, i] = qpos[i]
+            xn[0, i] = qpos[i] if mode[0, i] != 0 else x[0, i]
             xn[1, i] = qvel[i] if mode[0, i] != 0 else x[1, i]
         return
     for stage in range(4):
