@@ -23,9 +23,9 @@ from ident import IOData, bj, bode
 from ident.search import factor, residual
 
 
-def coverage(seeds: int, n: int = 4000) -> None:
+def coverage(systems: list[System], seeds: int, n: int) -> None:
     print(f"{'system':8s} {'band holds the truth':>21s} {'worst frequency':>16s} {'best':>7s} {'phase band':>11s}")
-    for s in SYSTEMS.values():
+    for s in systems:
         f = np.geomspace(0.01, 0.95, 40) * 0.5 / s.dt
         truth = s.response(2 * np.pi * f * s.dt)
         inside, phase = [], []
@@ -54,12 +54,12 @@ def hessian(s: System, seed: int, n: int) -> np.ndarray:
     return r.T @ r
 
 
-def bound(seeds: int, n: int = 4000) -> None:
+def bound(systems: list[System], seeds: int, n: int) -> None:
     print(
         f"{'system':8s} {'seeds':>6s} {'variance / bound: mean':>22s} "
         f"{'smallest':>9s} {'largest':>8s} {'own estimate / bound':>21s}"
     )
-    for s in SYSTEMS.values():
+    for s in systems:
         information = np.mean([hessian(s, 50_000 + i, n) for i in range(20)], axis=0)
         sigma = s.record(0, n)[2]
         scale = np.sqrt(np.diag(information))
@@ -99,8 +99,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["coverage", "bound", "scaling"])
     parser.add_argument("--seeds", type=int, default=400)
+    parser.add_argument("--samples", type=int, default=4000)
+    parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=list(SYSTEMS))
     args = parser.parse_args()
-    {"coverage": lambda: coverage(args.seeds), "bound": lambda: bound(args.seeds), "scaling": scaling}[args.what]()
+    systems = [SYSTEMS[name] for name in args.systems]
+    if args.what == "scaling":
+        scaling()
+    else:
+        {"coverage": coverage, "bound": bound}[args.what](systems, args.seeds, args.samples)
 
 
 if __name__ == "__main__":

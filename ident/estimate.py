@@ -166,6 +166,28 @@ def _descend(
     return theta, loss, total, int(code), r
 
 
+def _backcast(
+    theta: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
+) -> tuple[NDArray, float, int, int, NDArray]:
+    """Alternate: initial conditions by least squares at the present coefficients, then the coefficients with these held.
+
+    As ``_descend``. A step of one kind never raises the loss, so that the pair ends at a minimum of the joint problem.
+    """
+    count = s.n_parameters
+    held = free.copy()
+    held[count:] = 0
+    total, previous = 0, np.inf
+    theta, loss, iterations, code, r = _descend(theta, n, s, u, y, held, how)
+    for _ in range(how.max_iterations):
+        total += iterations
+        if previous - loss <= how.tolerance * loss:
+            break
+        previous = loss
+        state = _best_state(s, theta[:count], u, y)[0]
+        theta, loss, iterations, code, r = _descend(np.r_[theta[:count], state], n, s, u, y, held, how)
+    return theta, loss, total, code, r
+
+
 def _c_columns(s: Structure) -> slice:
     return slice(s.na + s.nb, s.na + s.nb + s.nc)
 
@@ -246,7 +268,10 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
         n = _sizes(s, with_state)
         theta = np.r_[first, state] if with_state else first
         free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
-        theta, loss, iterations, code, r = _descend(theta, n, s, u, y, free, options.search)
+        if kind is InitialCondition.BACKCAST:
+            theta, loss, iterations, code, r = _backcast(theta, n, s, u, y, free, options.search)
+        else:
+            theta, loss, iterations, code, r = _descend(theta, n, s, u, y, free, options.search)
         if kind is InitialCondition.AUTO and not with_state and not ends:
             _, zero_loss, state_loss = _best_state(s, theta, u, y)
             if _uses_state(s, kind, zero_loss, state_loss, size):

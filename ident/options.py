@@ -19,7 +19,7 @@ class InitialCondition(Enum):
     ESTIMATE = "estimate"
     """Further parameters of the search: exact Gauss-Newton in all of them."""
     BACKCAST = "backcast"
-    """Best least-squares fit, projected out at each iterate (variable projection)."""
+    """Best least-squares fit at the present coefficients, in turn with the search over these."""
 
 
 class Focus(Enum):

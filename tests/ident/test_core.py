@@ -161,6 +161,15 @@ def test_initial_conditions_are_found_when_the_record_starts_in_motion(bj_truth,
     assert_allclose(good.model.F, bj_truth.model.F, atol=0.01)
 
 
+def test_backcasting_ends_where_the_joint_search_does(bj_truth):
+    late = bj_truth.record(1400, 11, sigma=0.1).part(1000, 1400)
+    a, b = (
+        bj(late, (2, 2, 2, 2, 1), Options(initial_condition=k)) for k in (InitialCondition.ESTIMATE, InitialCondition.BACKCAST)
+    )
+    assert b.loss == pytest.approx(a.loss, rel=1e-4)
+    assert_allclose(b.model.F, a.model.F, atol=2e-3)
+
+
 def test_auto_takes_zero_for_a_record_from_rest(bj_truth):
     assert bj(bj_truth.record(1500, 12), (2, 2, 2, 2, 1)).initial_condition is InitialCondition.ZERO
 
