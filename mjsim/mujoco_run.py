@@ -39,8 +39,9 @@ def run_literal(
     """Run a single-axis MJCF in plain MuJoCo on a commanded torque (N,) held over each sample of dt [s].
 
     The file's timestep is taken, shortened where dt is no multiple of it; ``timestep`` [s] overrides it. ``initial`` (2, n):
-    angles and velocities of the chain's bodies; ``before``: torque ahead of the first sample, for a delay or lag. Measured signals come from the bound sensors when the file has them. Raises
-    DivergedError naming the time, the element and what to change; a warning of MuJoCo is such an error.
+    angles and velocities of the chain's bodies; ``before``: torque ahead of the first sample, for a delay or lag. Measured
+    signals come from the bound sensors when the file has them. Raises DivergedError naming the time, the element and what to
+    change; a warning of MuJoCo is such an error.
     """
     source = model if isinstance(model, Model) else load_model(model)
     torque = np.asarray(torque, float)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import importlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -109,4 +111,109 @@ def _npz(path: Path) -> Table:
         raise InputError(path, f"not a readable NPZ file ({error})", "numpy.savez", "name it by its true format") from None
 
 
-READERS: dict[str, Callable[[Path], Table]] = {".csv": _csv, ".mat": _mat, ".npz": _npz}
+def _need(package: str, path: Path) -> Any:
+    """Import an optional package, or say in one line how to get it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        top = package.partition(".")[0]
+        raise InputError(
+            path, f"the Python package {top!r} that reads {path.suffix} is not installed", "it", "pip install 'simgap[formats]'"
+        ) from None
+
+
+def _parquet(path: Path) -> Table:
+    arrow = _need("pyarrow", path)
+    parquet = _need("pyarrow.parquet", path)
+    try:
+        read = parquet.ParquetFile(str(path)).read()
+    except (arrow.ArrowException, OSError) as error:
+        raise InputError(path, f"not a readable Parquet file ({_line(error)})", "Parquet", "name it by its true format") from None
+    table: Table = {}
+    for name, column in zip(read.column_names, read.columns, strict=True):
+        if not (arrow.types.is_integer(column.type) or arrow.types.is_floating(column.type)):
+            continue
+        if column.null_count:
+            empty = int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])
+            raise InputError(path, f"row {empty + 1}, column {name!r} is empty", "a number", "correct or remove the row")
+        table[name] = column.to_numpy().astype(float)
+    return table
+
+
+def _mcap(path: Path) -> Table:
+    """JSON messages: ``topic.field`` for each number; a column of all topics alike for fields that only one topic has.
+
+    ``topic.log_time`` and ``log_time`` [s] count from the first message. Topics of another length than the longest are left out
+    of the short names.
+    """
+    reader = _need("mcap.reader", path)
+    exceptions = _need("mcap.exceptions", path)
+    columns: dict[str, dict[str, list[float]]] = {}
+    first: int | None = None
+    try:
+        with path.open("rb") as handle:
+            for schema, channel, message in reader.make_reader(handle).iter_messages():
+                if channel.message_encoding != "json":
+                    kind = channel.message_encoding or (schema.encoding if schema else "")
+                    raise InputError(
+                        path, f"topic {channel.topic!r} is encoded as {kind!r}", "messages in JSON", "convert it to JSON or CSV"
+                    )
+                first = message.log_time if first is None else first
+                values: dict[str, float] = {"log_time": (message.log_time - first) * 1e-9}
+                _flatten(json.loads(message.data), "", values)
+                topic = columns.setdefault(channel.topic.strip("/"), {})
+                for name, value in values.items():
+                    topic.setdefault(name, []).append(value)
+    except (exceptions.McapError, ValueError, OSError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, f"not a readable MCAP file ({_line(error)})", "MCAP", "name it by its true format") from None
+    return _merge(columns, path)
+
+
+def _flatten(value: Any, name: str, out: dict[str, float]) -> None:
+    """Numbers of a JSON value by their dotted names."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _flatten(item, f"{name}.{key}" if name else str(key), out)
+    elif isinstance(value, list):
+        for i, item in enumerate(value):
+            _flatten(item, f"{name}.{i}" if name else str(i), out)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        out[name or "value"] = float(value)
+
+
+def _merge(columns: dict[str, dict[str, list[float]]], path: Path) -> Table:
+    """Long names for all fields; short names for those that one topic alone has."""
+    table: Table = {}
+    short: dict[str, list[np.ndarray]] = {}
+    longest = max((len(c["log_time"]) for c in columns.values()), default=0)
+    for topic, fields in columns.items():
+        count = len(fields["log_time"])
+        for name, values in fields.items():
+            if len(values) != count:
+                raise InputError(
+                    path,
+                    f"topic {topic!r}: {name!r} in {len(values)} of {count} messages",
+                    "the same fields in all",
+                    "split the topic",
+                )
+            array = np.array(values)
+            table[f"{topic}.{name}"] = array
+            if count == longest:
+                short.setdefault(name, []).append(array)
+    table.update({name: arrays[0] for name, arrays in short.items() if len(arrays) == 1 or name == "log_time"})
+    return table
+
+
+def _line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+READERS: dict[str, Callable[[Path], Table]] = {
+    ".csv": _csv,
+    ".mat": _mat,
+    ".npz": _npz,
+    ".parquet": _parquet,
+    ".mcap": _mcap,
+}

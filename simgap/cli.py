@@ -13,6 +13,10 @@ __all__ = ["main"]
 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
 COMMANDS: dict[str, str] = {
+    "run": "Run a scenario, shipped or your own, and write its log.",
+    "render": "Render the motion of a scenario or a model without a display.",
+    "crosscheck": "Hold MuJoCo against the analytic equations, effect by effect.",
+    "replay": "Run a model, found physics included, free on a recorded input.",
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
 }
 

@@ -1,7 +1,7 @@
 """Axis <-> MJCF: reading any single-axis chain, and writing a corrected copy of an authored model."""
 
 from mjsim.mjcf.editor import MjcfEditor
-from mjsim.mjcf.load import Model, load_axis, load_model
+from mjsim.mjcf.load import Model, carried_binding, load_axis, load_model
 from mjsim.mjcf.write import Written, write_corrected
 
-__all__ = ["MjcfEditor", "Model", "Written", "load_axis", "load_model", "write_corrected"]
+__all__ = ["MjcfEditor", "Model", "Written", "carried_binding", "load_axis", "load_model", "write_corrected"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,8 +21,9 @@ from mjsim.mjcf.chain import Found, find_chain
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.layout import lay_out, outside
 from mjsim.quantity import Motion
+from mjsim.recording import Binding
 
-__all__ = ["Model", "load_axis", "load_model"]
+__all__ = ["Model", "carried_binding", "load_axis", "load_model"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,17 @@ def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[
     else:
         axis = Axis(found.chain, tuple(_native_effects(found, path)), _law(found))
     return Model(path, found, axis, carried)
+
+
+def carried_binding(model: Model, recording: Path) -> Binding | None:
+    """The binding that a corrected model carries, when no TOML file stands beside the recording or the model."""
+    if any(p.with_suffix(".toml").is_file() for p in (recording, model.path)) or not (model.carried and model.carried.binding):
+        return None
+    with tempfile.TemporaryDirectory() as work:
+        at = Path(work) / model.path.with_suffix(".toml").name
+        at.write_text(model.carried.binding, encoding="utf-8")
+        found = Binding.from_toml(at)
+    return None if found is None else dataclasses.replace(found, source=f"{model.path}: <custom> text {custom.NAME!r}")
 
 
 def _carried_axis(found: Found, carried: custom.Carried, path: Path) -> Axis:
