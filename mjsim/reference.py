@@ -239,9 +239,15 @@ def _settle(levels, mode, forces, y, skip):  # pragma: no cover
     return changed
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _held(u, k, before):  # pragma: no cover
+    """The torque held from sample k on, which lies before the record when negative."""
+    return u[k] if k >= 0 else before
+
+
 @njit(cache=True, nogil=True)
 def _run(
-    f, gap_law, gain, tau, tau_out, levels, torque, has_friction, u, dt, shift, split, late, n_sub, x0, out, mid
+    f, gap_law, gain, tau, tau_out, levels, torque, has_friction, u, dt, shift, split, before, late, n_sub, x0, out, mid
 ):  # pragma: no cover
     """Free run; out (N, 2n + 2 + n-1): q, v, lagged q and v, coupling torques; mid: the same at (k + late) dt.
 
@@ -259,7 +265,7 @@ def _run(
     y = np.zeros(size)
     y[:n], y[n : 2 * n] = x0[0], x0[1]
     y[2 * n], y[2 * n + 1] = y[0], y[n]
-    y[size - 1], y[size - 3] = 1.0, u[0]
+    y[size - 1], y[size - 3] = 1.0, before
     for i in range(n):
         if has_friction[i]:
             mode[2, i] = 1
@@ -270,7 +276,7 @@ def _run(
             mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
     total = u.shape[0]
     for k in range(total):
-        y[size - 2] = u[max(k - shift, 0)] if split <= 0.0 else u[max(k - shift - 1, 0)]
+        y[size - 2] = _held(u, k - shift if split <= 0.0 else k - shift - 1, before)
         _build(f, gap_law, gain, tau, tau_out, levels, torque, mode, a, forces, couplings)
         for j in range(n - 1):
             if gap_law == NO_PULL and mode[1, j] != 0:
@@ -291,7 +297,7 @@ def _run(
             span = (cuts[part + 1] - cuts[part]) * dt
             if span <= 0.0:
                 continue
-            y[size - 2] = u[max(k - shift, 0)] if cuts[part] >= split else u[max(k - shift - 1, 0)]
+            y[size - 2] = _held(u, k - shift if cuts[part] >= split else k - shift - 1, before)
             for _sub in range(n_sub):
                 left = span / n_sub
                 skip = -1
@@ -353,11 +359,13 @@ def _run(
     return 0, total
 
 
-def simulate(axis: Axis, torque: np.ndarray, dt: float, *, initial: np.ndarray | None = None, t0: float = 0.0) -> Trajectory:
+def simulate(
+    axis: Axis, torque: np.ndarray, dt: float, *, initial: np.ndarray | None = None, t0: float = 0.0, before: float = 0.0
+) -> Trajectory:
     """Free-run a piecewise-affine axis exactly on a commanded torque (N,) held over each sample of dt [s].
 
-    ``initial`` (2, n): angles and velocities at the start, at rest when None. Raises NotAffineError when an effect is not of the
-    class, DivergedError when the run leaves the finite numbers.
+    ``initial`` (2, n): angles and velocities at the start, at rest when None; ``before``: commanded torque ahead of the
+    first sample. Raises NotAffineError when an effect is not of the class, DivergedError when the run leaves the finite numbers.
     """
     reason = not_affine(axis)
     if reason is not None:
@@ -381,7 +389,7 @@ def simulate(axis: Axis, torque: np.ndarray, dt: float, *, initial: np.ndarray |
     out, mid = np.empty((count, 2 * n + 2 + n - 1)), np.empty((count, 2 * n + 2))
     status, at = _run(
         s.f, s.gap_law, s.chain.gain, s.input_lag, s.output_lag, levels, torques, s.has_friction, u, dt, shift, split,
-        late, n_sub, x0, out, mid,
+        float(before), late, n_sub, x0, out, mid,
     )  # fmt: skip
     if status:
         what = "diverged" if status == 1 else "met more than 10000 events within one sample"

@@ -143,3 +143,12 @@ def test_a_short_lag_is_resolved() -> None:
     model = axis(effect("actuator_lag", time_constant_s=2e-5))
     u = chirp(1.0)
     assert relative(ode.simulate(model, u, DT).velocity, reference.simulate(model, u, DT).velocity) < 1e-10
+
+
+@pytest.mark.parametrize("name", ["lag", "delay"])
+def test_torque_ahead_of_the_record(name: str) -> None:
+    model = axis(*(effect(k, **v) for k, v in CASES[name]))  # type: ignore[arg-type]
+    u = 1.0 + chirp(0.5)
+    runs = [module.simulate(model, u, DT, before=0.7).velocity for module in (ode, reference)]
+    assert relative(*runs) < 1e-6
+    assert relative(ode.simulate(model, u, DT).velocity, runs[1]) > 1e-4

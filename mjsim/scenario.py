@@ -1,0 +1,401 @@
+"""Scenarios: model + effects + excitation + controller + noise + seed, as validated TOML, and the log that they write.
+
+model = "robot_axis1"               # a shipped model, or a path from the scenario's file
+engine = "ode"                      # ode | accurate | literal
+seed = 1
+duration_s = 20.0
+[excitation]
+kind = "chirp"                      # chirp | multisine | step | trapezoids
+...
+[[effects]]
+id = "coulomb_friction"
+torque_Nm = 0.1
+[noise]
+velocity = 0.05                     # standard deviations of white noise, in the units of the log
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import json
+import os
+import platform
+import tempfile
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mjsim import excitation as ex
+from mjsim.axis import Axis
+from mjsim.effects import BacklashLaw, Effect, effect_class, registered
+from mjsim.errors import InputError
+from mjsim.models import shipped_model
+from mjsim.ode import Trajectory
+from mjsim.quantity import Motion
+
+__all__ = [
+    "Engine",
+    "Format",
+    "Log",
+    "Scenario",
+    "load_scenario",
+    "make_effect",
+    "provenance",
+    "run",
+    "shipped_scenarios",
+    "write_log",
+]
+
+_FOLDER = Path(__file__).parent / "scenarios"
+
+
+class Engine(enum.Enum):
+    """What runs the scenario."""
+
+    ODE = "ode"
+    ACCURATE = "accurate"
+    LITERAL = "literal"
+
+
+class Format(enum.Enum):
+    """The log's file format."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+_Positive = Annotated[float, Field(gt=0)]
+_NotNegative = Annotated[float, Field(ge=0)]
+
+
+class Chirp(_Strict):
+    """Linear chirp of constant amplitude [N m | N]."""
+
+    kind: Literal["chirp"]
+    amplitude: _Positive
+    low_hz: _Positive = 0.5
+    high_hz: _Positive = 30.0
+
+    def torque(self, duration: float, dt: float, rng: np.random.Generator) -> np.ndarray:
+        """Commanded torque (N,)."""
+        return ex.chirp(duration, dt, self.amplitude, self.low_hz, self.high_hz)
+
+
+class Multisine(_Strict):
+    """Random-phase multisine of this rms [N m | N], periodic."""
+
+    kind: Literal["multisine"]
+    rms: _Positive
+    low_hz: _Positive = 0.5
+    high_hz: _Positive = 45.0
+    period_s: _Positive = 5.0
+    grid: Literal["full", "odd"] = "full"
+
+    def torque(self, duration: float, dt: float, rng: np.random.Generator) -> np.ndarray:
+        """Commanded torque (N,)."""
+        return ex.multisine(rng, duration, dt, self.rms, self.low_hz, self.high_hz, period=self.period_s, grid=ex.Grid(self.grid))
+
+
+class Step(_Strict):
+    """A torque step."""
+
+    kind: Literal["step"]
+    amplitude: float
+    at_s: _NotNegative = 0.5
+
+    def torque(self, duration: float, dt: float, rng: np.random.Generator) -> np.ndarray:
+        """Commanded torque (N,)."""
+        return ex.step(duration, dt, self.amplitude, self.at_s)
+
+
+class Trapezoids(_Strict):
+    """A velocity loop (P-PI cascade) that follows trapezoids to and fro."""
+
+    kind: Literal["trapezoids"]
+    speed: _Positive
+    acceleration: _Positive
+    hold_s: _NotNegative = 1.0
+    rest_s: _NotNegative = 0.5
+    position_gain: _NotNegative
+    velocity_gain: _Positive
+    integral_gain: _NotNegative
+    limit: _Positive
+
+    @property
+    def cascade(self) -> ex.Cascade:
+        """The controller."""
+        return ex.Cascade(self.position_gain, self.velocity_gain, self.integral_gain, self.limit)
+
+
+class Noise(_Strict):
+    """Standard deviations of the white noise on the logged channels, in the log's units."""
+
+    velocity: _NotNegative = 0.0
+    angle: _NotNegative = 0.0
+    torque: _NotNegative = 0.0
+
+
+class Scenario(_Strict):
+    """A validated scenario; ``name`` and ``folder`` come from its file."""
+
+    name: str
+    folder: Path
+    about: str = ""
+    model: str = "robot_axis1"
+    engine: Engine = Engine.ODE
+    seed: Annotated[int, Field(ge=0)] = 0
+    duration_s: _Positive = 20.0
+    sample_time_s: _Positive = 5e-4
+    backlash_law: Literal["gated", "ungated", "no_pull"] = "gated"
+    format: Format = Format.CSV
+    excitation: Annotated[Chirp | Multisine | Step | Trapezoids, Field(discriminator="kind")]
+    effects: tuple[dict[str, Any], ...] = ()
+    linear: dict[str, float] = {}
+    noise: Noise = Noise()
+
+    @property
+    def model_path(self) -> Path:
+        """The model's file: a path from the scenario's folder when it ends in .xml and is there, else a shipped model."""
+        if self.model.endswith(".xml"):
+            path = (self.folder / self.model).resolve()
+            if path.is_file() or "/" in self.model:
+                return path
+        return shipped_model(self.model)
+
+    def axis(self) -> Axis:
+        """The axis that runs: the model's own chain and effects with the scenario's laid on. Raises InputError."""
+        from mjsim.mjcf import load_axis
+
+        where = f"scenario {self.name!r}"
+        axis = load_axis(self.model_path)
+        axis = Axis(axis.chain, axis.effects, BacklashLaw[self.backlash_law.upper()])
+        if self.linear:
+            try:
+                axis = axis.with_linear(self.linear)
+            except (KeyError, ValueError) as error:
+                raise InputError(f"{where}: [linear]", str(error.args[0]), todo="name one that is there") from None
+        for given in self.effects:
+            effect = make_effect(given, where)
+            if effect.key in {e.key for e in axis.effects}:
+                axis = axis.without(effect.key)
+            axis = axis + effect
+        from mjsim.system import assemble
+
+        try:
+            assemble(axis)
+        except ValueError as error:
+            raise InputError(where, f"an effect does not fit the axis ({error})", todo="choose another place or value") from None
+        return axis
+
+
+def make_effect(given: Mapping[str, Any], where: str) -> Effect:
+    """An effect from its table ``{id, place, parameters}``. Raises InputError listing what there is to choose from."""
+    name = str(given.get("id", ""))
+    if name not in registered():
+        raise InputError(f"{where}: [[effects]] id", repr(name), f"one of {', '.join(registered())}", "name one of them")
+    cls = effect_class(name)
+    known = {spec.name for spec in cls.specs()}
+    unknown = set(given) - known - {"id", "place"}
+    if unknown:
+        raise InputError(
+            f"{where}: effect {name!r}", f"unknown key {sorted(unknown)[0]!r}", f"{', '.join(sorted(known))}, place", "rename it"
+        )
+    try:
+        return cls(**{k: v for k, v in given.items() if k != "id"})
+    except (TypeError, ValueError) as error:
+        said = str(error).replace(f"{cls.__name__}.__init__() ", "")
+        raise InputError(f"{where}: effect {name!r}", said, f"{', '.join(sorted(known))}, place", "correct it") from None
+
+
+def shipped_scenarios() -> dict[str, str]:
+    """Names of the shipped scenarios and what they are about."""
+    out = {}
+    for path in sorted(_FOLDER.glob("*.toml")):
+        out[path.stem] = str(tomllib.loads(path.read_text(encoding="utf-8")).get("about", ""))
+    return out
+
+
+def load_scenario(source: str | Path, **overrides: Any) -> Scenario:
+    """A scenario from a TOML file or a shipped one by name; ``overrides`` that are not None replace keys. Raises InputError."""
+    path = Path(source)
+    if path.suffix != ".toml" or not path.is_file():
+        path = _FOLDER / f"{Path(source).name.removesuffix('.toml')}.toml"
+        if not path.is_file() or os.sep in str(source):
+            raise InputError(
+                f"scenario {str(source)!r}", "no such file and no shipped scenario", f"a .toml file or one of: "
+                f"{', '.join(shipped_scenarios())}", "name one of them",
+            )  # fmt: skip
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+    table.update({k: v for k, v in overrides.items() if v is not None})
+    try:
+        return Scenario(**{**table, "name": path.stem, "folder": path.resolve().parent})
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the scenario"
+        known = (
+            f"known keys: {', '.join(sorted(set(Scenario.model_fields) - {'name', 'folder'}))}" if len(first["loc"]) == 1 else ""
+        )
+        raise InputError(f"{path}: {key}", first["msg"][0].lower() + first["msg"][1:], known, "correct it") from None
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a scenario gives: the axis, its true motion, and the logged columns (noise included) by name."""
+
+    scenario: Scenario
+    axis: Axis
+    motion: Trajectory
+    columns: Mapping[str, np.ndarray]
+
+
+def run(scenario: Scenario) -> Log:
+    """Run a scenario. Raises InputError for what cannot be run and DivergedError, naming time and body, when it runs away."""
+    axis = scenario.axis()
+    dt, duration = scenario.sample_time_s, scenario.duration_s
+    phases, noise = (np.random.default_rng(s) for s in np.random.SeedSequence(scenario.seed).spawn(2))
+    count = ex.samples(duration, dt)
+    if count < 2:
+        raise InputError(
+            f"scenario {scenario.name!r}: duration_s", repr(duration), f"at least two samples of {dt} s", "lengthen it"
+        )
+    white = {key: noise.standard_normal(count) for key in ("velocity", "angle", "torque")}
+    if isinstance(scenario.excitation, Trapezoids):
+        e = scenario.excitation
+        wanted = ex.trapezoids(duration, dt, e.speed, e.acceleration, e.hold_s, e.rest_s)
+        torque = ex.close_loop(axis, wanted, dt, e.cascade, scenario.noise.velocity * white["velocity"])
+    else:
+        try:
+            torque = scenario.excitation.torque(duration, dt, phases)
+        except ValueError as error:
+            raise InputError(
+                f"scenario {scenario.name!r}: [excitation]", str(error), todo="change the band or the period"
+            ) from None
+    motion = _engine(scenario, axis)(torque, dt)
+    hinge = axis.chain.motion is Motion.HINGE
+    names = ("torque_Nm", "velocity_rad_s", "angle_rad") if hinge else ("force_N", "velocity_m_s", "position_m")
+    values = (motion.torque, motion.velocity, motion.angle)
+    keys = ("torque", "velocity", "angle")
+    columns = {"time_s": motion.time}
+    for name, value, key in zip(names, values, keys, strict=True):
+        columns[name] = value + getattr(scenario.noise, key) * white[key]
+    return Log(scenario, axis, motion, columns)
+
+
+def _engine(scenario: Scenario, axis: Axis) -> Callable[[np.ndarray, float], Trajectory]:
+    if scenario.engine is Engine.ACCURATE:
+        from mjsim import accurate
+
+        return lambda u, dt: accurate.simulate(axis, u, dt)
+    if scenario.engine is Engine.LITERAL:
+        return lambda u, dt: _literal(scenario, axis, u, dt)
+    from mjsim import ode
+
+    return lambda u, dt: ode.simulate(axis, u, dt)
+
+
+def _literal(scenario: Scenario, axis: Axis, u: np.ndarray, dt: float) -> Trajectory:
+    """Plain MuJoCo on the model's own file, with the effects written into a copy by MJCF's own elements."""
+    from mjsim.mjcf import load_model, write_corrected
+    from mjsim.mujoco_run import run_signals
+
+    plain = load_model(scenario.model_path)
+    if axis.effects == plain.axis.effects and axis.chain == plain.axis.chain:
+        return run_signals(plain, u, dt)
+    with tempfile.TemporaryDirectory() as work:
+        written = write_corrected(scenario.model_path, axis, Path(work) / scenario.model_path.name)
+        if written.lacks:
+            raise InputError(
+                f"scenario {scenario.name!r}", f"plain MuJoCo lacks it ({written.lacks[0]})", "engine ode or accurate",
+                'set engine = "accurate"',
+            )  # fmt: skip
+        return run_signals(load_model(written.path), u, dt)
+
+
+def write_log(log: Log, out: str | Path) -> Path:
+    """Write the log and beside it its provenance (JSON) and, for a slide axis, its units (TOML); never half a file."""
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    scenario = log.scenario
+    path = folder / f"{scenario.name}.{scenario.format.value}"
+    told = json.dumps(provenance(log), indent=2)
+    if scenario.format is Format.PARQUET:
+        _whole(path, lambda at: _parquet(at, log.columns, told))
+    else:
+        _whole(path, lambda at: _csv(at, log.columns))
+    _whole(folder / f"{scenario.name}.provenance.json", lambda at: at.write_text(told + "\n", encoding="utf-8"))
+    if "force_N" in log.columns:
+        binding = '[recording]\ntime = "time_s"\ntorque = "force_N"\nvelocity = "velocity_m_s"\nangle = "position_m"\n'
+        _whole(folder / f"{scenario.name}.toml", lambda at: at.write_text(binding, encoding="utf-8"))
+    return path
+
+
+def provenance(log: Log) -> dict[str, Any]:
+    """Scenario, seed, versions and the hash of the model's file."""
+    import mujoco
+    import numba
+    import scipy
+
+    model = log.scenario.model_path
+    return {
+        "scenario": log.scenario.model_dump(mode="json", exclude={"folder"}),
+        "effects": [e.describe() for e in log.axis.effects],
+        "model": {"file": model.name, "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
+        "seed": log.scenario.seed,
+        "versions": {
+            "simgap": _version(), "python": platform.python_version(), "numpy": np.__version__, "scipy": scipy.__version__,
+            "numba": numba.__version__, "mujoco": mujoco.__version__,
+        },
+    }  # fmt: skip
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("simgap")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    table = np.column_stack(list(columns.values()))
+    formats = ["%.9g"] + ["%.17g"] * (table.shape[1] - 1)
+    np.savetxt(path, table, fmt=formats, delimiter=",", header=",".join(columns), comments="")
+
+
+def _parquet(path: Path, columns: Mapping[str, np.ndarray], told: str) -> None:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise InputError(
+            path.name, "Parquet needs pyarrow", "pip install 'simgap[formats]'", "install it, or write CSV"
+        ) from None
+    table = pa.table(dict(columns)).replace_schema_metadata({"simgap_provenance": told})
+    pq.write_table(table, path)
+
+
+def _whole(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write under a temporary name, then rename: a broken run leaves nothing under the final name."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    os.close(handle)
+    try:
+        write(Path(name))
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

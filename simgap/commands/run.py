@@ -1,0 +1,67 @@
+"""``simgap run``: a scenario file, or a shipped one by name, to its 2 kHz log."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command(epilog="Example: simgap run coulomb_2 --out logs/")
+@click.argument("scenario", required=False)
+@click.option("--out", type=click.Path(path_type=Path), help="Directory for the log and its provenance.")
+@click.option("--list", "listing", is_flag=True, help="List the shipped scenarios.")
+@click.option("--engine", type=click.Choice(["ode", "accurate", "literal"]), help="Instead of the scenario's engine.")
+@click.option("--format", "file_format", type=click.Choice(["csv", "parquet"]), help="Instead of the scenario's format.")
+@click.option("--seed", type=int, help="Instead of the scenario's seed.")
+@click.option("--duration", type=float, help="Instead of the scenario's duration [s].")
+@click.option("--model", help="Instead of the scenario's model: a shipped one or a path.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result for machines.")
+def command(
+    scenario: str | None,
+    out: Path | None,
+    listing: bool,
+    engine: str | None,
+    file_format: str | None,
+    seed: int | None,
+    duration: float | None,
+    model: str | None,
+    as_json: bool,
+) -> None:
+    """Run SCENARIO (a TOML file or a shipped name) and write its log."""
+    from mjsim.errors import InputError
+    from mjsim.ode import DivergedError
+    from mjsim.scenario import load_scenario, provenance, shipped_scenarios, write_log
+    from mjsim.scenario import run as run_scenario
+
+    if listing:
+        shipped = shipped_scenarios()
+        if as_json:
+            click.echo(json.dumps(shipped, indent=2))
+        else:
+            width = max(map(len, shipped))
+            for name, about in shipped.items():
+                click.echo(f"{name:{width}s}  {about}")
+        return
+    if scenario is None or out is None:
+        raise click.UsageError("name a SCENARIO and --out DIR (simgap run --list shows the shipped ones)")
+    if model is not None and model.endswith(".xml"):
+        model = str(Path(model).resolve())
+    chosen = load_scenario(scenario, engine=engine, format=file_format, seed=seed, duration_s=duration, model=model)
+    try:
+        log = run_scenario(chosen)
+    except DivergedError as error:
+        raise InputError(f"scenario {chosen.name!r}", str(error)) from None
+    path = write_log(log, out)
+    if as_json:
+        click.echo(json.dumps({"log": str(path), **provenance(log)}, indent=2))
+    else:
+        count = len(log.motion.time)
+        click.echo(
+            f"{path}: {count} samples at {1 / chosen.sample_time_s:g} Hz, engine {chosen.engine.value}, seed {chosen.seed}"
+        )
+        for effect in log.axis.effects:
+            click.echo(f"  {effect.describe()}")
