@@ -98,7 +98,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
             present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
             for variant in _variants(effect):
                 h = fitter.hypothesis((*present, variant), base.linear, base.own)
-                tasks.append(lambda h=h: fitter.residual(h)(h.start))
+                tasks.append(fitter.at_start(h))
     answers = iter(fitter.run(tasks))
     best: dict[Candidate, list[tuple[float, Effect]]] = {c: [] for c in supposed}
     for candidate, effect in starts:

@@ -113,12 +113,20 @@ class Fitter:
     def __post_init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=max(1, self.jobs))
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
-        self._sigma = {id(e): e.sigma for e in (*self.experiments, *self.held_out)}
+        self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
+        self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
         self.scales = scales_by_place(self.nominal, self.experiments[0], self.orders)
 
     def close(self) -> None:
         """Stop the threads."""
         self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _rough_noise(self, experiment: Experiment) -> float:
+        """A tenth of the nominal model's error: a weight where the noise is not known beforehand."""
+        e = self.error(self.nominal, experiment, None)
+        if e is None:
+            return 1.0
+        return 0.1 * float(np.sqrt(np.mean(e[self.counted(experiment)] ** 2)))
 
     def set_orders(self, orders: tuple[float, ...]) -> None:
         """Take the spatial orders found in the residual as starts for position-locked effects."""
@@ -181,6 +189,10 @@ class Fitter:
             return np.concatenate(parts)
 
         return of
+
+    def at_start(self, h: Hypothesis) -> Callable[[], np.ndarray | None]:
+        """A task: the residual at the start of a hypothesis."""
+        return lambda: self.residual(h)(h.start)
 
     def prior(self, h: Hypothesis, x: np.ndarray) -> np.ndarray:
         """What the nominal model itself says of its linear parameters: within a factor of about two (PRIOR), in residual units.
@@ -265,7 +277,7 @@ class Fitter:
         axis = fitted.axis
         sse, count, squares, total, spread = [], [], 0.0, 0, 0.0
         for experiment in self.held_out:
-            solved = self._own_values(h, fitted, experiment)
+            solved = self.own_values(h, fitted, experiment)
             if solved is None:
                 return None
             effects_axis, initial = solved
@@ -290,7 +302,7 @@ class Fitter:
                 spread += float(np.sum((m - m.mean()) ** 2))
         return HeldOut(np.array(sse), np.array(count), float(np.sqrt(squares / total)), float(np.sqrt(squares / spread)))
 
-    def _own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
+    def own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
         """The fitted axis with this experiment's own phases and initial speed, estimated on it."""
         moving = experiment.moving and self.view.channel == "velocity"
         alone = Hypothesis.build(

@@ -38,17 +38,18 @@ def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...
             deflect.append(torque[:, j] / c.stiffness)
     out = {}
     for place in PLACES:
-        i = chain.body(place) or 0
-        j = chain.coupling(place)
-        load = torque[:, j] if j is not None else chain.gain * r.torque
-        if j is None and n > 1 and place == "arm":
+        found = chain.body(place)
+        at: int = found if found is not None else 0
+        joint = chain.coupling(place)
+        load = torque[:, joint] if joint is not None else chain.gain * r.torque
+        if joint is None and n > 1 and place == "arm":
             load = torque[:, -1]
-        ratio = chain.total_ratio(i)
+        ratio = chain.total_ratio(at)
         out[place] = Scales(
             torque=_rms(load), max_torque=float(np.max(np.abs(load))), velocity=ratio * _rms(v),
-            max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[j]) if j is not None else 0.0,
-            inertia=chain.bodies[i].inertia, stiffness=chain.couplings[j].stiffness if j is not None else 0.0,
+            max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[joint]) if joint is not None else 1.0,
+            inertia=chain.bodies[at].inertia, stiffness=chain.couplings[joint].stiffness if joint is not None else 1.0,
             travel=ratio * float(np.ptp(q)), input=_rms(r.torque), max_input=float(np.max(np.abs(r.torque))), output=_rms(v),
-            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if i else orders,
+            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
         )  # fmt: skip
     return out

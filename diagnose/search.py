@@ -112,7 +112,7 @@ class Search:
         self.screened[base.key] = ranked
         self.tested += len(ranked)
         floor = 0.4 * self.options.entry
-        visible = base.chi2 > 1.05 * base.n
+        visible = base.chi2 > 1.05 * base.n or not self.fitter.noise_known
         promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
         # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is something to explain
         if visible:
@@ -146,7 +146,7 @@ class Search:
                 self.fitter.hypothesis((*present, effect), linear, base.own)
                 for linear in linears for effect in s.starts[: None if structure else 2]
             ]  # fmt: skip
-            costs = self.fitter.run([lambda h=h: self.fitter.residual(h)(h.start) for h in guesses])
+            costs = self.fitter.run([self.fitter.at_start(h) for h in guesses])
             cost = [math.inf if c is None else float(c @ c) for c in costs]
             order = sorted(range(len(guesses)), key=lambda i: cost[i])[: 6 if structure else 1]
             borrows = [base if i < len(guesses) // len(linears) else None for i in order]

@@ -36,7 +36,13 @@ class Signals:
 class View(Protocol):
     """A way to judge a model."""
 
-    channel: str
+    @property
+    def channel(self) -> str:
+        """What is compared: velocity or torque."""
+
+    @property
+    def decimate(self) -> int:
+        """One compared sample for so many recorded ones."""
 
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
         """Measured and predicted, or None when the model cannot be run (diverged, or values outside its domain)."""
@@ -44,12 +50,16 @@ class View(Protocol):
     def counts(self, experiment: Experiment) -> np.ndarray:
         """Which of the compared samples count (M) bool."""
 
+    def noise(self, experiment: Experiment) -> float | None:
+        """Noise rms of the compared signal where the recording tells it, else None."""
+
 
 @dataclass(frozen=True)
 class MotionView:
     """Free run on the recorded torque, judged on motor velocity."""
 
     channel: str = "velocity"
+    decimate: int = 1
 
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
         """Velocity measured and simulated at every sample."""
@@ -64,6 +74,10 @@ class MotionView:
         """The experiment's own mask."""
         return experiment.counts
 
+    def noise(self, experiment: Experiment) -> float | None:
+        """White noise of the measured velocity."""
+        return experiment.sigma
+
 
 @dataclass(frozen=True)
 class ForceView:
@@ -75,7 +89,7 @@ class ForceView:
 
     cutoff_hz: float | None = None
     decimate: int = 10
-    slow: float = 0.02
+    slow: float = 0.005
     channel: str = "torque"
 
     def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -131,6 +145,10 @@ class ForceView:
         inside = np.zeros(len(r), bool)
         inside[edge : len(r) - edge] = True
         return (experiment.counts & moving & inside)[:: self.decimate]
+
+    def noise(self, experiment: Experiment) -> float | None:
+        """Not known beforehand: what acts on the torque is no sensor noise."""
+        return None
 
 
 def _shift(x: np.ndarray, lead: float, dt: float) -> np.ndarray:

@@ -13,6 +13,8 @@ __all__ = ["main"]
 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
 COMMANDS: dict[str, str] = {
+    "demo": "Conceal an effect, diagnose it from the recordings alone, open the envelope.",
+    "diagnose": "Locate, name, model and prove the mismatch between recordings and a model.",
     "run": "Run a scenario, shipped or your own, and write its log.",
     "render": "Render the motion of a scenario or a model without a display.",
     "crosscheck": "Hold MuJoCo against the analytic equations, effect by effect.",

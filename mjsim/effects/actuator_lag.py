@@ -28,7 +28,7 @@ class ActuatorLag(Effect):
 
     id: ClassVar[str] = "actuator_lag"
     places: ClassVar[tuple[str, ...]] = ("actuator",)
-    sentence: ClassVar[str] = "The actuator follows its command with a lag of {time_constant_s} s (current loop)."
+    sentence: ClassVar[str] = "The actuator follows its command with a lag of {time_constant_s} (current loop)."
     citation: ClassVar[str] = "Franklin, Powell, Emami-Naeini, Feedback Control (2015)"
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("time_constant_s",)

@@ -80,7 +80,7 @@ class Scales:
     """Typical sizes at a place, from the recording and the nominal model; starts of a fit are multiples of these.
 
     torque, max_torque: rms and largest input or transmitted torque at the place [N m | N]; velocity, max_velocity: of the
-    body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (0 when
+    body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (1 when
     there is none); inertia, stiffness: nominal values at the place; travel: range of the body's angle [rad | m];
     input, max_input: rms and largest input; output: rms measured output; dt, duration [s]; orders: dominant spatial
     frequencies of the residual over the body's angle [1/rev | rad/m].
@@ -157,9 +157,13 @@ class Effect(abc.ABC):
         """A copy with some parameters replaced."""
         return dataclasses.replace(self, **values)  # type: ignore[arg-type]
 
-    def describe(self) -> str:
-        """The plain sentence with the numbers in it."""
-        return self.sentence.format(place=self.place, **{k: f"{v:.4g}" for k, v in self.values.items()})
+    def describe(self, motion: Motion = Motion.HINGE) -> str:
+        """The plain sentence with the numbers and their units in it."""
+        numbers = {}
+        for spec in self.specs():
+            unit = spec.unit(motion)
+            numbers[spec.name] = f"{getattr(self, spec.name):.4g}" + ("" if unit == "1" else f" {unit}")
+        return self.sentence.format(place=self.place, **numbers)
 
     @abc.abstractmethod
     def ports(self, chain: Chain) -> tuple[Port, ...]:

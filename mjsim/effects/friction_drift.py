@@ -38,7 +38,7 @@ class FrictionDrift(Effect):
     id: ClassVar[str] = "friction_drift"
     places: ClassVar[tuple[str, ...]] = ("motor",)
     sentence: ClassVar[str] = (
-        "Friction at the {place} that drifts as it warms up: {torque_Nm} in the end, changed by {relative_change} of itself at the start, over {time_constant_s} s."
+        "Friction at the {place} that drifts as it warms up: {torque_Nm} in the end, changed by {relative_change} of itself at the start, over {time_constant_s}."
     )
     citation: ClassVar[str] = "Simoni, Beschi, Legnani, Visioli, IROS (2015) 3624"
     tolerance: ClassVar[float] = 1e-4

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
 from mjsim.effects.law import ANGLE, law
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
-from mjsim.quantity import Quantity
+from mjsim.quantity import Motion, Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
@@ -48,7 +48,9 @@ class GravityLoad(Effect):
     phase_rad: float = parameter(Quantity.PHASE, "arm angle from the stable hanging pose at angle zero", nuisance=True)
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
-        """Where the law acts."""
+        """Where the law acts: a turning body; the weight of a slide is a constant, a torque offset."""
+        if chain.motion is Motion.SLIDE:
+            raise NotApplicableError("the weight of a slide does not depend on its position: use torque_offset")
         return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm, self.phase_rad)),)
 
     @classmethod

@@ -38,7 +38,7 @@ class PositionDependentFriction(Effect):
     id: ClassVar[str] = "position_dependent_friction"
     places: ClassVar[tuple[str, ...]] = ("motor",)
     sentence: ClassVar[str] = (
-        "Dry friction at the {place} of {torque_Nm} that varies by {relative_amplitude} of itself, {cycles_per_rev} times a turn."
+        "Dry friction at the {place} of {torque_Nm} that varies by {relative_amplitude} of itself, repeating at {cycles_per_rev}."
     )
     citation: ClassVar[str] = "Armstrong-Helouvry, Control of Machines with Friction (1991) ch. 4"
     tolerance: ClassVar[float] = 2e-4

@@ -38,7 +38,7 @@ class PositionDependentInertia(Effect):
     id: ClassVar[str] = "position_dependent_inertia"
     places: ClassVar[tuple[str, ...]] = ("arm",)
     sentence: ClassVar[str] = (
-        "The inertia at the {place} varies by {relative_amplitude} of itself, {cycles_per_rev} times a turn of it (an eccentric or folding load)."
+        "The inertia at the {place} varies by {relative_amplitude} of itself, repeating at {cycles_per_rev} of it (an eccentric or folding load)."
     )
     citation: ClassVar[str] = "Siciliano, Sciavicco, Villani, Oriolo, Robotics (2009) ch. 7"
     tolerance: ClassVar[float] = 1e-4

@@ -27,7 +27,7 @@ class SensorLag(Effect):
 
     id: ClassVar[str] = "sensor_lag"
     places: ClassVar[tuple[str, ...]] = ("sensor",)
-    sentence: ClassVar[str] = "The sensor lags by {time_constant_s} s (a filter in the measurement)."
+    sentence: ClassVar[str] = "The sensor lags by {time_constant_s} (a filter in the measurement)."
     citation: ClassVar[str] = "Franklin, Powell, Emami-Naeini, Feedback Control (2015)"
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("time_constant_s",)

@@ -37,7 +37,7 @@ class TorqueRipple(Effect):
     id: ClassVar[str] = "torque_ripple"
     places: ClassVar[tuple[str, ...]] = ("motor",)
     sentence: ClassVar[str] = (
-        "Torque ripple at the {place}: {amplitude_Nm}, {cycles_per_rev} times a turn (cogging, commutation or a ball screw)."
+        "Torque ripple at the {place}: {amplitude_Nm}, repeating at {cycles_per_rev} (cogging, commutation or a ball screw)."
     )
     citation: ClassVar[str] = "Holtz, Springob, IEEE Trans. Ind. El. 43 (1996) 330"
     tolerance: ClassVar[float] = 1e-4

@@ -38,7 +38,7 @@ class TransmissionError(Effect):
     id: ClassVar[str] = "transmission_error"
     places: ClassVar[tuple[str, ...]] = ("gearbox",)
     sentence: ClassVar[str] = (
-        "Transmission error in the {place}: {amplitude_rad} on the link side, {cycles_per_rev} times a motor turn."
+        "Transmission error in the {place}: {amplitude_rad} on the link side, repeating at {cycles_per_rev} of the motor."
     )
     citation: ClassVar[str] = "Gravagno, Mucino, Pennestri, Mechanism and Machine Theory 152 (2020); ISO 230-2"
     tolerance: ClassVar[float] = 1e-4

@@ -1,0 +1,149 @@
+"""Decisions after the search: intervals, p-values, equivalents, what the angle channel rules out, what to measure next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.experiment import Experiment
+from diagnose.fitter import Fitted, Fitter
+from diagnose.result import Estimate, Finding
+from diagnose.search import Search, compare
+from mjsim.axis import Axis
+from mjsim.effects import Effect
+from mjsim.ode import DivergedError, simulate
+
+__all__ = ["equivalents", "estimates", "excluded_by_angle", "next_experiment", "p_values", "unphysical"]
+
+
+def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]:
+    """Values with 95 % intervals of the parameters of one owner ("" the linear structure, else an effect's key)."""
+    errors = fitted.standard_errors()
+    out = {}
+    motion = fitter.nominal.chain.motion
+    for e, x, s in zip(fitted.hypothesis.entries, fitted.fit.x, errors, strict=True):
+        if e.owner != owner or e.recording > 0 or e.name == "initial_velocity":
+            continue
+        value = e.si(float(x))
+        out[e.name] = Estimate(value, (value - 1.96 * float(s), value + 1.96 * float(s)), e.quantity.unit(motion))
+    return out
+
+
+def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, float, float]:
+    """(held-out one-sided p, estimation likelihood-ratio p, gain of chi-square in units of the richer model's variance)."""
+    from scipy.stats import chi2
+
+    held = compare(search.held_out(poorer), search.held_out(richer)).p_value
+    gain = richer.n * math.log(poorer.chi2 / richer.chi2)
+    extra = max(1, len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
+    return held, float(chi2.sf(max(gain, 0.0), extra)), gain
+
+
+def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10.0) -> tuple[str, ...]:
+    """Identifiers that could stand in this effect's place: same rest of the structure, criterion within ``margin``.
+
+    A margin of 10 in C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely refines the effect,
+    and gains nothing by it, is not an equivalent.
+    """
+    rest = {k for k in best.key if k != effect.key}
+    reference = search.criterion(best)
+    out = []
+    for f in search.pool.values():
+        others = set(f.key) - rest
+        if len(f.key) != len(best.key) or len(others) != 1 or not rest <= set(f.key):
+            continue
+        (key,) = others
+        if key == effect.key or search.criterion(f) - reference > margin:
+            continue
+        rival = next(e for e in f.effects if e.key == key)
+        if effect.id in type(rival).refines and len(f.hypothesis.entries) > len(best.hypothesis.entries):
+            continue
+        out.append((search.criterion(f), rival.id if rival.id != effect.id else rival.key))
+    return tuple(dict.fromkeys(name for _, name in sorted(out)))
+
+
+def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
+    """Effects that the angle channel contradicts without any model: an offset of the velocity sensor shows as its drift from the angle."""
+    verdicts = []
+    for experiment in experiments:
+        r = experiment.recording
+        if r.velocity is None or r.angle is None or len(r) < 100:
+            continue
+        # mean of v minus slope of q, with its error from blocks
+        d = r.velocity[:-1] * 0.5 + r.velocity[1:] * 0.5 - np.diff(r.angle) / r.dt
+        if np.std(d) < 1e-9 * np.std(r.velocity):
+            continue  # one channel was computed from the other
+        offset = float(np.mean(r.velocity[:-1] * 0.5 + r.velocity[1:] * 0.5) - (r.angle[-1] - r.angle[0]) / r.duration)
+        error = experiment.sigma / math.sqrt(len(r)) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
+        verdicts.append(abs(offset) > 5 * error)
+    return {"sensor_offset"} if verdicts and not any(verdicts) else set()
+
+
+def unphysical(axis: Axis) -> tuple[str, ...]:
+    """Nominal values that no passive mechanism has."""
+    out = [
+        f"The nominal damping at {c.joint!r} is negative ({c.damping:g}): no passive spring has that. It may stand for a delay, "
+        "for friction or for a further mode that was left out when it was identified."
+        for c in axis.chain.couplings if c.damping < 0
+    ]
+    out += [
+        f"The nominal viscous friction at {b.joint!r} is negative ({b.viscous:g})." for b in axis.chain.bodies if b.viscous < 0
+    ]
+    return tuple(out)
+
+
+def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequence[Finding]) -> str | None:
+    """The excitation, of a few simple ones, under which the equivalents' predictions differ most; None when there is nothing to tell."""
+    pairs = []
+    for f in findings:
+        for name in f.equivalents:
+            rival = _rival_of(search, best, f, name)
+            if rival is not None:
+                pairs.append((f, name, rival))
+    if not pairs or fitter.view.channel != "velocity":
+        return None if not pairs else "Repeat the experiment at half and at twice the speed, and with another load."
+    r = fitter.experiments[0].recording
+    t = r.time - r.time[0]
+    level = float(np.sqrt(np.mean(r.torque**2)))
+    chirp = np.sin(2 * np.pi * (0.3 * t + 0.5 * (60.0 - 0.3) / max(r.duration, 1e-9) * t**2))
+    trials = {
+        "the same excitation at a quarter of the amplitude": 0.25 * r.torque,
+        "the same excitation at half the amplitude": 0.5 * r.torque,
+        "the same excitation at twice the amplitude": 2.0 * r.torque,
+        f"the same excitation on top of a constant torque of {0.5 * level:.3g}": r.torque + 0.5 * level,
+        f"a chirp from 0.3 to 60 Hz of amplitude {1.4 * level:.3g}": 1.4 * level * chirp,
+        f"a slow triangle (0.2 Hz) of amplitude {1.5 * level:.3g}": 1.5
+        * level
+        * (2 / np.pi)
+        * np.arcsin(np.sin(2 * np.pi * 0.2 * t)),
+    }
+    out = []
+    for finding, name, rival in pairs[:3]:
+        scores = {}
+        for label, torque in trials.items():
+            try:
+                a = simulate(best.axis, torque, r.dt).velocity
+                b = simulate(rival.axis, torque, r.dt).velocity
+            except (DivergedError, ValueError):
+                continue
+            scores[label] = float(np.sqrt(np.mean((a - b) ** 2))) / fitter.experiments[0].sigma
+        if not scores:
+            continue
+        label = max(scores, key=lambda k: scores[k])
+        pair = f"{finding.effect.replace('_', ' ')} from {name.replace('_', ' ')}"
+        if scores[label] < 0.05:
+            out.append(f"No excitation of the motor alone tells {pair}: measure at another place or with another load.")
+        else:
+            out.append(f"To tell {pair}, record {label}: their predictions then differ by {scores[label]:.2g} times the noise.")
+    return " ".join(out) or None
+
+
+def _rival_of(search: Search, best: Fitted, finding: Finding, name: str) -> Fitted | None:
+    rest = {k for k in best.key if k != f"{finding.effect}@{finding.place}"}
+    for f in search.pool.values():
+        others = set(f.key) - rest
+        if rest <= set(f.key) and len(f.key) == len(best.key) and any(k == name or k.split("@")[0] == name for k in others):
+            return f
+    return None

@@ -1,0 +1,351 @@
+"""The whole flow: recording -> compare -> locate -> hypothesise -> fit -> validate -> decide -> result."""
+
+from __future__ import annotations
+
+import math
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.candidates import candidates
+from diagnose.decide import (
+    equivalents,
+    estimates,
+    excluded_by_angle,
+    next_experiment,
+    p_values,
+    unphysical,
+)
+from diagnose.experiment import Experiment, hold_out_blocks, measured_velocity, prepare
+from diagnose.fitter import Fitted, Fitter, HeldOut
+from diagnose.locate import disturbance, locate
+from diagnose.orders import find_orders, torque_to_velocity
+from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
+from diagnose.search import Search, SearchOptions
+from diagnose.structure import Structure, remaining_structure
+from diagnose.view import ForceView, MotionView, View
+from diagnose.whiten import whitening_filter
+from mjsim.axis import Axis
+from mjsim.errors import InputError
+from mjsim.recording import Recording
+
+__all__ = ["Options", "diagnose"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a diagnosis. judge: "motion", "force" or None (what the binding says, else by the channels); jobs: threads."""
+
+    judge: str | None = None
+    effects: tuple[str, ...] = ()
+    jobs: int = 2
+    seed: int = 0
+    seconds: float = math.inf
+    depth: int = 3
+    structure_share: float = 0.05
+    structure_p: float = 1e-4
+
+
+def choose_view(recordings: Sequence[Recording], judge: str | None) -> View:
+    """Motion or force: as asked, as the binding says, else force when there is only a position (a servo under a position loop)."""
+    judge = judge or recordings[0].judge
+    if judge is None:
+        judge = "force" if recordings[0].velocity is None else "motion"
+    if judge == "motion":
+        return MotionView()
+    dt = recordings[0].dt
+    decimate = max(1, round(0.01 / dt)) if dt < 0.005 else 1
+    return ForceView(decimate=decimate)
+
+
+def _experiments(
+    recordings: Sequence[Recording], held_out: Sequence[Recording]
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """Estimation and held-out experiments; blocks of the recordings where no other recording is given."""
+    if held_out:
+        return tuple(prepare(r) for r in recordings), tuple(prepare(r) for r in held_out)
+    estimation, held = [], []
+    for r in recordings:
+        mine, other = hold_out_blocks(r)
+        estimation.append(prepare(r, counts=mine))
+        held.append(prepare(r, counts=other))
+    return tuple(estimation), tuple(held)
+
+
+def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
+    """Spatial orders of the residual of a fitted model on its first experiment."""
+    experiment = fitter.experiments[0]
+    r = experiment.recording
+    if r.angle is None:
+        return ()
+    v = measured_velocity(r)
+    if fitter.view.channel == "torque":
+        every = fitter.view.decimate
+        d = disturbance(fitter, fitted)
+        keep = fitter.counted(experiment)
+        one = np.array([1.0])
+        return find_orders(d, r.angle[::every][: len(d)], v[::every][: len(d)], one, one, r.dt * every, keep=keep)
+    e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
+    if e is None:
+        return ()
+    b, a = torque_to_velocity(fitted.axis, r.dt)
+    return find_orders(e, r.angle, v, b, a, r.dt, keep=fitter.counted(experiment))
+
+
+def diagnose(
+    nominal: Axis,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    options: Options | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Diagnose recordings of one axis against its nominal model.
+
+    Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
+    """
+    options = options or Options()
+    began = time.monotonic()
+    view = choose_view(recordings, options.judge)
+    estimation, held = _experiments(recordings, held_out)
+    fitter = Fitter(nominal, view, estimation, held, options.jobs)
+    try:
+        return _diagnose(fitter, options, progress, began)
+    finally:
+        fitter.close()
+
+
+def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], began: float) -> tuple[Search, Fitted]:
+    left = options.seconds - (time.monotonic() - began)
+    search = Search(fitter, SearchOptions(only=options.effects, depth=options.depth, seconds=left), progress)
+    base = search.nominal()
+    if not base.ok:
+        raise InputError(
+            fitter.experiments[0].recording.source, "the nominal model diverges on this input", "a model that can be run",
+            "check units, signs and the actuator's gain",
+        )  # fmt: skip
+    fitter.set_orders(_orders(fitter, base))
+    barred = excluded_by_angle(fitter.experiments)
+    search.candidates = tuple(c for c in candidates(fitter, options.effects) if c.id not in barred)
+    return search, search.run()
+
+
+def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None], began: float) -> Diagnosis:
+    progress("compare: refitting the nominal model")
+    search, best = _search(fitter, options, progress, began)
+    filter_ = whitening_filter(fitter, best)
+    if filter_ is not None:
+        progress("the residual is coloured: searching again on whitened errors")
+        fitter.whitening = filter_
+        plain = search
+        search, best = _search(fitter, options, progress, began)
+        search.tested += plain.tested
+    base = search.nominal()
+    progress("validate: what is left, intervals, rivals")
+    structure = remaining_structure(fitter, best)
+    best = fitter.refined(best)
+    mismatch = locate(fitter, base)
+    found = _findings(search, best, options)
+    verdict = _verdict(search, base, best, structure, options)
+    notes = list(unphysical(fitter.nominal))
+    if verdict is Verdict.UNEXPLAINED:
+        notes.append(
+            f"Structure remains that no known effect accounts for: the recorded input and motion predict "
+            f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
+        )
+    if filter_ is not None:
+        notes.append(
+            "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."
+        )
+    if "gain" not in " ".join(notes):
+        notes.append(
+            "A pure error of the torque gain cannot be told from a common scale of all inertias, stiffnesses and dampings; "
+            "it is reported as changed parameters."
+        )
+    fits, gap = _figures(fitter, search, base, best)
+    experiment = fitter.experiments[0]
+    unit = _unit(fitter)
+    return Diagnosis(
+        verdict=verdict,
+        summary=_summary(verdict, found, fits, gap),
+        findings=found if verdict in (Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED) else (),
+        mismatch=mismatch,
+        linear_parameters=estimates(best, fitter, owner=""),
+        nominal_parameters={p.name: p.value for p in fitter.nominal.chain.linear_parameters()},
+        fit=fits,
+        noise_floor=experiment.sigma if fitter.noise_known else float("nan"),
+        gap_closed=gap,
+        rivals=_rivals(search, best),
+        failed=dict(search.failed),
+        notes=tuple(notes),
+        next_experiment=next_experiment(fitter, search, best, found),
+        channel=fitter.view.channel,
+        unit=unit,
+        view="motion (free run)" if fitter.view.channel == "velocity" else "force (inverse dynamics)",
+        traces=_traces(fitter, base, best),
+        recordings=tuple(
+            {"file": e.recording.source, "sha256": e.recording.sha256, "role": role}
+            for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)) for e in group
+        ),
+        seed=options.seed,
+        seconds=time.monotonic() - began,
+        versions=_versions(),
+    )  # fmt: skip
+
+
+def _unit(fitter: Fitter) -> str:
+    angular = fitter.nominal.chain.motion.value == "hinge"
+    if fitter.view.channel == "velocity":
+        return "rad/s" if angular else "m/s"
+    return "N m" if angular else "N"
+
+
+def _versions() -> dict[str, str]:
+    from importlib.metadata import version
+
+    return {"python": platform.python_version(), **{n: version(n) for n in ("simgap", "mujoco", "numpy", "scipy", "numba")}}
+
+
+def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, ...]:
+    out = []
+    for effect in best.effects:
+        without = tuple(k for k in best.key if k != effect.key)
+        poorer = search.pool.get(tuple(sorted(without)))
+        if poorer is None:
+            rest = [e for e in best.effects if e.key != effect.key]
+            poorer = search.fitter.fit(search.fitter.hypothesis(rest, best.linear, best.own))
+            search.pool[poorer.key] = poorer
+        p_held, p_fit, gain = p_values(search, poorer, best)
+        before, after = search.held_out(poorer), search.held_out(best)
+        numbers = estimates(best, search.fitter, owner=effect.key)
+        coupling = type(effect).family == "coupling" or effect.id == "transmission_error"
+        out.append(
+            Finding(
+                effect=effect.id,
+                place=effect.place,
+                element=search.fitter.nominal.chain.element(effect.place, coupling=coupling),
+                sentence=effect.describe(search.fitter.nominal.chain.motion),
+                parameters=numbers,
+                evidence={
+                    "held_out_error_before": before.rms if before else math.nan,
+                    "held_out_error_after": after.rms if after else math.nan,
+                    "p_value": min(1.0, p_held * max(1, search.tested)),
+                    "p_value_estimation": p_fit,
+                    "delta_chi2": gain,
+                    "hypotheses": float(search.tested),
+                },
+                equivalents=equivalents(search, best, effect),
+            )
+        )
+    out.sort(key=lambda f: -f.evidence["delta_chi2"])
+    return tuple(out)
+
+
+def _verdict(search: Search, base: Fitted, best: Fitted, structure: Structure, options: Options) -> Verdict:
+    """Unexplained when a material part of the held-out residual is predictable; else by what was found."""
+    if structure.share > options.structure_share and structure.p_value < options.structure_p:
+        return Verdict.UNEXPLAINED
+    if best.effects:
+        return Verdict.MISSING_PHYSICS
+    fitter = search.fitter
+    as_is = fitter.residual(base.hypothesis)(fitter.hypothesis(()).start)
+    if as_is is None:
+        return Verdict.PARAMETERS_ONLY
+    count = len(base.hypothesis.entries)
+    gain = base.n * math.log(float(as_is @ as_is) / base.chi2)
+    return Verdict.PARAMETERS_ONLY if gain > search.options.entry + search.options.price * count / 2 else Verdict.NO_MISMATCH
+
+
+def _error_figures(fitter: Fitter, axis_of: Callable[[int], Axis], fitted: Fitted | None, held: HeldOut | None) -> FitFigures:
+    squares, spread, count = 0.0, 0.0, 0
+    for i, experiment in enumerate(fitter.experiments):
+        initial = None if fitted is None else fitted.hypothesis.initial(fitted.fit.x, i)
+        s = fitter.view.signals(axis_of(i), experiment, initial)
+        if s is None:
+            return FitFigures(math.nan, math.nan, math.nan, math.nan)
+        keep = fitter.counted(experiment)
+        m = s.measured[keep]
+        squares += float(np.sum((s.measured - s.predicted)[keep] ** 2))
+        spread += float(np.sum((m - m.mean()) ** 2))
+        count += int(keep.sum())
+    rms = math.sqrt(squares / count)
+    held_rms, held_nrmse = (held.rms, held.nrmse) if held else (math.nan, math.nan)
+    return FitFigures(rms, math.sqrt(squares / spread), held_rms, held_nrmse)
+
+
+def _figures(fitter: Fitter, search: Search, base: Fitted, best: Fitted) -> tuple[dict[str, FitFigures], float]:
+    """Errors of the nominal model as given, refitted and corrected; and the share of the held-out gap that is closed."""
+    as_given = Fitted(base.hypothesis, _at(base, fitter.hypothesis(()).start), base.n)
+    fits = {
+        "nominal": _error_figures(fitter, lambda _: fitter.nominal, None, fitter.validate(as_given)),
+        "refitted": _error_figures(fitter, lambda i: base.hypothesis.axis(base.fit.x, i), base, search.held_out(base)),
+        "corrected": _error_figures(fitter, lambda i: best.hypothesis.axis(best.fit.x, i), best, search.held_out(best)),
+    }
+    before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
+    floor = float(np.mean([e.sigma for e in fitter.held_out])) if fitter.noise_known else 0.0
+    gap = (before - after) / (before - floor) if before > floor * 1.0001 else math.nan
+    return fits, gap if best.effects else math.nan
+
+
+def _at(fitted: Fitted, x: np.ndarray):  # type: ignore[no-untyped-def]
+    import dataclasses
+
+    return dataclasses.replace(fitted.fit, x=x)
+
+
+def _rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
+    reference = search.criterion(best)
+    out: list[Rival] = []
+    for f in sorted(search.pool.values(), key=search.criterion)[:most]:
+        held = search.held.get(f.key) or (search.held_out(f) if len(out) < 8 else None)
+        sigma = search.fitter.sigma(search.fitter.experiments[0])
+        out.append(
+            Rival(f.key, len(f.hypothesis.entries), sigma * math.sqrt(f.chi2 / f.n), held.rms if held else math.nan,
+                  search.criterion(f) - reference, f.fit.status.name.lower())
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _traces(fitter: Fitter, base: Fitted, best: Fitted) -> tuple[Traces, ...]:
+    out = []
+    for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)):
+        for i, experiment in enumerate(group):
+            signals = []
+            for f in (None, base, best):
+                if f is None:
+                    signals.append(fitter.view.signals(fitter.nominal, experiment, None))
+                    continue
+                if role == "estimation":
+                    axis, initial = f.hypothesis.axis(f.fit.x, i), f.hypothesis.initial(f.fit.x, i)
+                else:
+                    solved = fitter.own_values(f.hypothesis, f, experiment)
+                    axis, initial = solved if solved is not None else (f.axis, None)
+                signals.append(fitter.view.signals(axis, experiment, initial))
+            given, refitted, corrected = signals
+            if refitted is None or corrected is None:
+                continue
+            out.append(
+                Traces(experiment.recording.source, role, refitted.time, refitted.measured, given.predicted if given else None,
+                       refitted.predicted, corrected.predicted, fitter.counted(experiment), experiment.sigma)
+            )  # fmt: skip
+    return tuple(out)
+
+
+def _summary(verdict: Verdict, findings: Sequence[Finding], fits: dict[str, FitFigures], gap: float) -> str:
+    """The answer in one sentence."""
+    before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
+    names = " and ".join(f"{f.effect.replace('_', ' ')} at the {f.place}" for f in findings)
+    match verdict:
+        case Verdict.NO_MISMATCH:
+            return "Nothing is missing: the nominal model agrees with the recording to within its noise."
+        case Verdict.PARAMETERS_ONLY:
+            return "No physics is missing: the nominal structure fits once its parameters are adjusted."
+        case Verdict.MISSING_PHYSICS:
+            closed = f", {100 * gap:.1f} % of the gap to the noise" if math.isfinite(gap) else ""
+            return f"The simulation left out {names}: putting it back lowers the held-out error from {before:.4g} to {after:.4g}{closed}."
+        case Verdict.UNEXPLAINED:
+            part = f" {names} account for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""
+            return f"The mismatch is not explained:{part} structure remains that none of the known effects accounts for."
+

@@ -1,0 +1,225 @@
+"""Where the mismatch is, before any name is tried: in time, in frequency, over the state, and in the mechanism.
+
+The disturbance torque at a place is what, added there, would turn the model's output into the measured one. It is found by regularised
+deconvolution of the residual through the fitted linear axis (the Wiener filter of a flat disturbance in the measured noise):
+
+    D(f) = G*(f) E(f) / (|G(f)|^2 + S_noise / S_disturbance)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.experiment import measured_velocity
+from diagnose.fitter import Fitted, Fitter
+from diagnose.orders import torque_to_velocity
+from diagnose.result import Mismatch, Place, Share, StateShare
+
+__all__ = ["binned", "disturbance", "locate", "states"]
+
+
+def disturbance(fitter: Fitter, fitted: Fitted, body: int = 0) -> np.ndarray:
+    """Torque on a body that would close the gap on the first experiment, on the view's grid (M,)."""
+    experiment = fitter.experiments[0]
+    axis = fitted.axis
+    e = fitter.error(axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
+    assert e is not None
+    if fitter.view.channel == "torque":
+        # commanded minus needed: what acted on top of the command is its negative
+        return -e * (1.0 if body == 0 else 1.0 / axis.chain.total_ratio(body))
+    from scipy.signal import freqz
+
+    b, a = torque_to_velocity(axis, experiment.recording.dt, body)
+    n = len(e)
+    pad = 2 * n
+    spectrum = np.fft.rfft(e - 0.0, pad)
+    _, g = freqz(b, a, worN=2 * np.pi * np.arange(len(spectrum)) / pad)
+    noise = experiment.sigma**2
+    power = max(float(np.mean(e**2)) - noise, 1e-3 * noise)
+    gain = float(np.mean(np.abs(g[: max(2, len(g) // 20)]) ** 2))
+    ridge = gain * noise / power * 0.05 + 1e-9 * gain
+    return np.asarray(np.fft.irfft(np.conj(g) * spectrum / (np.abs(g) ** 2 + ridge), pad)[:n])
+
+
+def states(fitter: Fitter, fitted: Fitted) -> dict[str, tuple[np.ndarray, str]]:
+    """The states that a law may depend on, on the view's grid: name -> (values, unit)."""
+    experiment = fitter.experiments[0]
+    r = experiment.recording
+    v = measured_velocity(r)
+    smooth = _smooth(v, max(3, int(0.002 / r.dt)))
+    every = slice(None, None, fitter.view.decimate)
+    speed = smooth[every]
+    angular = fitter.nominal.chain.motion.value == "hinge"
+    unit_v, unit_q, unit_t = ("rad/s", "rad", "N m") if angular else ("m/s", "m", "N")
+    out = {"velocity": (speed, unit_v), "|velocity|": (np.abs(speed), unit_v), "torque command": (r.torque[every], unit_t)}
+    accel = np.gradient(smooth, r.dt)[every]
+    out["acceleration"] = (accel, f"{unit_v}/s")
+    if r.angle is not None:
+        q = r.angle[every]
+        out["angle"] = (q, unit_q)
+        for k, order in enumerate(fitter.orders[:2]):
+            out[f"phase of order {order:.4g}" if k else f"phase of order {order:.4g} of the angle"] = (
+                np.mod(order * q, 2 * np.pi), "rad",
+            )  # fmt: skip
+    chain = fitted.axis.chain
+    if chain.couplings and fitter.view.channel == "velocity":
+        from mjsim.ode import simulate
+
+        y = simulate(fitted.axis, r.torque, r.dt, before=experiment.before)
+        for j, c in enumerate(chain.couplings):
+            if j < y.q.shape[1] - 1:
+                out[f"deflection at {c.place}"] = (c.ratio * y.q[:, j] - y.q[:, j + 1], "rad")
+    out["time"] = (r.time[every], "s")
+    return out
+
+
+def _smooth(x: np.ndarray, width: int) -> np.ndarray:
+    kernel = np.hanning(width + 2)[1:-1]
+    return np.convolve(x, kernel / kernel.sum(), mode="same")
+
+
+def binned(y: np.ndarray, x: np.ndarray, keep: np.ndarray, bins: int = 24) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Share of the variance of y that a function of x explains, cross-validated between interleaved stretches, and that function.
+
+    Bins hold equal numbers of samples and are split at zero, so that a jump there stays sharp. Returns share (>= 0), centres,
+    means, standard errors.
+    """
+    y, x = y[keep], x[keep]
+    if len(y) < 10 * bins or np.ptp(x) == 0:
+        return 0.0, np.empty(0), np.empty(0), np.empty(0)
+    edges = np.quantile(x, np.linspace(0, 1, bins + 1))
+    if edges[0] < 0 < edges[-1]:
+        edges[np.argmin(np.abs(edges[1:-1])) + 1] = 0.0
+    edges = np.unique(edges)
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    n_bin = len(edges) - 1
+    half = (np.arange(len(y)) * 20 // len(y)) % 2
+    means = np.zeros((2, n_bin))
+    for h in (0, 1):
+        mine = half == h
+        count = np.bincount(index[mine], minlength=n_bin)
+        means[h] = np.where(count > 0, np.bincount(index[mine], y[mine], n_bin) / np.maximum(count, 1), np.mean(y[mine]))
+    predicted = means[1 - half, index]
+    total = float(np.sum((y - y.mean()) ** 2))
+    share = 1.0 - float(np.sum((y - predicted) ** 2)) / max(total, 1e-300)
+    count = np.maximum(np.bincount(index, minlength=n_bin), 1)
+    mean = np.bincount(index, y, n_bin) / count
+    var = np.maximum(np.bincount(index, y**2, n_bin) / count - mean**2, 0)
+    centre = np.bincount(index, x, n_bin) / count
+    return max(0.0, share), centre, mean, np.sqrt(var / count)
+
+
+def locate(fitter: Fitter, fitted: Fitted) -> Mismatch:
+    """Time, frequency, state and place of the first experiment's residual."""
+    experiment = fitter.experiments[0]
+    e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
+    assert e is not None
+    counted = fitter.counted(experiment)
+    every = fitter.view.decimate
+    dt = experiment.recording.dt * every
+    noise = experiment.sigma**2 if fitter.noise_known else 0.0
+    energy = float(np.mean(e[counted] ** 2))
+    above = max(0.0, 1.0 - noise / energy) if energy > 0 else 0.0
+    spectrum, linear = _spectrum(fitter, e, dt, noise)
+    return Mismatch(
+        time=_time_shares(experiment.recording.time[::every][: len(e)], e, counted, noise),
+        frequency=_frequency_shares(*spectrum[:3]),
+        state=_state_shares(fitter, fitted, counted),
+        place=_places(fitter, fitted, counted),
+        spectrum=spectrum,
+        above_noise=above,
+        linear_share=linear,
+    )
+
+
+def _time_shares(time: np.ndarray, e: np.ndarray, counted: np.ndarray, noise: float, pieces: int = 20) -> tuple[Share, ...]:
+    """Energy above noise in stretches of equal length, strongest first, those with more than their even share."""
+    out = []
+    excess = np.where(counted, e**2 - noise, 0.0)
+    total = float(np.sum(np.maximum([np.sum(p) for p in np.array_split(excess, pieces)], 0))) or 1.0
+    for t, p in zip(np.array_split(time, pieces), np.array_split(excess, pieces), strict=True):
+        share = max(0.0, float(np.sum(p))) / total
+        if share > 1.5 / pieces:
+            out.append(Share(float(t[0]), float(t[-1]), share))
+    return tuple(sorted(out, key=lambda s: -s.share)[:6])
+
+
+def _spectrum(
+    fitter: Fitter, e: np.ndarray, dt: float, noise: float
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
+    """(frequency, residual, noise and output psd), and the share of the residual coherent with the input."""
+    from scipy.signal import coherence, welch
+
+    experiment = fitter.experiments[0]
+    every = fitter.view.decimate
+    y = experiment.recording.torque if fitter.view.channel == "torque" else measured_velocity(experiment.recording)
+    y, u = y[::every][: len(e)], experiment.recording.torque[::every][: len(e)]
+    segment = min(len(e), max(256, 2 ** int(np.log2(len(e) / 6))))
+    f, pe = welch(e, 1 / dt, nperseg=segment, detrend=False)
+    _, py = welch(y, 1 / dt, nperseg=segment)
+    _, c = coherence(u, e, 1 / dt, nperseg=segment)
+    count = 2 * len(e) / segment - 1
+    c = np.maximum(0.0, (c - 1 / count) / (1 - 1 / count))
+    pn = np.full_like(f, noise * 2 * dt)
+    excess = np.maximum(pe - pn, 0)
+    total = float(np.sum(excess))
+    return (f, pe, pn, py), float(np.sum(excess * c) / total) if total > 0 else 0.0
+
+
+def _frequency_shares(f: np.ndarray, pe: np.ndarray, pn: np.ndarray) -> tuple[Share, ...]:
+    """Contiguous bands that hold the residual's energy above noise, strongest first."""
+    excess = np.maximum(pe - 1.5 * pn, 0.0)
+    total = float(np.sum(excess))
+    if total <= 0:
+        return ()
+    out: list[Share] = []
+    threshold = 0.1 * float(np.max(excess))
+    inside = excess > threshold
+    start = None
+    for i in range(len(f) + 1):
+        on = i < len(f) and inside[i]
+        if on and start is None:
+            start = i
+        if not on and start is not None:
+            out.append(Share(float(f[start]), float(f[i - 1] + (f[1] - f[0])), float(np.sum(excess[start:i]) / total)))
+            start = None
+    return tuple(sorted(out, key=lambda s: -s.share)[:5])
+
+
+def _state_shares(fitter: Fitter, fitted: Fitted, counted: np.ndarray) -> tuple[StateShare, ...]:
+    d = disturbance(fitter, fitted)
+    out = []
+    for name, (x, unit) in states(fitter, fitted).items():
+        share, centre, mean, error = binned(d, x[: len(d)], counted)
+        out.append(StateShare(name, unit, share, centre, mean, error))
+    return tuple(sorted(out, key=lambda s: -s.share))
+
+
+def _places(fitter: Fitter, fitted: Fitted, counted: np.ndarray) -> tuple[Place, ...]:
+    """For every body: how large a torque there would close the gap, and how much of it one state explains; and the sensor."""
+    chain = fitter.nominal.chain
+    table: Sequence[tuple[str, int]] = [
+        (p, i) for p in ("motor", "gearbox", "arm") if (i := chain.body(p)) is not None and (i > 0 or p == "motor")
+    ]
+    unit = "N m" if chain.motion.value == "hinge" else "N"
+    known = states(fitter, fitted)
+    out = []
+    for place, body in table:
+        d = disturbance(fitter, fitted, body)
+        best, by = 0.0, "nothing"
+        for name, (x, _) in known.items():
+            share = binned(d, x[: len(d)], counted)[0]
+            if share > best:
+                best, by = share, name
+        out.append(Place(place, chain.element(place), float(np.sqrt(np.mean(d[counted] ** 2))), unit, best, by))
+    e = fitter.error(fitted.axis, fitter.experiments[0], fitted.hypothesis.initial(fitted.fit.x, 0))
+    assert e is not None
+    best, by = 0.0, "nothing"
+    for name, (x, _) in known.items():
+        share = binned(e, x[: len(e)], counted)[0]
+        if share > best:
+            best, by = share, name
+    out.append(Place("sensor", chain.velocity_sensor, float(np.sqrt(np.mean(e[counted] ** 2))), "as the channel", best, by))
+    return tuple(sorted(out, key=lambda p: -p.explained))

@@ -1,0 +1,104 @@
+"""Does the residual still hold structure that the recorded input and motion predict? The test behind ``unexplained``.
+
+A dictionary of torques, functions of the measured velocity, angle and command, is passed through the fitted linear axis, and
+the residual is regressed on it (ridge) on the estimation samples. What counts is how much it predicts of the *held-out* residual: noise, coloured
+or not, is not predicted by it; physics that was left out is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.experiment import Experiment, measured_velocity
+from diagnose.fitter import Fitted, Fitter
+from diagnose.orders import torque_to_velocity
+from mjsim.axis import Axis
+
+__all__ = ["Structure", "remaining_structure"]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """share: part of the held-out squared residual that the dictionary predicts (<= 0 when none); p_value: one-sided, over blocks."""
+
+    share: float
+    p_value: float
+
+
+def _clean_velocity(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray:
+    """Velocity (N,) for the dictionary: the model's own in free run, so that the sensor's noise is not regressed on itself."""
+    v = measured_velocity(experiment.recording)
+    if fitter.view.channel == "velocity":
+        s = fitter.view.signals(axis, experiment, initial)
+        return v if s is None else s.predicted
+    width = max(3, int(0.003 / experiment.recording.dt))
+    kernel = np.hanning(width + 2)[1:-1]
+    return np.convolve(v, kernel / kernel.sum(), mode="same")
+
+
+def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray:
+    """Responses (M, k) of the judged channel to the torques of the dictionary."""
+    from scipy.signal import lfilter
+
+    r = experiment.recording
+    s = _clean_velocity(fitter, axis, experiment, initial)
+    scale = fitter.scales["motor"].velocity or 1.0
+    x = s / scale
+    u = r.torque / (fitter.scales["motor"].input or 1.0)
+    torques = [np.ones_like(x), np.tanh(x / 0.02), np.tanh(x / 0.1), x, np.abs(x), x * np.abs(x), x**3, u * np.abs(u), u**3, np.abs(u),
+               np.tanh(x / 0.05) * np.abs(u), np.tanh(x / 0.05) * np.exp(-((x / 0.1) ** 2)),
+               np.tanh(x / 0.05) * np.arange(len(x)) / len(x)]  # fmt: skip
+    if r.angle is not None:
+        q = r.angle
+        c = (q - q.mean()) / max(float(np.ptp(q)), 1e-12) * 2
+        torques += [c, c**2, c**3, c * np.tanh(x / 0.05)]
+        for order in fitter.orders[:3]:
+            for trig in (np.sin(order * q), np.cos(order * q)):
+                torques += [trig, trig * np.tanh(x / 0.05)]
+    basis = np.column_stack(torques)
+    lagged = [np.concatenate([np.zeros(k), u[:-k]]) for k in (max(1, int(d / r.dt)) for d in (0.001, 0.003, 0.01, 0.03, 0.1))]
+    if fitter.view.channel == "torque":
+        every = fitter.view.decimate
+        return basis[::every]
+    b, a = torque_to_velocity(axis, r.dt)
+    through = lfilter(b, a, np.column_stack([basis, u, *lagged]), axis=0)
+    return np.column_stack([through, s])
+
+
+def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Structure:
+    """Share of the held-out residual that the dictionary predicts, and how sure that it predicts any."""
+    from scipy.stats import t as student
+
+    rows, targets = [], []
+    for i, experiment in enumerate(fitter.experiments):
+        axis, initial = fitted.hypothesis.axis(fitted.fit.x, i), fitted.hypothesis.initial(fitted.fit.x, i)
+        e = fitter.error(axis, experiment, initial)
+        assert e is not None
+        keep = fitter.counted(experiment)
+        rows.append(_dictionary(fitter, axis, experiment, initial)[: len(e)][keep] / fitter.sigma(experiment))
+        targets.append(e[keep] / fitter.sigma(experiment))
+    X, y = np.concatenate(rows), np.concatenate(targets)
+    scale = np.sqrt(np.mean(X**2, axis=0)) + 1e-300
+    X = X / scale
+    gram = X.T @ X + 1e-4 * len(X) * np.eye(X.shape[1])
+    weights = np.linalg.solve(gram, X.T @ y)
+    gains, before = [], 0.0
+    for experiment in fitter.held_out:
+        solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
+        if solved is None:
+            return Structure(0.0, 1.0)
+        e = fitter.error(solved[0], experiment, solved[1])
+        if e is None:
+            return Structure(0.0, 1.0)
+        keep = fitter.counted(experiment)
+        z = e[keep] / fitter.sigma(experiment)
+        predicted = (_dictionary(fitter, solved[0], experiment, solved[1])[: len(e)][keep] / fitter.sigma(experiment) / scale) @ weights
+        # a gain of any size that carries over counts, a wrong amplitude does not hide it
+        gain = 2 * z * predicted - predicted**2
+        gains += [float(np.sum(p)) for p in np.array_split(gain, blocks)]
+        before += float(z @ z)
+    g = np.array(gains)
+    t = float(np.mean(g) / (np.std(g, ddof=1) / np.sqrt(len(g)) + 1e-300))
+    return Structure(float(np.sum(g)) / before, float(student.sf(t, len(g) - 1)))

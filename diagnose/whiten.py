@@ -1,0 +1,45 @@
+"""The colour of what is left: an autoregressive filter that whitens the residual, so that its correlation is counted.
+
+Levinson-Durbin on the residual's autocorrelation, order by BIC. Source: L. Ljung, System Identification (1999), ch. 14.4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diagnose.fitter import Fitted, Fitter
+
+__all__ = ["levinson", "whitening_filter"]
+
+
+def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """AR polynomial (order + 1,), monic, and the innovation variances of all orders 0..order from autocovariances r."""
+    a = np.zeros(order + 1)
+    a[0] = 1.0
+    variance = np.empty(order + 1)
+    variance[0] = r[0]
+    for m in range(1, order + 1):
+        k = -float(a[:m] @ r[m:0:-1]) / variance[m - 1]
+        a[1 : m + 1] += k * a[m - 1 :: -1][:m]
+        variance[m] = variance[m - 1] * (1 - k * k)
+    return a, variance
+
+
+def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material: float = 0.02) -> np.ndarray | None:
+    """The filter for the residual of a fitted model, or None when it is white to within ``material`` of its variance."""
+    total = np.zeros(largest + 1)
+    n = 0
+    for i, experiment in enumerate(fitter.experiments):
+        e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, i), experiment, fitted.hypothesis.initial(fitted.fit.x, i))
+        if e is None:
+            return None
+        e = np.where(fitter.counted(experiment), e, 0.0) / fitter.sigma(experiment)
+        n += int(fitter.counted(experiment).sum())
+        total += np.array([float(e[: len(e) - k] @ e[k:]) for k in range(largest + 1)])
+    r = total / n
+    _, variance = levinson(r, largest)
+    bic = n * np.log(np.maximum(variance, 1e-300)) + np.log(n) * np.arange(largest + 1)
+    order = int(np.argmin(bic))
+    if order == 0 or 1 - variance[order] / variance[0] < material:
+        return None
+    return levinson(r, order)[0]

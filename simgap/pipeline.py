@@ -1,0 +1,80 @@
+"""From files to a folder with a diagnosis: diagnosis.json, corrected.xml, report.html."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from diagnose.flow import Options, diagnose
+from diagnose.result import Diagnosis
+from mjsim.axis import Axis
+from mjsim.mjcf import load_axis, write_corrected
+from mjsim.recording import load
+
+__all__ = ["corrected_axis", "diagnose_files"]
+
+
+def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
+    """The nominal axis with the fitted linear parameters and the findings."""
+    from mjsim.effects import effect_class
+
+    axis = nominal.with_linear({k: v.value for k, v in diagnosis.linear_parameters.items()})
+    for f in diagnosis.findings:
+        axis = axis + effect_class(f.effect)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
+    return axis
+
+
+def diagnose_files(
+    recordings: Sequence[Path],
+    model: Path,
+    out: Path,
+    held_out: Sequence[Path] = (),
+    options: Options | None = None,
+    *,
+    progress: bool = True,
+    truth: Mapping[str, Any] | None = None,
+) -> Diagnosis:
+    """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole."""
+    nominal = load_axis(model)
+    loaded = [load(p, model=model) for p in recordings]
+    held = [load(p, model=model) for p in held_out]
+    with _status(progress) as say:
+        result = diagnose(nominal, loaded, held, options, say)
+    out.mkdir(parents=True, exist_ok=True)
+    corrected = out / "corrected.xml"
+    write_corrected(model, corrected_axis(nominal, result), corrected)
+    diff = "".join(
+        difflib.unified_diff(
+            model.read_text(encoding="utf-8").splitlines(keepends=True), corrected.read_text(encoding="utf-8").splitlines(keepends=True),
+            model.name, corrected.name, n=1,
+        )
+    )  # fmt: skip
+    from diagnose.report import write_report
+
+    write_report(result, out / "report.html", corrected_diff=diff, truth=truth)
+    result.write_json(out / "diagnosis.json")
+    return result
+
+
+def _status(on: bool) -> AbstractContextManager[Any]:
+    """A line on standard error that says what is being done, and for how long."""
+    if not on:
+        return nullcontext(lambda _: None)
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    class Status:
+        def __enter__(self) -> Any:
+            columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task("reading", total=None)
+            return lambda text: self.bar.update(self.task, description=text)
+
+        def __exit__(self, *_: object) -> None:
+            self.bar.stop()
+
+    return Status()

@@ -1,0 +1,39 @@
+"""A diagnosis on the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from diagnose.result import Diagnosis
+
+__all__ = ["show_diagnosis"]
+
+
+def show_diagnosis(result: Diagnosis, out: Path) -> None:
+    """Verdict, findings with their numbers, errors before and after, where to read on."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    console.print(f"[bold]{result.verdict.value}[/bold]  {result.summary}")
+    for f in result.findings:
+        console.print(f"\n[bold]{f.effect}[/bold] at {f.place} (element {f.element})\n  {f.sentence}")
+        for name, e in f.parameters.items():
+            console.print(f"  {name} = {e.value:.5g} {e.unit}   95 % [{e.ci95[0]:.5g}, {e.ci95[1]:.5g}]", highlight=False)
+        ev = f.evidence
+        console.print(
+            f"  held-out error {ev['held_out_error_before']:.4g} -> {ev['held_out_error_after']:.4g} {result.unit}, "
+            f"p = {ev['p_value']:.2g} over {ev['hypotheses']:.0f} hypotheses",
+            highlight=False,
+        )
+        if f.equivalents:
+            console.print(f"  cannot be told from: {', '.join(f.equivalents)}")
+    table = Table("model", f"rms [{result.unit}]", "nrmse", f"held-out rms [{result.unit}]", "held-out nrmse")
+    for name, fit in result.fit.items():
+        table.add_row(name, *(f"{x:.4g}" for x in (fit.rms, fit.nrmse, fit.held_out_rms, fit.held_out_nrmse)))
+    if result.noise_floor == result.noise_floor:
+        table.add_row("noise floor", f"{result.noise_floor:.4g}", "", "", "")
+    console.print(table)
+    if result.next_experiment:
+        console.print(f"Next: {result.next_experiment}")
+    console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)")
