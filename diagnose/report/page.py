@@ -1,0 +1,270 @@
+"""A diagnosis -> ``report.html``: the pictures, the tables and the template put together, written in one move."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path, PurePath
+from typing import Any
+
+from diagnose.report import pictures
+from diagnose.report.figures import estimate, interval, number, p_value, percent, unit
+from diagnose.report.truth import truth_rows
+from diagnose.report.words import VERDICTS, effect_name, linear_name, structure_name, where
+from diagnose.result import Diagnosis, Estimate, Finding, Rival
+from mjsim.effects import effect_class
+
+__all__ = ["render_report", "write_report"]
+
+_SHOWN_RIVALS = 8
+_MOST_TRACES = 4
+_LONG_DIFF = 60
+
+
+def write_report(diagnosis: Diagnosis, path: Path, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None) -> None:
+    """Write the page.
+
+    ``corrected_diff``: unified diff of ``corrected.xml`` to the nominal model. ``truth``: what was concealed, by the keys of the
+    practice set (``effects``, ``where``, ``parameters``, ``linear_parameters``). Nothing half-written is left under ``path``.
+    """
+    text = render_report(diagnosis, corrected_diff=corrected_diff, truth=truth)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as out:
+            out.write(text)
+        os.chmod(scratch, 0o644)
+        os.replace(scratch, path)
+    except BaseException:
+        Path(scratch).unlink(missing_ok=True)
+        raise
+
+
+def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None) -> str:
+    """The page as text."""
+    from jinja2 import Environment, StrictUndefined
+
+    here = files("diagnose.report")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"number": number, "unit": unit, "percent": percent, "p": p_value, "effect": effect_name}
+    template = environment.from_string((here / "page.html.j2").read_text(encoding="utf-8"))
+    d = diagnosis
+    shown, hidden = _rivals(d)
+    return template.render(
+        d=d,
+        css=(here / "page.css").read_text(encoding="utf-8"),
+        verdict=VERDICTS[d.verdict],
+        tiles=_tiles(d),
+        where=where(d),
+        drawn=_drawn(d),
+        findings=[_finding(f, d.unit) for f in d.findings],
+        linear=_linear(d),
+        fits=_fits(d),
+        rivals=shown,
+        more_rivals=hidden,
+        failed=[(structure_name(tuple(k.split("+"))), why) for k, why in d.failed.items()],
+        false_alarm=[(k.replace("_", " "), percent(v) if _is_share(k, v) else number(v)) for k, v in d.false_alarm.items()],
+        equivalents=[
+            (effect_name(f.effect), f.place, [structure_name((e,)) for e in f.equivalents]) for f in d.findings if f.equivalents
+        ],
+        diff=_diff(corrected_diff),
+        diff_open=corrected_diff.count("\n") <= _LONG_DIFF,
+        truth=truth_rows(d, truth) if truth is not None else None,
+        circumstances=_circumstances(truth),
+        commands=_commands(d),
+        recordings=[{"name": PurePath(r.get("file", "")).name, **r} for r in d.recordings],
+    )
+
+
+def _is_share(name: str, value: float) -> bool:
+    return 0 <= value <= 1 and not any(word in name for word in ("number", "count", "threshold"))
+
+
+def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
+    """(figure, what it is, detail) for the head of the page."""
+    u = unit(d.unit)
+    before, after = d.fit.get("refitted"), d.fit.get("corrected")
+    out: list[tuple[str, str, str]] = []
+    if d.findings and before and after:
+        detail = f"{number(before.held_out_rms, 3)} → {number(after.held_out_rms, 3)} {u} rms on held-out data"
+        out.append((percent(d.gap_closed), "of the gap closed", detail))
+    best = after or before
+    if best and d.noise_floor > 0 and math.isfinite(best.held_out_rms):
+        detail = f"{number(best.held_out_rms, 3)} against {number(d.noise_floor, 3)} {u} rms"
+        out.append((f"{number(best.held_out_rms / d.noise_floor, 3)} ×", "the noise is what remains", detail))
+    worst = max((f.evidence["p_value"] for f in d.findings if "p_value" in f.evidence), default=None)
+    if worst is not None:
+        tested = max((f.evidence.get("hypotheses", 0) for f in d.findings), default=0)
+        detail = "held-out data, corrected for " + (f"{tested:.0f} hypotheses" if tested else "the hypotheses tried")
+        out.append((p_value(worst), "chance of a false find" if len(d.findings) == 1 else "chance, weakest find", detail))
+    elif d.rivals:
+        detail = "none paid on held-out data" if not d.findings else "fitted and compared"
+        out.append((f"{len(d.rivals)}", "structures compared", detail))
+    return out
+
+
+def _drawn(d: Diagnosis) -> dict[str, Any]:
+    """All pictures as SVG text, with what stands under them."""
+    from markupsafe import Markup
+
+    found = bool(d.findings)
+    roles = sorted(d.traces, key=lambda t: t.role != "estimation")
+    chosen = [t for t in roles if t.role == "estimation"][: _MOST_TRACES - 1]
+    chosen += [t for t in roles if t.role != "estimation"][: _MOST_TRACES - len(chosen)]
+    torque = "N m" if not d.mismatch.place else next((p.unit for p in d.mismatch.place if p.unit in ("N m", "N")), "N m")
+    first = chosen[0] if chosen else None
+    curves = pictures.spectrum(d.mismatch, first, d.channel, d.unit, found, "s")
+    maps = pictures.states(d.mismatch.state, torque, "m")
+    return {
+        "time": [(t.source, t.role, Markup(pictures.time(t, d.channel, d.unit, found, f"t{i}"))) for i, t in enumerate(chosen)],
+        "left_out": [t.source for t in roles if t not in chosen],
+        "spectrum": Markup(curves) if curves else None,
+        "states": Markup(maps) if maps else None,
+        "sigma": any(t.sigma > 0 for t in chosen),
+    }
+
+
+def _law(effect: str) -> tuple[str, str, str]:
+    """(title, formula, citation) of an effect; empty for what stands on no registry (a map)."""
+    try:
+        cls = effect_class(effect)
+    except KeyError:
+        return "", "", ""
+    title, _, formula = (inspect.getdoc(sys.modules[cls.__module__]) or "").partition("\n\n")
+    return " ".join(title.split()), formula.strip(), cls.citation
+
+
+def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:
+    title, formula, citation = _law(f.effect)
+    about = {s.name: s.about for s in effect_class(f.effect).specs()} if title else {}
+    known = ("held_out_error_before", "held_out_error_after", "p_value", "hypotheses", "delta_chi2")
+    return {
+        "finding": f,
+        "name": effect_name(f.effect),
+        "title": title,
+        "formula": formula,
+        "citation": citation,
+        "parameters": [(name, about.get(name, ""), *_estimated(e)) for name, e in f.parameters.items()],
+        "evidence": _evidence(f, unit(channel_unit)),
+        "more": [(k.replace("_", " "), number(v)) for k, v in f.evidence.items() if k not in known],
+    }
+
+
+def _estimated(e: Estimate) -> tuple[str, str, str]:
+    return estimate(e), interval(e), unit(e.unit)
+
+
+def _evidence(f: Finding, u: str) -> str:
+    """The evidence for a finding as a sentence."""
+    e, parts = f.evidence, []
+    before, after = e.get("held_out_error_before"), e.get("held_out_error_after")
+    if before is not None and after is not None:
+        times = f", {number(before / after, 3)} times less" if after > 0 and before / after > 1.05 else ""
+        parts.append(
+            f"Without it the model misses the held-out data by {number(before)} {u} rms, with it by {number(after)} {u}{times}."
+        )
+    if "p_value" in e:
+        tested = f" after correction for {e['hypotheses']:.0f} hypotheses" if "hypotheses" in e else ""
+        parts.append(f"Probability of such a gain by chance: {p_value(e['p_value'])}{tested}.")
+    if "delta_chi2" in e:
+        parts.append(f"On the estimation data it takes {number(e['delta_chi2'], 3)} off the whitened chi-square.")
+    return " ".join(parts)
+
+
+def _linear(d: Diagnosis) -> list[dict[str, Any]]:
+    rows = []
+    for name, e in d.linear_parameters.items():
+        nominal = d.nominal_parameters.get(name)
+        change = (e.value - nominal) / abs(nominal) if nominal else math.nan
+        value, bounds, u = _estimated(e)
+        inside = nominal is not None and e.ci95[0] <= nominal <= e.ci95[1]
+        sign = "+" if change > 0 else "\N{MINUS SIGN}"
+        rows.append(
+            {
+                "name": name,
+                "words": linear_name(name, e.unit),
+                "nominal": number(nominal),
+                "value": value,
+                "interval": bounds,
+                "unit": u,
+                "change": "–" if not math.isfinite(change) else "as nominal" if inside else f"{sign}{percent(abs(change))}",
+                "negative": e.value < 0,
+            }
+        )
+    return rows
+
+
+_FIT_WORDS = {"nominal": "nominal, as given", "refitted": "nominal, refitted", "corrected": "corrected"}
+
+
+def _fits(d: Diagnosis) -> list[dict[str, Any]]:
+    """One row per model, with the error as a multiple of the noise floor and the length of its bar (log scale)."""
+    rows = []
+    errors = [f.held_out_rms for f in d.fit.values() if math.isfinite(f.held_out_rms) and f.held_out_rms > 0]
+    floor = d.noise_floor if d.noise_floor > 0 else math.nan
+    least = min([*errors, *([floor] if floor > 0 else [])], default=1.0)
+    span = math.log(max(errors, default=1.0) / least) or 1.0
+    for key, f in d.fit.items():
+        bar = 4 + 96 * math.log(f.held_out_rms / least) / span if f.held_out_rms > 0 and math.isfinite(f.held_out_rms) else 0
+        rows.append(
+            {
+                "key": key,
+                "name": _FIT_WORDS.get(key, key),
+                "fit": f,
+                "times": number(f.held_out_rms / floor, 3) if floor > 0 else "–",
+                "bar": round(bar, 1),
+            }
+        )
+    return rows
+
+
+def _rivals(d: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Sorted by criterion; the first ones, the nominal and the chosen structure among them, and the rest."""
+    chosen = {f"{f.effect}@{f.place}" for f in d.findings}
+
+    def key(r: Rival) -> float:
+        return r.criterion if math.isfinite(r.criterion) else math.inf
+
+    ordered = sorted(d.rivals, key=key)
+    mine = next((r for r in ordered if set(r.effects) == chosen), None)
+    reference = mine.criterion if mine is not None and math.isfinite(mine.criterion) else key(ordered[0]) if ordered else 0.0
+    rows: list[dict[str, Any]] = [
+        {"rival": r, "name": structure_name(r.effects), "above": number(r.criterion - reference, 3), "chosen": r is mine}
+        for r in ordered
+    ]
+    front = {i for i, row in enumerate(rows) if i < _SHOWN_RIVALS or row["chosen"] or not row["rival"].effects}
+    return [row for i, row in enumerate(rows) if i in front], [row for i, row in enumerate(rows) if i not in front]
+
+
+def _diff(text: str) -> list[tuple[str, str]]:
+    """(kind, line) of a unified diff."""
+    kinds = {"+": "add", "-": "del", "@": "at"}
+    return [
+        ("head" if line.startswith(("---", "+++")) else kinds.get(line[:1], "same"), line)
+        for line in text.rstrip("\n").splitlines()
+    ]
+
+
+def _circumstances(truth: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """What else is known of a concealed case: noise, excitation, loop."""
+    if truth is None:
+        return []
+    plain = {k: v for k, v in truth.items() if isinstance(v, str | bool | int | float)}
+    words = {True: "yes", False: "no"}
+    return [
+        (k.replace("_", " "), words[v] if isinstance(v, bool) else number(float(v)) if isinstance(v, int | float) else v)
+        for k, v in plain.items()
+    ]
+
+
+def _commands(d: Diagnosis) -> list[str]:
+    """How to replay what was found, and how to repeat the diagnosis."""
+    names = [PurePath(r.get("file", "")).name for r in d.recordings]
+    if not names:
+        return []
+    return [f"simgap replay corrected.xml {names[-1]} --out prediction.csv"]

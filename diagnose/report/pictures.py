@@ -1,0 +1,255 @@
+"""The pictures, as SVG whose colours are CSS variables of the page: one drawing, legible in light, in dark and on paper."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from diagnose.report.curves import blank, envelope, psd, worst_stretch
+from diagnose.report.figures import percent, unit
+from diagnose.result import Mismatch, Share, StateShare, Traces
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["spectrum", "states", "time"]
+
+# drawn colour -> the variable that replaces it; the drawn values only have to differ
+INK, MUTED, GRID, PAPER = "#010101", "#020202", "#030303", "#040404"
+MEASURED, NOMINAL, REFITTED, CORRECTED, BAND = "#050505", "#060606", "#070707", "#080808", "#090909"
+_VARIABLES = {
+    INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper", MEASURED: "measured",
+    NOMINAL: "nominal", REFITTED: "refitted", CORRECTED: "corrected", BAND: "band",
+}  # fmt: skip
+_WIDTH = 10.6
+_STYLE: Any = {
+    "svg.fonttype": "none", "svg.hashsalt": "simgap", "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10,
+    "xtick.labelsize": 9, "ytick.labelsize": 9, "legend.fontsize": 9.5, "text.color": INK, "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED, "xtick.color": MUTED, "ytick.color": MUTED, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
+    "grid.color": GRID, "grid.linewidth": 0.7, "axes.grid": True, "axes.axisbelow": True, "axes.facecolor": "none",
+    "figure.facecolor": "none", "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
+    "lines.solid_joinstyle": "round", "path.simplify": False, "axes.linewidth": 0.8, "axes.unicode_minus": True,
+    "axes.titlelocation": "left",
+}  # fmt: skip
+
+
+def _figure(height: float) -> Figure:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, height), dpi=72)
+    FigureCanvasSVG(figure)
+    return figure
+
+
+def _svg(figure: Figure, name: str, alt: str) -> str:
+    """The drawing as an <svg> element: page colours, the page's font, ids of its own, a title for those who do not see it."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.S)
+    text = re.sub(r'<g id="[^"]*">', "<g>", text)
+    text = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{name}-", text)
+    text = re.sub(r' d="([^"]*)"', lambda m: f' d="{_short(m[1])}"', text)
+    text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
+    text = re.sub(r"#(0[1-9])\1\1", lambda m: f"var(--{_VARIABLES[m[0]]})", text)
+    label = alt.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+    box = re.search(r'viewBox="[^"]*"', text)
+    assert box is not None
+    body = text[text.index(">") + 1 :]
+    return f'<svg {box[0]} role="img" aria-label="{label}" xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">{body}'
+
+
+def _short(path: str) -> str:
+    """Coordinates to a tenth of a point, in as few characters."""
+    rounded = re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
+    return re.sub(r"\s+", " ", rounded).strip()
+
+
+def _style() -> Any:
+    import matplotlib as mpl
+
+    return mpl.rc_context(_STYLE)
+
+
+def _legend(figure: Figure, axes: Axes, y: float = 1.0) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="upper left", bbox_to_anchor=(0.06, y), ncols=len(labels), handlelength=2.2, columnspacing=1.6
+    )
+
+
+def time(t: Traces, channel: str, channel_unit: str, found: bool, name: str) -> str:
+    """Measured and predicted over time, the error below; at the right the stretch where the refitted model is worst."""
+    u = unit(channel_unit)
+    zoom = worst_stretch(t)
+    alt = (
+        f"{channel} of {t.source} over time, measured and predicted, with the prediction errors below; "
+        f"at the right the stretch from {t.time[zoom][0]:.4g} to {t.time[zoom][-1]:.4g} s where the refitted "
+        "nominal model errs most"
+    )
+    with _style():
+        figure = _figure(4.9)
+        grid = figure.add_gridspec(
+            2,
+            2,
+            width_ratios=(1.7, 1),
+            height_ratios=(1.35, 1),
+            left=0.075,
+            right=0.995,
+            bottom=0.1,
+            top=0.875,
+            wspace=0.13,
+            hspace=0.14,
+        )
+        top, bottom = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
+        top_zoom, bottom_zoom = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+        everything = slice(0, len(t.time))
+        for axes, part, columns in ((top, everything, 550), (top_zoom, zoom, 500)):
+            x, wide = t.time[part], part is everything
+            axes.plot(*envelope(x, t.measured[part], columns), color=MEASURED, linewidth=1.0 if wide else 3.2, label="measured")
+            if t.nominal is not None:
+                axes.plot(*envelope(x, t.nominal[part], columns), ":", color=NOMINAL, linewidth=1.1, label="nominal as given")
+            axes.plot(
+                *envelope(x, t.refitted[part], columns),
+                "--" if not wide else "-",
+                color=REFITTED,
+                linewidth=1.1,
+                label="nominal refitted",
+            )
+            if found:
+                axes.plot(*envelope(x, t.corrected[part], columns), color=CORRECTED, linewidth=1.0, label="corrected")
+            _limits(axes, (t.measured[part], t.refitted[part]))
+        errors = [(blank(t.measured - t.refitted, t.counted), REFITTED)]
+        if found:
+            errors.append((blank(t.measured - t.corrected, t.counted), CORRECTED))
+        for axes, part, columns in ((bottom, everything, 550), (bottom_zoom, zoom, 500)):
+            if np.isfinite(t.sigma) and t.sigma > 0:
+                axes.axhspan(-2 * t.sigma, 2 * t.sigma, color=BAND, linewidth=0, zorder=0.5)
+            for e, colour in errors:
+                axes.plot(*envelope(t.time[part], e[part], columns), color=colour, linewidth=0.9)
+            _limits(axes, [e[part] for e, _ in errors])
+            axes.set_xlabel("time [s]")
+        for axes, part in ((top, everything), (bottom, everything), (top_zoom, zoom), (bottom_zoom, zoom)):
+            axes.set_xlim(t.time[part][0], t.time[part][-1])
+            axes.yaxis.set_major_locator(_ticks(5))
+            axes.xaxis.set_major_locator(_ticks(7 if part is everything else 4))
+            _uncounted(axes, t.time[part], t.counted[part])
+        for axes in (top, bottom):
+            axes.axvspan(t.time[zoom][0], t.time[zoom][-1], facecolor="none", edgecolor=INK, linewidth=0.9, zorder=5)
+        for axes in (top, top_zoom):
+            axes.tick_params(labelbottom=False)
+        top.set_ylabel(f"{channel} [{u}]")
+        bottom.set_ylabel(f"error [{u}]")
+        top_zoom.set_title("where the refitted nominal errs most")
+        figure.align_ylabels([top, bottom])
+        _legend(figure, top_zoom)
+        return _svg(figure, name, alt)
+
+
+def _ticks(count: int) -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+
+
+def _limits(axes: Axes, curves: Iterable[np.ndarray]) -> None:
+    """Vertical limits by what is judged; a nominal model that runs away does not squeeze the rest."""
+    values = np.concatenate([c[np.isfinite(c)] for c in curves])
+    if len(values):
+        low, high = float(np.min(values)), float(np.max(values))
+        margin = 0.06 * (high - low) or 1.0
+        axes.set_ylim(low - margin, high + margin)
+
+
+def _uncounted(axes: Axes, x: np.ndarray, counted: np.ndarray) -> None:
+    """Stretches that no model is judged on, greyed when they are few and long enough to be seen."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], counted, [True]]).astype(int)))
+    width = x[-1] - x[0]
+    stretches = [(x[a], x[min(b, len(x) - 1)]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    for a, b in stretches:
+        if b - a > 0.004 * width and len(stretches) < 60:
+            axes.axvspan(a, b, color=GRID, alpha=0.5, linewidth=0, zorder=0.3)
+
+
+def spectrum(m: Mismatch, t: Traces | None, channel: str, channel_unit: str, found: bool, name: str) -> str | None:
+    """Spectral density of what is measured, of the errors and of the noise; None when there is no spectrum."""
+    f, residual, noise, output = (np.asarray(a, float) for a in m.spectrum)
+    keep = f > 0
+    if np.count_nonzero(keep) < 3:
+        return None
+    u = unit(channel_unit)
+    strongest = "; ".join(f"{s.low:.3g} to {s.high:.3g} Hz {percent(s.share)}" for s in m.frequency[:3])
+    alt = "Spectral density of the measured signal, of the prediction errors and of the noise over frequency"
+    with _style():
+        figure = _figure(3.5)
+        axes = figure.add_axes((0.075, 0.15, 0.92, 0.73))
+        curves = [(output, MEASURED, "-", 2.4, f"measured {channel}"), (residual, REFITTED, "-", 1.3, "error, nominal refitted")]
+        after = psd(t.measured - t.corrected, float(np.median(np.diff(t.time))), len(f)) if found and t is not None else None
+        if after is not None and len(after[1]) == len(f):
+            curves.append((after[1], CORRECTED, "-", 1.3, "error, corrected"))
+        if np.any(noise[keep] > 0):
+            curves.append((noise, INK, "--", 1.1, "noise"))
+        for y, colour, style, width, label in curves:
+            axes.loglog(f[keep], np.where(y[keep] > 0, y[keep], np.nan), style, color=colour, linewidth=width, label=label)
+        axes.set_xlim(f[keep][0], f[keep][-1])
+        _bands(axes, m.frequency)
+        axes.grid(True, which="major")
+        axes.set_xlabel("frequency [Hz]")
+        axes.set_ylabel(f"density [({u})²/Hz]" if u else "density [1/Hz]")
+        _legend(figure, axes)
+        return _svg(figure, name, f"{alt}. Strongest bands: {strongest}" if strongest else alt)
+
+
+def _bands(axes: Axes, shares: Sequence[Share]) -> None:
+    """The bands that hold most of the error, shaded; labelled when their labels do not meet."""
+    low, high = axes.get_xlim()
+    used: list[float] = []
+    for s in shares[:3]:
+        a, b = max(s.low, low), min(max(s.high, low), high)
+        if not b > a:
+            continue
+        axes.axvspan(a, b, color=BAND, linewidth=0, zorder=0.4)
+        at = float(np.sqrt(a * b))
+        if s.share >= 0.03 and all(abs(np.log(at / other)) > 0.08 * np.log(high / low) for other in used):
+            used.append(at)
+            axes.text(at, 0.97, percent(s.share), transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=9)
+
+
+def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | None:
+    """Disturbance torque over the states that explain most of it, with two standard errors; None when there is none to draw."""
+    drawn = [s for s in shares if len(s.x) > 1][:3]
+    if not drawn:
+        return None
+    u = unit(torque_unit)
+    alt = "Torque at the motor that would close the gap, over " + ", over ".join(
+        f"{s.state} (explains {percent(s.share)})" for s in drawn
+    )
+    with _style():
+        figure = _figure(3.1)
+        grid = figure.add_gridspec(1, 3, left=0.075, right=0.995, bottom=0.17, top=0.89, wspace=0.1)
+        low = min(float(np.min(s.y - 2 * s.error)) for s in drawn)
+        high = max(float(np.max(s.y + 2 * s.error)) for s in drawn)
+        margin = 0.08 * (high - low) or 1.0
+        for i, s in enumerate(drawn):
+            axes = figure.add_subplot(grid[0, i])
+            axes.axhline(0, color=MUTED, linewidth=0.8)
+            axes.fill_between(s.x, s.y - 2 * s.error, s.y + 2 * s.error, color=BAND, linewidth=0)
+            axes.plot(s.x, s.y, "o-", color=REFITTED, linewidth=1.4, markersize=3.6, markeredgewidth=0)
+            axes.set_title(f"{s.state}: explains {percent(s.share)}")
+            axes.set_xlabel(f"{s.state} [{unit(s.unit)}]" if unit(s.unit) else s.state)
+            axes.set_ylim(low - margin, high + margin)
+            axes.xaxis.set_major_locator(_ticks(5))
+            axes.yaxis.set_major_locator(_ticks(6))
+            if i:
+                axes.tick_params(labelleft=False)
+            else:
+                axes.set_ylabel(f"disturbance [{u}]")
+        return _svg(figure, name, alt)

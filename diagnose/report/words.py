@@ -1,0 +1,121 @@
+"""A diagnosis in plain sentences: verdicts, names, shares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diagnose.report.figures import number, percent, unit
+from diagnose.result import Diagnosis, Share, Verdict
+
+__all__ = ["VERDICTS", "VerdictWords", "effect_name", "linear_name", "structure_name", "where"]
+
+_SMALL = 0.05
+
+
+@dataclass(frozen=True)
+class VerdictWords:
+    """How a verdict is written: badge, colour class, one sentence of meaning."""
+
+    badge: str
+    colour: str
+    meaning: str
+
+
+VERDICTS = {
+    Verdict.NO_MISMATCH: VerdictWords(
+        "No mismatch", "good", "The nominal model, as given, explains the recordings down to their noise."
+    ),
+    Verdict.PARAMETERS_ONLY: VerdictWords(
+        "Parameters only", "info", "The physics of the nominal model suffices; its numbers were off and have been fitted anew."
+    ),
+    Verdict.MISSING_PHYSICS: VerdictWords(
+        "Missing physics",
+        "warn",
+        "No choice of the nominal model's numbers explains the recordings; the physics below was left out.",
+    ),
+    Verdict.UNEXPLAINED: VerdictWords(
+        "Unexplained", "alarm", "Structure remains in the error that none of the known effects accounts for."
+    ),
+}
+
+
+def effect_name(identifier: str) -> str:
+    """``coulomb_friction`` -> ``Coulomb friction``."""
+    words = identifier.replace("_", " ")
+    for proper in ("coulomb", "stribeck"):
+        words = words.replace(proper, proper.capitalize())
+    return words[:1].upper() + words[1:]
+
+
+def structure_name(keys: Sequence[str]) -> str:
+    """A set of ``effect@place`` in words."""
+    if not keys:
+        return "nominal model refitted, nothing added"
+    parts = [key.partition("@") for key in keys]
+    return " + ".join(f"{effect_name(e)} ({p})" if p else effect_name(e) for e, _, p in parts)
+
+
+_LETTERS = {"J": "inertia", "f": "viscous friction", "k": "stiffness", "d": "damping"}
+_PLACES = {"m": "motor", "g": "gearbox", "a": "arm"}
+
+
+def linear_name(name: str, unit_text: str) -> str:
+    """``Jm`` -> ``inertia, motor``; the name itself when it is of another kind."""
+    kind, place = _LETTERS.get(name[:1]), name[1:].lstrip("_")
+    if kind is None or not place:
+        return name
+    return f"{'mass' if unit_text == 'kg' else kind}, {_PLACES.get(place, place)}"
+
+
+def where(d: Diagnosis) -> list[str]:
+    """The place of the mismatch in a few sentences: how much, when, at which frequencies, by which state, at which place."""
+    m = d.mismatch
+    if m.above_noise < _SMALL and d.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
+        return [
+            f"With its numbers fitted anew, the nominal model leaves {percent(m.above_noise)} of its error unexplained by the "
+            "noise: there is nothing to place."
+        ]
+    out = [
+        f"Of the refitted nominal model's squared error, {percent(m.above_noise)} is more than noise; {percent(m.linear_share)} "
+        "of that follows the input linearly, the rest is nonlinear or a disturbance."
+    ]
+    if m.time:
+        out.append("In time: " + _listed(_merged(m.time), "s") + ".")
+    else:
+        out.append("In time it is spread evenly: no stretch holds much more than its part.")
+    if m.frequency:
+        out.append("In frequency: " + _listed(m.frequency, "Hz") + ".")
+    if m.state and m.state[0].share >= _SMALL:
+        first, *rest = m.state
+        more = [s for s in rest if s.share > 0.5 * first.share][:2]
+        also = f" ({', '.join(f'{s.state} {percent(s.share)}' for s in more)})" if more else ""
+        out.append(
+            f"Over the state: a function of {first.state} alone explains {percent(first.share)} of the torque that would close "
+            f"the gap{also}."
+        )
+    elif m.state:
+        out.append("Over the state: no single state explains the torque that would close the gap.")
+    if m.place and m.place[0].explained >= _SMALL:
+        p = m.place[0]
+        size = f"{number(p.rms, 3)} {unit(p.unit)} rms, " if p.unit != "as the channel" else ""
+        out.append(
+            f"In the mechanism: at the {p.place} the gap takes the simplest form ({size}{percent(p.explained)} of it by {p.by})."
+        )
+    return out
+
+
+def _merged(shares: Sequence[Share]) -> list[Share]:
+    """Stretches that touch, as one; strongest first."""
+    out: list[Share] = []
+    for s in sorted(shares, key=lambda s: s.low):
+        near = 0.05 * (s.high - s.low)
+        if out and s.low - out[-1].high <= near:
+            out[-1] = Share(out[-1].low, s.high, out[-1].share + s.share)
+        else:
+            out.append(s)
+    return sorted(out, key=lambda s: -s.share)
+
+
+def _listed(shares: Sequence[Share], unit_text: str, most: int = 3) -> str:
+    return ", ".join(f"{percent(s.share)} between {number(s.low, 3)} and {number(s.high, 3)} {unit_text}" for s in shares[:most])
