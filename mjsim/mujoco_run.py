@@ -46,16 +46,16 @@ def run_literal(
     source = model if isinstance(model, Model) else load_model(model)
     torque = np.asarray(torque, float)
     found, m = source.found, source.mjmodel
-    before = float(m.opt.timestep)
-    steps = max(1, math.ceil(dt / (timestep or before) - 1e-6))
+    own = float(m.opt.timestep)
+    steps = max(1, math.ceil(dt / (timestep or own) - 1e-6))
     m.opt.timestep = dt / steps
     try:
         qpos, qvel, sensed = _roll(source, torque, steps, initial, before)
     finally:
-        m.opt.timestep = before
+        m.opt.timestep = own
     q, v = qpos @ found.rows.T, qvel @ found.rows.T
     velocity, angle = (
-        sensed.get(name, own) for name, own in ((found.chain.velocity_sensor, v[:, 0]), (found.chain.angle_sensor, q[:, 0]))
+        sensed.get(name, true) for name, true in ((found.chain.velocity_sensor, v[:, 0]), (found.chain.angle_sensor, q[:, 0]))
     )
     return Trajectory(
         dt * np.arange(len(torque)), torque.copy(), velocity.copy(), angle.copy(), q, v, _coupling_torque(source, qpos, qvel)

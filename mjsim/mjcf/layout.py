@@ -29,7 +29,7 @@ def outside(where: object, what: str, todo: str) -> InputError:
 
 @dataclass(frozen=True)
 class Mass:
-    """An inertia on a row; ``lever`` is the share that comes from a hinge body's centre standing off the axis.
+    """An inertia on a row; ``lever`` is the share that comes from the mass (of a hinge body, whose centre stands off the axis).
 
     ``kind`` is body, or joint, tendon, actuator for an armature; ``id`` is its index there.
     """
@@ -180,8 +180,8 @@ def _actuator_row(model: mujoco.MjModel, a: int, tendons: list[np.ndarray | None
 
 
 def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: list[np.ndarray | None]) -> Drive:
-    names = [model.actuator(a).name for a in range(model.nu)]
-    inputs = [a for a in range(model.nu) if model.actuator_ctrlnum[a] > 0]
+    names = [model.actuator(a).name for a in range(model.nactuator)]
+    inputs = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] > 0]
     choices = ", ".join(_label(names[a], a) for a in inputs) or "none"
     if wanted is None:
         if len(inputs) != 1:
@@ -239,6 +239,7 @@ def _body_masses(model: mujoco.MjModel, data: mujoco.MjData, source: object) -> 
                 value += lever
         else:
             row, value = move, mass * float(arm @ arm)
+            lever = value
         out.append(Mass("body", b, model.body(b).name, row, value, lever))
     return out
 
@@ -261,7 +262,7 @@ def _armatures(model: mujoco.MjModel, tendons: list[np.ndarray | None]) -> list[
         # the compiler adds the armature of an actuator to its joint
         added = sum(
             float(model.actuator_armature[a]) * float(row[model.jnt_dofadr[j]]) ** 2
-            for a in range(model.nu)
+            for a in range(model.nactuator)
             if model.actuator_armature[a]
             and int(model.actuator_trntype[a]) == mujoco.mjtTrn.mjTRN_JOINT
             and model.actuator_trnid[a, 0] == j
@@ -302,7 +303,7 @@ def _passives(
         if row is None and item.acts:
             raise outside(source, f"tendon {_label(name, t)} is spatial and has forces of its own", "use a fixed tendon")
         out.append(item)
-    for a in range(model.nu):
+    for a in range(model.nactuator):
         damping = (float(model.actuator_damping[a]), *map(float, model.actuator_dampingpoly[a]))
         if any(damping):
             arow = _actuator_row(model, a, tendons)

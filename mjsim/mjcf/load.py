@@ -158,7 +158,7 @@ def _linear_only(found: Found, path: Path, carried: custom.Carried | None) -> No
 
 
 def _passive_actuators(model: mujoco.MjModel, path: Path, carried: custom.Carried | None) -> None:
-    for a in range(model.nu):
+    for a in range(model.nactuator):
         name = model.actuator(a).name
         if model.actuator_ctrlnum[a] == 0 and (carried is None or name not in carried.ignored):
             raise outside(path, f"actuator {name!r} acts by itself", "remove it")

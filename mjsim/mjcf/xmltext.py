@@ -108,9 +108,10 @@ class XmlText:
 
     def rename(self, node: Node, tag: str) -> None:
         """Give an element another tag."""
+        new = b"<" + tag.encode() + self.data[node.start + 1 + len(node.tag.encode()) : node.close]
         if node.close > node.head:
-            self._replace(node.close, node.end, f"</{tag}>")
-        self._replace(node.start, node.start + 1 + len(node.tag), f"<{tag}")
+            new += f"</{tag}>".encode()
+        self._replace(node.start, node.end, new.decode())
 
     def indent(self, node: Node) -> str:
         """White space before an element on its line."""
