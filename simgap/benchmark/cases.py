@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from mjsim.errors import InputError
-from simgap.benchmark.catalogue import CATALOGUE, OTHER_LAWS, OUTSIDE, Entry, compose, draw
+from simgap.benchmark.catalogue import CATALOGUE, EQUIVALENT, OTHER_LAWS, OUTSIDE, Entry, compose, draw
 from simgap.benchmark.experiment import Experiment, draw_experiment, log_uniform
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.measurement import Measurement
@@ -34,7 +34,8 @@ SIZE: dict[str, tuple[float, float]] = {
     "out_of_library": (0.5, 80.0),
 }
 SPREAD = 0.06  # relative half-width of the linear parameters about Table 2
-TRIES = 400
+TRIES = 240
+TURN = 30  # tries for one choice of effects
 
 
 @dataclass(frozen=True)
@@ -128,12 +129,12 @@ def _search(
     hide: Callable[[Laws, tuple[Entry, ...], np.ndarray, float], Laws] | None = None,
     under_noise: bool = False,
 ) -> _Found:
-    """Draw until every effect has the size that the level asks for; ``first`` is given up after half the tries."""
+    """Draw until every effect has the size that the level asks for; ``first`` is given up after 2 ``TURN`` tries."""
     low, high = SIZE[level]
     chosen = _choose(rng, pool, count, first)
     for attempt in range(TRIES):
-        if attempt % 40 == 39:
-            chosen = _choose(rng, pool, count, first if attempt < TRIES // 2 else None)
+        if attempt % TURN == TURN - 1:
+            chosen = _choose(rng, pool, count, first if attempt < 2 * TURN else None)
         measurement = _usual(rng)
         try:
             laws = _axis(rng)
@@ -321,8 +322,8 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
     The truth has the keys of the practice set (``effects``, ``where``, ``parameters``, ``velocity_noise_rms_rad_s``,
     ``closed_loop``, ``excitation``, ``linear_parameters``) and ``level``, ``verdict`` (the one expected), ``law`` (by
     which each effect was made), ``size`` (see `size.Size`; ``distinct`` is over the ``simpler`` effects),
-    ``measurement``, ``noise_kind``, ``repeat_over_noise``, ``sensitivity_over_noise``, ``held_out_excitation`` and
-    both experiments' settings.
+    ``equivalents`` (what makes the same motion), ``measurement``, ``noise_kind``, ``repeat_over_noise``,
+    ``sensitivity_over_noise``, ``held_out_excitation`` and both experiments' settings.
     """
     if level not in LEVELS:
         raise InputError("level", f"{level!r} is not known", f"one of {', '.join(LEVELS)}")
@@ -351,6 +352,10 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
         "law": {e.effect: e.law for e in found.entries},
         "size": {n: asdict(s) for n, s in zip(names, found.size, strict=True)},
         "simpler": {e.effect: [SIMPLER[f] for f in e.rivals] for e in found.entries},
+        "equivalents": {
+            e.effect: [[f"{name}@{place}" for name, place in group] for group in EQUIVALENT.get((e.effect, e.place), ())]
+            for e in found.entries
+        },
         "velocity_noise_rms_rad_s": m.floor,
         "noise_kind": m.kind,
         "repeat_over_noise": float(repeat),

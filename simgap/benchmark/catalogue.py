@@ -16,7 +16,7 @@ from mjsim.errors import InputError
 from simgap.benchmark.experiment import log_uniform
 from simgap.benchmark.laws import GAP_IMPACT, GAP_NO_PULL, Laws
 
-__all__ = ["CATALOGUE", "OTHER_LAWS", "OUTSIDE", "Draw", "Entry", "compose", "draw", "find"]
+__all__ = ["CATALOGUE", "EQUIVALENT", "OTHER_LAWS", "OUTSIDE", "Draw", "Entry", "compose", "draw", "find"]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ CATALOGUE: tuple[Entry, ...] = (
           rivals=("coulomb_m",)),
     Entry("asymmetric_friction", "motor", "friction",
           {"torque_Nm": Draw(0.02, 0.25), "asymmetry_Nm": Draw(0.1, 0.7, signed=True, of="torque_Nm")},
-          {**F, "asymmetry_Nm": "asymmetry_m"}, rivals=("coulomb_m", "offset_m")),
+          {**F, "asymmetry_Nm": "asymmetry_m"}, rivals=("coulomb_m",)),
     Entry("quadratic_friction", "motor", "friction", {"coefficient_Nm_s2_rad2": Draw(1e-5, 1e-3)},
           {"coefficient_Nm_s2_rad2": "quadratic_m"}, rivals=("coulomb_m",)),
     Entry("presliding_friction", "motor", "friction",
@@ -161,6 +161,16 @@ def find(effect: str, place: str, entries: tuple[Entry, ...] = CATALOGUE) -> Ent
     known = ", ".join(sorted({f"{e.effect} at {e.place}" for e in entries}))
     raise InputError("catalogue", f"no {effect!r} at {place!r}", f"one of {known}")
 
+
+# What makes the same motion exactly: the first for any motion, the others from rest and by the logged torque, a lag only
+# where the axis is linear.
+EQUIVALENT: dict[tuple[str, str], tuple[tuple[tuple[str, str], ...], ...]] = {
+    ("asymmetric_friction", "motor"): ((("coulomb_friction", "motor"), ("torque_offset", "motor")),),
+    ("time_delay", "actuator"): ((("time_delay", "sensor"),),),
+    ("time_delay", "sensor"): ((("time_delay", "actuator"),),),
+    ("actuator_lag", "actuator"): ((("sensor_lag", "sensor"),),),
+    ("sensor_lag", "sensor"): ((("actuator_lag", "actuator"),),),
+}
 
 _BRISTLE = {"torque_Nm": "bristle_level"}
 

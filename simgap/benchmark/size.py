@@ -15,7 +15,7 @@ from simgap.benchmark.refit import COARSE, LINEAR, Refit, refit, rms
 __all__ = ["RIVAL_SCALE", "Size", "hidden_by_linear", "raw", "sizes", "without"]
 
 # Step units of the rival fields that a refit may free.
-RIVAL_SCALE = {"coulomb_m": 0.1, "offset_m": 0.05, "act_delay": 1e-3}
+RIVAL_SCALE = {"coulomb_m": 0.2, "offset_m": 0.2, "act_delay": 3e-3}
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def sizes(laws: Laws, entry: Entry, torque: np.ndarray, noise: float, low: float
             level = max(laws.coulomb_m, laws.bristle_level, laws.deadzone, 0.02)
             alone = bare._replace(coulomb_m=level)
             start = min((start._replace(coulomb_m=1e-3), alone), key=lambda s: _error(s, torque, target))
-        second = refit(start, torque, target, LINEAR + rivals, RIVAL_SCALE)
+        second = refit(start, torque, target, LINEAR + rivals, RIVAL_SCALE, rounds=12)
         second = min(first, second, key=lambda s: s.left)
     return Size(raw(laws, [entry], torque) / noise, first.left / noise, second.left / noise)
 

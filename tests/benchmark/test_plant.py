@@ -102,6 +102,13 @@ def test_homogeneity() -> None:
     assert np.allclose(large, 4 * small, rtol=1e-9, atol=1e-9)
 
 
+def test_asymmetric_friction_is_coulomb_friction_and_an_offset() -> None:
+    u = multisine(2.0, 0.5, 0.5, 30.0, np.random.default_rng(4)).torque
+    one = free_run(Laws(coulomb_m=0.15, asymmetry_m=0.06), u).velocity
+    two = free_run(Laws(coulomb_m=0.15, offset_m=-0.06), u).velocity
+    assert rms(one - two) < 1e-9
+
+
 def test_energy_of_a_conservative_axis_equals_the_work_done() -> None:
     p = Laws(fm=0.0, dg=0.0, da=0.0, gap_g=3e-4, cubic_a=2e9, ripple_amplitude=0.05, ripple_cycles=3.0, ripple_phase=0.4)
     p = p._replace(inertia_amplitude=0.4, inertia_cycles=30.0, inertia_phase=1.0, gravity=20.0, gravity_phase=0.7)
