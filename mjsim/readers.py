@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,9 @@ def _csv(path: Path) -> Table:
         with path.open(newline="", encoding="utf-8-sig") as handle:
             header = [h.strip() for h in next(csv.reader(handle))]
             try:
-                data = np.loadtxt(handle, delimiter=",", ndmin=2)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # a table without rows is said below
+                    data = np.loadtxt(handle, delimiter=",", ndmin=2)
             except ValueError:
                 raise _bad_cell(path, header) from None
     except (UnicodeDecodeError, csv.Error):

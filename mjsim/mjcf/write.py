@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import textwrap
@@ -117,11 +118,14 @@ def _head(editor: MjcfEditor, axis: Axis, lacks: list[str], comment: str) -> lis
 
 def _save(text: str, out: Path) -> None:
     """Write beside the final name, let MuJoCo load it, then move it there."""
-    out.parent.mkdir(parents=True, exist_ok=True)
     part = out.with_name(f".{out.name}.part.xml")
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         part.write_text(text, encoding="utf-8")
         compile_file(part)
         os.replace(part, out)
+    except OSError as error:
+        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another one") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

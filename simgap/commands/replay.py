@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -165,4 +166,5 @@ def _write(out: Path, motion: str, run: Trajectory) -> None:
     except OSError as error:
         raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another --out") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
