@@ -28,7 +28,7 @@ from numba.extending import intrinsic
 
 from mjsim.axis import Axis
 from mjsim.effects.law import N_LOCAL
-from mjsim.kernel import KIND_BODY, KIND_COUPLING, KIND_FRICTION, KIND_TWIST, _call
+from mjsim.kernel import KIND_BODY, KIND_COUPLING, KIND_FRICTION, KIND_TWIST, _call, _dips, _dips
 from mjsim.mjcf.compile import caught_warnings
 from mjsim.ode import DivergedError, Trajectory, _sense, apply_input
 from mjsim.quantity import Motion
@@ -385,6 +385,8 @@ def _run(
     total, lag = u.shape[0], before
     n_margin = 3 * n
     g1 = np.zeros(n_margin)
+    stride = np.zeros(n)
+    stride = np.zeros(n)
     for k in range(total):
         t = t0 + k * dt
         for i in range(n):
@@ -425,9 +427,10 @@ def _run(
                             elif smooth[i] < -level[1, i]:
                                 mode[0, i] = -1
                     h, hit = left, -1
+                    low = h
                     for attempt in range(2):
-                        # attempt 0: the whole remaining step; 1: only up to its middle, when that may hide a reversal
-                        reach = h if attempt == 0 else 0.5 * h
+                        # attempt 0: the whole remaining step; 1: only to where a velocity seems to dip below zero inside it
+                        reach = h if attempt == 0 else low
                         ahead = xn if attempt == 0 else xt
                         _advance(
                             mj, staged, f, gap_law, el, p, x, ahead, reach, t, uk, lag, tau, n_s, mode, level, slope, torque, z,
@@ -443,9 +446,9 @@ def _run(
                         near = False
                         for ev in range(n_margin):
                             if g1[ev] >= 0.0:
-                                if attempt == 0 and ev < n and mode[2, ev] == 1 and mode[0, ev] != 0 and h > 1e-9:
-                                    small = min(abs(x[1, ev]), abs(xn[1, ev]))
-                                    near = near or small < abs(x[1, ev] - xn[1, ev])
+                                if attempt == 0 and ev < n and mode[2, ev] == 1 and mode[0, ev] != 0:
+                                    stride[ev] = max(stride[ev], abs(x[1, ev] - xn[1, ev]))
+                                    near = near or min(abs(x[1, ev]), abs(xn[1, ev])) < 2.0 * stride[ev]
                                 continue
                             lo, hi, ghi, glo = 0.0, reach, g1[ev], 1.0
                             bisect = True
@@ -491,6 +494,44 @@ def _run(
                                 smooth, applied, armature, m0, g1,
                             )  # fmt: skip
                         if hit >= 0 or not near:
+                            break
+                        # the slopes at both ends, by MuJoCo's forward dynamics, tell where it could dip
+                        near, low = False, h
+                        for i in range(n):
+                            if mode[2, i] == 0 or mode[0, i] == 0:
+                                continue
+                            _forward(
+                                mj, f, gap_law, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
+                                qpos, qvel, ctrl, applied, armature, m0,
+                            )  # fmt: skip
+                            s0 = mode[0, i] * qacc[i]
+                            _forward(
+                                mj, f, gap_law, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
+                                applied, armature, m0,
+                            )  # fmt: skip
+                            dip = _dips(mode[0, i] * x[1, i], s0, mode[0, i] * xn[1, i], mode[0, i] * qacc[i], h)
+                            if dip > 0.0:
+                                near, low = True, min(low, dip)
+                        if not near:
+                            break
+                        # the slopes at both ends, by MuJoCo's forward dynamics, tell where it could dip
+                        near, low = False, h
+                        for i in range(n):
+                            if mode[2, i] == 0 or mode[0, i] == 0:
+                                continue
+                            _forward(
+                                mj, f, gap_law, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
+                                qpos, qvel, ctrl, applied, armature, m0,
+                            )  # fmt: skip
+                            s0 = mode[0, i] * qacc[i]
+                            _forward(
+                                mj, f, gap_law, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
+                                applied, armature, m0,
+                            )  # fmt: skip
+                            dip = _dips(mode[0, i] * x[1, i], s0, mode[0, i] * xn[1, i], mode[0, i] * qacc[i], h)
+                            if dip > 0.0:
+                                near, low = True, min(low, dip)
+                        if not near:
                             break
                     for i in range(n):
                         x[0, i], x[1, i] = xn[0, i], xn[1, i]
