@@ -109,7 +109,7 @@ def _head(editor: MjcfEditor, axis: Axis, lacks: list[str], comment: str) -> lis
         if old.name == new.name and not np.isclose(old.value, new.value, rtol=1e-12, atol=0.0)
     ]
     parts.append("Corrected by simgap" + (": " + ", ".join(changed) if changed else "") + ".")
-    parts += [f"{e.describe()}" for e in axis.effects]
+    parts += [e.describe(axis.chain.motion) for e in axis.effects]
     parts += [f"Plain MuJoCo lacks: {line}." for line in lacks]
     parts.append("simgap reads the effects from the text below, and from there only.")
     lines = [line for p in parts for line in textwrap.wrap(p.replace("--", "- -"), 120, subsequent_indent="  ")]

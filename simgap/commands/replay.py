@@ -73,6 +73,9 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, as
     figures = _figures(measured, predicted, recording)
     _write(out, source.axis.chain.motion.value, run)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
+    force = _force(source, record) if record.judge == "force" else None
+    if force is not None:
+        result["force"] = force
     lacks: tuple[str, ...] = ()
     if engine == "literal":
         from mjsim.mujoco_run import lacking
@@ -87,11 +90,15 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, as
         f"{channel}: rms error {figures['rms']:.6g} {unit}, nrmse {figures['nrmse']:.6g}, fit {figures['fit_percent']:.3f} %"
     )
     for effect in source.axis.effects:
-        click.echo(f"  with {effect.describe()}")
+        click.echo(f"  with {effect.describe(source.axis.chain.motion)}")
     for line in lacks:
         click.echo(f"  plain MuJoCo lacks {line}")
     if record.loop == "closed":
-        click.echo("  recorded under feedback: a free run drifts there; simgap diagnose judges it on force")
+        click.echo("  recorded under feedback, where a free run drifts whatever the model")
+    if force is not None:
+        click.echo(
+            f"torque along the recorded motion: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
+        )
     click.echo(f"wrote {out}")
 
 
@@ -148,6 +155,30 @@ def _figures(measured: np.ndarray, predicted: np.ndarray, where: Path) -> dict[s
         raise InputError(where, "the measured channel is constant", "a recording that moves", "record again")
     error = float(np.linalg.norm(measured - predicted))
     return {"rms": error / len(measured) ** 0.5, "nrmse": error / spread, "fit_percent": 100.0 * (1.0 - error / spread)}
+
+
+def _force(source: Model, record: Recording) -> dict[str, float] | None:
+    """Error of the torque that the recorded motion needs (inverse dynamics), as `simgap diagnose` judges such recordings.
+
+    relative: rms error over rms torque; nrmse: over its spread.
+    """
+    import numpy as np
+
+    from diagnose.experiment import prepare
+    from diagnose.view import ForceView
+
+    view, experiment = ForceView(), prepare(record)
+    signals = view.signals(source.axis, experiment, None)
+    if signals is None:
+        return None
+    counts = view.counts(experiment)
+    measured, error = signals.measured[counts], (signals.measured - signals.predicted)[counts]
+    size = float(np.linalg.norm(error))
+    return {
+        "rms": size / len(error) ** 0.5,
+        "relative": size / float(np.linalg.norm(measured)),
+        "nrmse": size / float(np.linalg.norm(measured - np.mean(measured))),
+    }
 
 
 def _write(out: Path, motion: str, run: Trajectory) -> None:
