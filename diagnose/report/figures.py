@@ -7,7 +7,7 @@ import re
 
 from diagnose.result import Estimate
 
-__all__ = ["estimate", "interval", "number", "p_value", "percent", "unit"]
+__all__ = ["estimate", "interval", "number", "p_value", "percent", "power", "prose", "unit"]
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN = "\N{NARROW NO-BREAK SPACE}"
@@ -96,6 +96,21 @@ def p_value(p: float | None) -> str:
     if p < 1e-12:
         return f"< 10{'-12'.translate(_RAISED)}"
     return number(p, 2)
+
+
+def power(exponent: float) -> str:
+    """10 to an integer power, for the ticks of a logarithmic axis: ``10⁻³``, plain from 0.1 to 1000."""
+    k = round(exponent)
+    return f"{10.0**k:g}" if -1 <= k <= 3 else f"10{str(k).translate(_RAISED)}"
+
+
+def prose(text: str) -> str:
+    """A sentence with its units and minus signs in print; a number does not part from its unit."""
+    raised = re.sub(r"(?<=[\w)])\^(-?\d+)", lambda m: m[1].translate(_RAISED), text)
+    dotted = re.sub(r"(?<!\w)(N|kg) (?=[ms](?:\b|[²³])|\()", r"\1·", raised)
+    dotted = re.sub(r"(?<=·m) s(?=[²/ ,.;:)]|$)", "·s", dotted)
+    signed = re.sub(r"(?<![\w-])-(?=\d)", _MINUS, dotted)
+    return re.sub(r"(?<=\d) (?=(?:N|rad|m|mm|s|ms|Hz|kg|%)(?:\b|[²³/·]|$)|%)", "\N{NO-BREAK SPACE}", signed)
 
 
 def unit(text: str) -> str:

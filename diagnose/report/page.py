@@ -13,9 +13,9 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from diagnose.report import pictures
-from diagnose.report.figures import estimate, interval, number, p_value, percent, unit
+from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
 from diagnose.report.truth import truth_rows
-from diagnose.report.words import VERDICTS, effect_name, linear_name, structure_name, where
+from diagnose.report.words import VERDICTS, effect_name, formula, linear_name, structure_name, where
 from diagnose.result import Diagnosis, Estimate, Finding, Rival
 from mjsim.effects import effect_class
 
@@ -23,7 +23,8 @@ __all__ = ["render_report", "write_report"]
 
 _SHOWN_RIVALS = 8
 _MOST_TRACES = 4
-_LONG_DIFF = 60
+_LONG_DIFF = 80
+_CARRIED = '<text name="simgap"'
 
 
 def write_report(diagnosis: Diagnosis, path: Path, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None) -> None:
@@ -51,7 +52,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
 
     here = files("diagnose.report")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"number": number, "unit": unit, "percent": percent, "p": p_value, "effect": effect_name}
+    environment.filters |= {"number": number, "unit": unit, "percent": percent, "prose": prose}
     template = environment.from_string((here / "page.html.j2").read_text(encoding="utf-8"))
     d = diagnosis
     shown, hidden = _rivals(d)
@@ -73,7 +74,8 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
             (effect_name(f.effect), f.place, [structure_name((e,)) for e in f.equivalents]) for f in d.findings if f.equivalents
         ],
         diff=_diff(corrected_diff),
-        diff_open=corrected_diff.count("\n") <= _LONG_DIFF,
+        changes=tuple(sum(k == kind for k, _ in _diff(corrected_diff)) for kind in ("add", "del")),
+        diff_open=len(_diff(corrected_diff)) <= _LONG_DIFF,
         truth=truth_rows(d, truth) if truth is not None else None,
         circumstances=_circumstances(truth),
         commands=_commands(d),
@@ -92,16 +94,19 @@ def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
     out: list[tuple[str, str, str]] = []
     if d.findings and before and after:
         detail = f"{number(before.held_out_rms, 3)} → {number(after.held_out_rms, 3)} {u} rms on held-out data"
-        out.append((percent(d.gap_closed), "of the gap closed", detail))
+        what = "of the gap closed" if d.noise_floor > 0 else "of the error removed"
+        out.append((percent(d.gap_closed), what, detail))
     best = after or before
     if best and d.noise_floor > 0 and math.isfinite(best.held_out_rms):
-        detail = f"{number(best.held_out_rms, 3)} against {number(d.noise_floor, 3)} {u} rms"
-        out.append((f"{number(best.held_out_rms / d.noise_floor, 3)} ×", "the noise is what remains", detail))
+        detail = f"{number(best.held_out_rms, 3)} against {number(d.noise_floor, 3)} {u} rms on held-out data"
+        out.append((f"{number(best.held_out_rms / d.noise_floor, 3)} ×", "the noise floor is left", detail))
     worst = max((f.evidence["p_value"] for f in d.findings if "p_value" in f.evidence), default=None)
     if worst is not None:
         tested = max((f.evidence.get("hypotheses", 0) for f in d.findings), default=0)
-        detail = "held-out data, corrected for " + (f"{tested:.0f} hypotheses" if tested else "the hypotheses tried")
-        out.append((p_value(worst), "chance of a false find" if len(d.findings) == 1 else "chance, weakest find", detail))
+        detail = "chance of such a gain on held-out data with nothing missing, corrected for " + (
+            f"{tested:.0f} hypotheses" if tested else "all hypotheses"
+        )
+        out.append((p_value(worst), "p-value" + ("" if len(d.findings) == 1 else ", weakest finding"), detail))
     elif d.rivals:
         detail = "none paid on held-out data" if not d.findings else "fitted and compared"
         out.append((f"{len(d.rivals)}", "structures compared", detail))
@@ -112,7 +117,7 @@ def _drawn(d: Diagnosis) -> dict[str, Any]:
     """All pictures as SVG text, with what stands under them."""
     from markupsafe import Markup
 
-    found = bool(d.findings)
+    found, noise = bool(d.findings), d.noise_floor > 0
     roles = sorted(d.traces, key=lambda t: t.role != "estimation")
     chosen = [t for t in roles if t.role == "estimation"][: _MOST_TRACES - 1]
     chosen += [t for t in roles if t.role != "estimation"][: _MOST_TRACES - len(chosen)]
@@ -121,11 +126,13 @@ def _drawn(d: Diagnosis) -> dict[str, Any]:
     curves = pictures.spectrum(d.mismatch, first, d.channel, d.unit, found, "s")
     maps = pictures.states(d.mismatch.state, torque, "m")
     return {
-        "time": [(t.source, t.role, Markup(pictures.time(t, d.channel, d.unit, found, f"t{i}"))) for i, t in enumerate(chosen)],
+        "time": [
+            (t.source, t.role, Markup(pictures.time(t, d.channel, d.unit, found, noise, f"t{i}"))) for i, t in enumerate(chosen)
+        ],
         "left_out": [t.source for t in roles if t not in chosen],
         "spectrum": Markup(curves) if curves else None,
         "states": Markup(maps) if maps else None,
-        "sigma": any(t.sigma > 0 for t in chosen),
+        "sigma": noise,
     }
 
 
@@ -135,24 +142,40 @@ def _law(effect: str) -> tuple[str, str, str]:
         cls = effect_class(effect)
     except KeyError:
         return "", "", ""
-    title, _, formula = (inspect.getdoc(sys.modules[cls.__module__]) or "").partition("\n\n")
-    return " ".join(title.split()), formula.strip(), cls.citation
+    title, _, law = (inspect.getdoc(sys.modules[cls.__module__]) or "").partition("\n\n")
+    return " ".join(title.split()), law.strip(), cls.citation
 
 
 def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:
-    title, formula, citation = _law(f.effect)
+    from markupsafe import Markup
+
+    title, law, citation = _law(f.effect)
     about = {s.name: s.about for s in effect_class(f.effect).specs()} if title else {}
-    known = ("held_out_error_before", "held_out_error_after", "p_value", "hypotheses", "delta_chi2")
+    known = ("held_out_error_before", "held_out_error_after", "p_value", "hypotheses", "delta_chi2", "p_value_estimation")
     return {
         "finding": f,
         "name": effect_name(f.effect),
         "title": title,
-        "formula": formula,
+        "formula": Markup(formula(law)),
         "citation": citation,
-        "parameters": [(name, about.get(name, ""), *_estimated(e)) for name, e in f.parameters.items()],
+        "parameters": [
+            (name, about.get(name, ""), *_estimated(e), _weak(e) and not name.startswith("phase"))
+            for name, e in f.parameters.items()
+        ],
         "evidence": _evidence(f, unit(channel_unit)),
         "more": [(k.replace("_", " "), number(v)) for k, v in f.evidence.items() if k not in known],
     }
+
+
+def _equals(p: float) -> str:
+    text = p_value(p)
+    return text if text.startswith("<") else f"= {text}"
+
+
+def _weak(e: Estimate) -> bool:
+    """Whether the interval reaches as far as the value: the data hardly say that there is any."""
+    low, high = e.ci95
+    return not (math.isfinite(low) and math.isfinite(high)) or low <= 0 <= high
 
 
 def _estimated(e: Estimate) -> tuple[str, str, str]:
@@ -172,7 +195,8 @@ def _evidence(f: Finding, u: str) -> str:
         tested = f" after correction for {e['hypotheses']:.0f} hypotheses" if "hypotheses" in e else ""
         parts.append(f"Probability of such a gain by chance: {p_value(e['p_value'])}{tested}.")
     if "delta_chi2" in e:
-        parts.append(f"On the estimation data it takes {number(e['delta_chi2'], 3)} off the whitened chi-square.")
+        chance = f" (p {_equals(e['p_value_estimation'])})" if "p_value_estimation" in e else ""
+        parts.append(f"On the estimation data it takes {number(e['delta_chi2'], 3)} off the whitened chi-square{chance}.")
     return " ".join(parts)
 
 
@@ -193,7 +217,8 @@ def _linear(d: Diagnosis) -> list[dict[str, Any]]:
                 "interval": bounds,
                 "unit": u,
                 "change": "–" if not math.isfinite(change) else "as nominal" if inside else f"{sign}{percent(abs(change))}",
-                "negative": e.value < 0,
+                "negative": e.ci95[1] < 0,
+                "weak": _weak(e),
             }
         )
     return rows
@@ -210,6 +235,8 @@ def _fits(d: Diagnosis) -> list[dict[str, Any]]:
     least = min([*errors, *([floor] if floor > 0 else [])], default=1.0)
     span = math.log(max(errors, default=1.0) / least) or 1.0
     for key, f in d.fit.items():
+        if key == "corrected" and not d.findings:
+            continue  # nothing was added: it is the refitted one
         bar = 4 + 96 * math.log(f.held_out_rms / least) / span if f.held_out_rms > 0 and math.isfinite(f.held_out_rms) else 0
         rows.append(
             {
@@ -242,12 +269,30 @@ def _rivals(d: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 
 def _diff(text: str) -> list[tuple[str, str]]:
-    """(kind, line) of a unified diff."""
+    """(kind, line) of a unified diff; what the file carries for simgap alone is told in one line."""
     kinds = {"+": "add", "-": "del", "@": "at"}
-    return [
-        ("head" if line.startswith(("---", "+++")) else kinds.get(line[:1], "same"), line)
-        for line in text.rstrip("\n").splitlines()
-    ]
+    out: list[tuple[str, str]] = []
+    carried = 0
+    for line in text.rstrip("\n").splitlines():
+        if carried or _CARRIED in line:
+            carried += 1
+            if line.rstrip().endswith("/>"):
+                out.append(("same", f" … {carried} lines that simgap reads back …"))
+                carried = 0
+            continue
+        out.append(("head" if line.startswith(("---", "+++")) else kinds.get(line[:1], "same"), line))
+    return out
+
+
+_QUANTITIES = {"_rad_s": "rad/s", "_Nm": "N·m", "_rad": "rad", "_s": "s", "_Hz": "Hz"}
+
+
+def _plain(key: str) -> str:
+    """``noise_rms_rad_s`` -> ``noise rms [rad/s]``."""
+    for tail, u in _QUANTITIES.items():
+        if key.endswith(tail):
+            return f"{key.removesuffix(tail).replace('_', ' ')} [{u}]"
+    return key.replace("_", " ")
 
 
 def _circumstances(truth: Mapping[str, Any] | None) -> list[tuple[str, str]]:
@@ -257,7 +302,7 @@ def _circumstances(truth: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     plain = {k: v for k, v in truth.items() if isinstance(v, str | bool | int | float)}
     words = {True: "yes", False: "no"}
     return [
-        (k.replace("_", " "), words[v] if isinstance(v, bool) else number(float(v)) if isinstance(v, int | float) else v)
+        (_plain(k), words[v] if isinstance(v, bool) else number(float(v)) if isinstance(v, int | float) else v)
         for k, v in plain.items()
     ]
 

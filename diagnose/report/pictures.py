@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diagnose.report.curves import blank, envelope, psd, worst_stretch
-from diagnose.report.figures import percent, unit
+from diagnose.report.figures import percent, power, unit
 from diagnose.result import Mismatch, Share, StateShare, Traces
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ _VARIABLES = {
     NOMINAL: "nominal", REFITTED: "refitted", CORRECTED: "corrected", BAND: "band",
 }  # fmt: skip
 _WIDTH = 10.6
+_WORTH = 0.01
 _STYLE: Any = {
     "svg.fonttype": "none", "svg.hashsalt": "simgap", "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10,
     "xtick.labelsize": 9, "ytick.labelsize": 9, "legend.fontsize": 9.5, "text.color": INK, "axes.labelcolor": INK,
@@ -86,8 +87,10 @@ def _legend(figure: Figure, axes: Axes, y: float = 1.0) -> None:
     )
 
 
-def time(t: Traces, channel: str, channel_unit: str, found: bool, name: str) -> str:
-    """Measured and predicted over time, the error below; at the right the stretch where the refitted model is worst."""
+def time(t: Traces, channel: str, channel_unit: str, found: bool, noise: bool, name: str) -> str:
+    """Measured and predicted over time, the error below; at the right the stretch where the refitted model is worst.
+
+    ``noise``: the noise level of the channel is known, and drawn as a band."""
     u = unit(channel_unit)
     zoom = worst_stretch(t)
     alt = (
@@ -119,7 +122,6 @@ def time(t: Traces, channel: str, channel_unit: str, found: bool, name: str) -> 
                 axes.plot(*envelope(x, t.nominal[part], columns), ":", color=NOMINAL, linewidth=1.1, label="nominal as given")
             axes.plot(
                 *envelope(x, t.refitted[part], columns),
-                "--" if not wide else "-",
                 color=REFITTED,
                 linewidth=1.1,
                 label="nominal refitted",
@@ -131,7 +133,7 @@ def time(t: Traces, channel: str, channel_unit: str, found: bool, name: str) -> 
         if found:
             errors.append((blank(t.measured - t.corrected, t.counted), CORRECTED))
         for axes, part, columns in ((bottom, everything, 550), (bottom_zoom, zoom, 500)):
-            if np.isfinite(t.sigma) and t.sigma > 0:
+            if noise and np.isfinite(t.sigma) and t.sigma > 0:
                 axes.axhspan(-2 * t.sigma, 2 * t.sigma, color=BAND, linewidth=0, zorder=0.5)
             for e, colour in errors:
                 axes.plot(*envelope(t.time[part], e[part], columns), color=colour, linewidth=0.9)
@@ -190,7 +192,7 @@ def spectrum(m: Mismatch, t: Traces | None, channel: str, channel_unit: str, fou
     alt = "Spectral density of the measured signal, of the prediction errors and of the noise over frequency"
     with _style():
         figure = _figure(3.5)
-        axes = figure.add_axes((0.075, 0.15, 0.92, 0.73))
+        axes = figure.add_axes((0.075, 0.15, 0.905, 0.73))
         curves = [(output, MEASURED, "-", 2.4, f"measured {channel}"), (residual, REFITTED, "-", 1.3, "error, nominal refitted")]
         after = psd(t.measured - t.corrected, float(np.median(np.diff(t.time))), len(f)) if found and t is not None else None
         if after is not None and len(after[1]) == len(f):
@@ -200,12 +202,24 @@ def spectrum(m: Mismatch, t: Traces | None, channel: str, channel_unit: str, fou
         for y, colour, style, width, label in curves:
             axes.loglog(f[keep], np.where(y[keep] > 0, y[keep], np.nan), style, color=colour, linewidth=width, label=label)
         axes.set_xlim(f[keep][0], f[keep][-1])
+        _decades(axes)
         _bands(axes, m.frequency)
         axes.grid(True, which="major")
         axes.set_xlabel("frequency [Hz]")
-        axes.set_ylabel(f"density [({u})²/Hz]" if u else "density [1/Hz]")
+        axes.set_ylabel(f"density [{f'({u})' if len(u) > 1 else u}²/Hz]" if u else "density [1/Hz]")
         _legend(figure, axes)
         return _svg(figure, name, f"{alt}. Strongest bands: {strongest}" if strongest else alt)
+
+
+def _decades(axes: Axes) -> None:
+    """Ticks at the decades only, labelled without mathematical typesetting."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = np.log10(axis.get_view_interval())
+        axis.set_major_locator(LogLocator(numticks=40 if high - low < 8 else 8))
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda x, _: power(float(np.log10(x)))))
 
 
 def _bands(axes: Axes, shares: Sequence[Share]) -> None:
@@ -225,7 +239,7 @@ def _bands(axes: Axes, shares: Sequence[Share]) -> None:
 
 def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | None:
     """Disturbance torque over the states that explain most of it, with two standard errors; None when there is none to draw."""
-    drawn = [s for s in shares if len(s.x) > 1][:3]
+    drawn = [s for i, s in enumerate(s for s in shares if len(s.x) > 1) if i == 0 or s.share >= _WORTH][:3]
     if not drawn:
         return None
     u = unit(torque_unit)
@@ -234,7 +248,7 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
     )
     with _style():
         figure = _figure(3.1)
-        grid = figure.add_gridspec(1, 3, left=0.075, right=0.995, bottom=0.17, top=0.89, wspace=0.1)
+        grid = figure.add_gridspec(1, max(2, len(drawn)), left=0.075, right=0.995, bottom=0.17, top=0.89, wspace=0.1)
         low = min(float(np.min(s.y - 2 * s.error)) for s in drawn)
         high = max(float(np.max(s.y + 2 * s.error)) for s in drawn)
         margin = 0.08 * (high - low) or 1.0
@@ -243,7 +257,7 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
             axes.axhline(0, color=MUTED, linewidth=0.8)
             axes.fill_between(s.x, s.y - 2 * s.error, s.y + 2 * s.error, color=BAND, linewidth=0)
             axes.plot(s.x, s.y, "o-", color=REFITTED, linewidth=1.4, markersize=3.6, markeredgewidth=0)
-            axes.set_title(f"{s.state}: explains {percent(s.share)}")
+            axes.set_title(f"explains {percent(s.share)}")
             axes.set_xlabel(f"{s.state} [{unit(s.unit)}]" if unit(s.unit) else s.state)
             axes.set_ylim(low - margin, high + margin)
             axes.xaxis.set_major_locator(_ticks(5))

@@ -26,6 +26,7 @@ class TruthRow:
     off: str
     verdict: str
     right: bool | None
+    part: bool = False
 
 
 def truth_rows(d: Diagnosis, truth: Mapping[str, Any]) -> list[TruthRow]:
@@ -55,7 +56,7 @@ def truth_rows(d: Diagnosis, truth: Mapping[str, Any]) -> list[TruthRow]:
 
 
 def _effect(d: Diagnosis, effect: str, place: str, values: Mapping[str, float], f: Finding | None) -> list[TruthRow]:
-    at = f"at the {place}" if place else "there"
+    at = f"at the {place}" if place else "present"
     if f is None:
         near = [g for g in d.findings if effect in {name.partition("@")[0] for name in g.equivalents}]
         if near:
@@ -64,12 +65,12 @@ def _effect(d: Diagnosis, effect: str, place: str, values: Mapping[str, float], 
         return [TruthRow(effect_name(effect), at, "not found", "", "", "missed", False)]
     right = not place or place == f.place
     rows = [TruthRow(effect_name(effect), at, f"at the {f.place}", "", "", "right" if right else "other place", right)]
-    return rows + [_value(f"{name}", name, float(v), f.parameters.get(name), effect) for name, v in values.items()]
+    return rows + [_value(name, name, float(v), f.parameters.get(name), effect) for name, v in values.items()]
 
 
 def _value(what: str, name: str, truth: float, e: Estimate | None, effect: str = "") -> TruthRow:
     if e is None:
-        return TruthRow(what, f"{number(truth)} {_unit(effect, name)}".strip(), "–", "", "", "not estimated", None)
+        return TruthRow(what, f"{number(truth)} {_unit(effect, name)}".strip(), "–", "", "", "not estimated", None, bool(effect))
     u = unit(e.unit)
     if name.startswith("phase") and e.unit == "rad":
         truth += 2 * math.pi * round((e.value - truth) / (2 * math.pi))
@@ -77,9 +78,16 @@ def _value(what: str, name: str, truth: float, e: Estimate | None, effect: str =
     inside = low <= truth <= high
     off = percent(abs(e.value - truth) / abs(truth)) if truth else number(abs(e.value - truth))
     known = math.isfinite(low) and math.isfinite(high)
-    verdict = "inside the interval" if inside else "outside the interval" if known else "not determined"
+    verdict = "inside" if inside else "outside" if known else "not determined"
     return TruthRow(
-        what, f"{number(truth)} {u}".strip(), f"{estimate(e)} {u}".strip(), interval(e), off, verdict, inside if known else None
+        what,
+        f"{number(truth)} {u}".strip(),
+        f"{estimate(e)} {u}".strip(),
+        interval(e),
+        off,
+        verdict,
+        inside if known else None,
+        bool(effect),
     )
 
 

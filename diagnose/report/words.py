@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnose.report.figures import number, percent, unit
 from diagnose.result import Diagnosis, Share, Verdict
 
-__all__ = ["VERDICTS", "VerdictWords", "effect_name", "linear_name", "structure_name", "where"]
+__all__ = ["VERDICTS", "VerdictWords", "effect_name", "formula", "linear_name", "structure_name", "where"]
 
 _SMALL = 0.05
 
@@ -60,6 +62,26 @@ _LETTERS = {"J": "inertia", "f": "viscous friction", "k": "stiffness", "d": "dam
 _PLACES = {"m": "motor", "g": "gearbox", "a": "arm"}
 
 
+def formula(text: str) -> str:
+    """A law in plain letters as HTML: Greek names, powers, indices, primes and relations in print."""
+    out = (
+        text.replace("&", "&amp;")
+        .replace("<=", "≤")
+        .replace(">=", "≥")
+        .replace("->", "→")
+        .replace("-+", "∓")
+        .replace(" * ", " · ")
+    )
+    out = out.replace("<", "&lt;").replace(">", "&gt;").replace("''", "″").replace("'", "′")
+    out = re.sub(r"(?<![\w-])-(?=[\w(])|(?<= )-(?= )", "\N{MINUS SIGN}", out)
+    # an apostrophe inside a word is no derivative
+    out = re.sub(r"(?<=[a-z]{2})′s\b", "’s", out)
+    for name, letter in (("tau", "τ"), ("phi", "φ"), ("alpha", "α"), ("beta", "β")):
+        out = re.sub(rf"\b{name}(?=_|\b)", letter, out)
+    out = re.sub(r"\^(\d+|\w)", r"<sup>\1</sup>", out)
+    return re.sub(r"(?<=\w)_(\w+)", r"<sub>\1</sub>", out)
+
+
 def linear_name(name: str, unit_text: str) -> str:
     """``Jm`` -> ``inertia, motor``; the name itself when it is of another kind."""
     kind, place = _LETTERS.get(name[:1]), name[1:].lstrip("_")
@@ -71,15 +93,18 @@ def linear_name(name: str, unit_text: str) -> str:
 def where(d: Diagnosis) -> list[str]:
     """The place of the mismatch in a few sentences: how much, when, at which frequencies, by which state, at which place."""
     m = d.mismatch
+    known = math.isfinite(d.noise_floor)
     if m.above_noise < _SMALL and d.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
         return [
             f"With its numbers fitted anew, the nominal model leaves {percent(m.above_noise)} of its error unexplained by the "
             "noise: there is nothing to place."
         ]
-    out = [
-        f"Of the refitted nominal model's squared error, {percent(m.above_noise)} is more than noise; {percent(m.linear_share)} "
-        "of that follows the input linearly, the rest is nonlinear or a disturbance."
-    ]
+    linear = f"{percent(m.linear_share)} of that follows the input linearly, the rest is nonlinear or a disturbance."
+    if known:
+        out = [f"Of the refitted nominal model's squared error, {percent(m.above_noise)} is more than noise; {linear}"]
+    else:
+        whole = "The noise of this channel is not known beforehand: all of the refitted nominal model's error is placed"
+        out = [f"{whole}; {linear}"]
     if m.time:
         out.append("In time: " + _listed(_merged(m.time), "s") + ".")
     else:

@@ -13,7 +13,8 @@ import pytest
 
 from diagnose.report import write_report
 from diagnose.report.curves import envelope, worst_stretch
-from diagnose.report.figures import estimate, interval, number, p_value, percent, unit
+from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
+from diagnose.report.words import formula
 from diagnose.result import Diagnosis, Estimate, Finding, FitFigures, Mismatch, Place, Rival, Share, StateShare, Traces, Verdict
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis
@@ -245,22 +246,21 @@ def test_pictures_follow_the_theme(page: str) -> None:
 def test_says_what_where_how_sure(page: str, diagnosis: Diagnosis) -> None:
     text = words(page)
     for part in (
-        diagnosis.summary,
+        re.sub(r"\s", " ", prose(diagnosis.summary)),
         "Missing physics",
-        "tau_f = F sign(v)",
+        "= F sign(v), |τ f | ≤ F at v = 0",
         "C. A. Coulomb 1785",
         "0.09982 … 0.10044",
         "Presliding friction",
         "99.87",
         "Hysteresis (arm) : no start could be run".replace(" :", ":"),
-        diagnosis.next_experiment,
+        re.sub(r"\s", " ", prose(diagnosis.next_experiment or "")),
         "ab" * 32,
         "Seed 7",
         "simgap replay corrected.xml axis_held_out.csv",
-        "inside the interval",
+        "✓ inside",
         "negative",
     ):
-        assert part is not None
         assert part in text, part
     assert 'frictionloss="0.1001"' in text
     assert "None" not in text
@@ -332,6 +332,7 @@ def test_unknown_map_and_hostile_names(diagnosis: Diagnosis, tmp_path: Path) -> 
 
 
 def test_failure_leaves_nothing(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    diagnosis = dataclasses.replace(diagnosis, traces=())
     target = tmp_path / "report.html"
     target.mkdir()
     with pytest.raises(OSError, match="report"):
@@ -391,6 +392,34 @@ def test_percent_and_units() -> None:
     assert unit("1/(N m)^2") == "1/(N·m)²"
     assert unit("1") == ""
     assert p_value(1e-30).startswith("< 10")
+
+
+@pytest.mark.parametrize(
+    ("text", "printed"),
+    [
+        ("friction of 0.1001 N m, coefficient -849.6 N s^2/m^2", "friction of 0.1001 N·m, coefficient -849.6 N·s²/m²"),
+        ("5 N m s/rad and 2 kg m^2; 1/(N m)^2", "5 N·m·s/rad and 2 kg·m²; 1/(N·m)²"),
+        ("A non-zero N moving well - 95 % of it", "A non-zero N moving well - 95 % of it"),
+    ],
+)
+def test_prose_prints_units(text: str, printed: str) -> None:
+    assert plain(prose(text)).replace("\N{NO-BREAK SPACE}", " ") == printed
+
+
+def test_formula() -> None:
+    assert formula("tau_f = s z,  z' = v - s |v| z / F") == "τ<sub>f</sub> = s z,  z′ = v − s |v| z / F"
+    assert formula("a < b^2 & c") == "a &lt; b<sup>2</sup> &amp; c"
+    assert formula("on the body's own side") == "on the body’s own side"
+
+
+def test_the_carried_text_is_told_in_one_line(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    diagnosis = dataclasses.replace(diagnosis, traces=())
+    carried = DIFF + '+    <text name="simgap" data=\'{"version": 1,\n' + 40 * '+    "x": 1,\n' + "+    }'/>\n+  </custom>\n"
+    write_report(diagnosis, tmp_path / "report.html", corrected_diff=carried)
+    text = words((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "42 lines that simgap reads back" in text
+    assert '"version"' not in text
+    assert "</custom>" in text
 
 
 def test_envelope_keeps_every_peak_and_gap() -> None:
