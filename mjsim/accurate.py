@@ -28,7 +28,7 @@ from numba.extending import intrinsic
 
 from mjsim.axis import Axis
 from mjsim.effects.law import N_LOCAL
-from mjsim.kernel import KIND_BODY, KIND_COUPLING, KIND_FRICTION, KIND_TWIST, _call, _dips, _dips
+from mjsim.kernel import KIND_BODY, KIND_COUPLING, KIND_FRICTION, KIND_TWIST, _call, _dips
 from mjsim.mjcf.compile import caught_warnings
 from mjsim.ode import DivergedError, Trajectory, _sense, apply_input
 from mjsim.quantity import Motion
@@ -386,7 +386,6 @@ def _run(
     n_margin = 3 * n
     g1 = np.zeros(n_margin)
     stride = np.zeros(n)
-    stride = np.zeros(n)
     for k in range(total):
         t = t0 + k * dt
         for i in range(n):
@@ -494,25 +493,6 @@ def _run(
                                 smooth, applied, armature, m0, g1,
                             )  # fmt: skip
                         if hit >= 0 or not near:
-                            break
-                        # the slopes at both ends, by MuJoCo's forward dynamics, tell where it could dip
-                        near, low = False, h
-                        for i in range(n):
-                            if mode[2, i] == 0 or mode[0, i] == 0:
-                                continue
-                            _forward(
-                                mj, f, gap_law, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
-                                qpos, qvel, ctrl, applied, armature, m0,
-                            )  # fmt: skip
-                            s0 = mode[0, i] * qacc[i]
-                            _forward(
-                                mj, f, gap_law, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
-                                applied, armature, m0,
-                            )  # fmt: skip
-                            dip = _dips(mode[0, i] * x[1, i], s0, mode[0, i] * xn[1, i], mode[0, i] * qacc[i], h)
-                            if dip > 0.0:
-                                near, low = True, min(low, dip)
-                        if not near:
                             break
                         # the slopes at both ends, by MuJoCo's forward dynamics, tell where it could dip
                         near, low = False, h

@@ -17,7 +17,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,10 +26,9 @@ import numpy as np
 from mjsim import accurate, ode, reference
 from mjsim.axis import Axis
 from mjsim.batch import Drive, Engine, rollout
-from mjsim.effects import BacklashLaw, Effect, Scales, effect_class, registered
+from mjsim.effects import BacklashLaw, Effect, NotApplicableError, Scales, effect_class, registered
 from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis, load_model, write_corrected
-from mjsim.mjcf.compile import caught_warnings
 from mjsim.mjcf.compile import caught_warnings
 from mjsim.models import shipped_model
 from mjsim.mujoco_run import run_signals
@@ -48,7 +46,6 @@ __all__ = [
     "effect_cases",
     "energy_error",
     "literal",
-    "plot",
     "plot",
     "scales_at",
     "study_cases",
@@ -83,7 +80,6 @@ class Case:
     literal: float | None = LITERAL
     literal_step: float | None = None
     kernel: float = KERNEL
-    drive: float = 1.0
     drive: float = 1.0
 
 
@@ -160,7 +156,6 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
         stiffness = c.stiffness
     v, travel = run.v[:, body], float(np.ptp(run.q[:, body]))
     turned = max(float(np.ptp(run.q[:, 0])), 1e-12)  # spatial laws of the gear run over the motor's angle
-    turned = max(float(np.ptp(run.q[:, 0])), 1e-12)  # spatial laws of the gear run over the motor's angle
     u = run.torque
     rms = lambda a: float(np.sqrt(np.mean(a**2)))  # noqa: E731
     return Scales(
@@ -178,6 +173,13 @@ def effect_cases(axis: Axis, u: np.ndarray, dt: float = DT) -> tuple[list[Case],
     cases, skipped = [], []
     for name, cls in registered().items():
         for place in cls.places:
+            try:
+                cls(place=place, **dict.fromkeys((x.name for x in cls.specs()), 1.0)).ports(axis.chain)
+            except NotApplicableError as error:
+                skipped.append((f"{name}@{place}", str(error)))
+                continue
+            except ValueError:
+                pass  # the values of the trial, not the place
             values = cls.starts(scales_at(bare, run, place))[0]
             try:
                 effect = cls(place=place, **values)
@@ -188,10 +190,6 @@ def effect_cases(axis: Axis, u: np.ndarray, dt: float = DT) -> tuple[list[Case],
                 continue
             cases.append(Case(effect.key, with_it, effect.tolerance, kernel=max(KERNEL, effect.tolerance)))
     return cases, skipped
-
-
-def _make(name: str, **values: float) -> Effect:
-    return effect_class(name)(**values)  # type: ignore[arg-type]
 
 
 def _make(name: str, **values: float) -> Effect:
