@@ -15,7 +15,7 @@ from typing import Any
 from diagnose.report import pictures
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
 from diagnose.report.truth import truth_rows
-from diagnose.report.words import VERDICTS, effect_name, formula, linear_name, structure_name, where
+from diagnose.report.words import VERDICTS, effect_name, formula, linear_name, placed, structure_name, where
 from diagnose.result import Diagnosis, Estimate, Finding, Rival
 from mjsim.effects import effect_class
 
@@ -60,6 +60,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         d=d,
         css=(here / "page.css").read_text(encoding="utf-8"),
         verdict=VERDICTS[d.verdict],
+        placed=placed(d),
         tiles=_tiles(d),
         where=where(d),
         drawn=_drawn(d),
@@ -79,7 +80,8 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         truth=truth_rows(d, truth) if truth is not None else None,
         circumstances=_circumstances(truth),
         commands=_commands(d),
-        recordings=[{"name": PurePath(r.get("file", "")).name, **r} for r in d.recordings],
+        recordings=_recordings(d),
+        halves=len({t.source for t in d.traces}) < len(d.traces),
     )
 
 
@@ -107,9 +109,11 @@ def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
             f"{tested:.0f} hypotheses" if tested else "all hypotheses"
         )
         out.append((p_value(worst), "p-value" + ("" if len(d.findings) == 1 else ", weakest finding"), detail))
-    elif d.rivals:
-        detail = "none paid on held-out data" if not d.findings else "fitted and compared"
-        out.append((f"{len(d.rivals)}", "structures compared", detail))
+    else:
+        others = sum(bool(r.effects) for r in d.rivals)
+        what = "richer structure fitted" if others == 1 else "richer structures fitted"
+        detail = "none paid on held-out data" if others else "none promised a gain worth a fit"
+        out.append((f"{others}", what, detail))
     return out
 
 
@@ -123,8 +127,8 @@ def _drawn(d: Diagnosis) -> dict[str, Any]:
     chosen += [t for t in roles if t.role != "estimation"][: _MOST_TRACES - len(chosen)]
     torque = "N m" if not d.mismatch.place else next((p.unit for p in d.mismatch.place if p.unit in ("N m", "N")), "N m")
     first = chosen[0] if chosen else None
-    curves = pictures.spectrum(d.mismatch, first, d.channel, d.unit, found, "s")
-    maps = pictures.states(d.mismatch.state, torque, "m")
+    curves = pictures.spectrum(d.mismatch, first, d.channel, d.unit, found, "s", bands=placed(d))
+    maps = pictures.states(d.mismatch.state, torque, "m") if placed(d) else None
     return {
         "time": [
             (t.source, t.role, Markup(pictures.time(t, d.channel, d.unit, found, noise, f"t{i}"))) for i, t in enumerate(chosen)
@@ -261,7 +265,13 @@ def _rivals(d: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     mine = next((r for r in ordered if set(r.effects) == chosen), None)
     reference = mine.criterion if mine is not None and math.isfinite(mine.criterion) else key(ordered[0]) if ordered else 0.0
     rows: list[dict[str, Any]] = [
-        {"rival": r, "name": structure_name(r.effects), "above": number(r.criterion - reference, 3), "chosen": r is mine}
+        {
+            "rival": r,
+            "name": structure_name(r.effects),
+            "above": number(r.criterion - reference, 3),
+            "chosen": r is mine,
+            "status": _STATUS.get(r.status, r.status.replace("_", " ")),
+        }
         for r in ordered
     ]
     front = {i for i, row in enumerate(rows) if i < _SHOWN_RIVALS or row["chosen"] or not row["rival"].effects}
@@ -305,6 +315,22 @@ def _circumstances(truth: Mapping[str, Any] | None) -> list[tuple[str, str]]:
         (_plain(k), words[v] if isinstance(v, bool) else number(float(v)) if isinstance(v, int | float) else v)
         for k, v in plain.items()
     ]
+
+
+def _recordings(d: Diagnosis) -> list[dict[str, str]]:
+    """Each file once, with all its roles."""
+    out: dict[str, dict[str, str]] = {}
+    for r in d.recordings:
+        key = r.get("sha256") or r.get("file", "")
+        role = r.get("role", "").replace("_", " ")
+        if key in out:
+            out[key]["role"] += f" and {role}"
+        else:
+            out[key] = {"name": PurePath(r.get("file", "")).name, "sha256": r.get("sha256", ""), "role": role}
+    return list(out.values())
+
+
+_STATUS = {"budget": "stopped at its budget", "stalled": "stalled: rough cost", "failed": "could not be run"}
 
 
 def _commands(d: Diagnosis) -> list[str]:

@@ -106,7 +106,7 @@ def time(t: Traces, channel: str, channel_unit: str, found: bool, noise: bool, n
             width_ratios=(1.7, 1),
             height_ratios=(1.35, 1),
             left=0.075,
-            right=0.995,
+            right=0.985,
             bottom=0.1,
             top=0.875,
             wspace=0.13,
@@ -134,7 +134,8 @@ def time(t: Traces, channel: str, channel_unit: str, found: bool, noise: bool, n
             errors.append((blank(t.measured - t.corrected, t.counted), CORRECTED))
         for axes, part, columns in ((bottom, everything, 550), (bottom_zoom, zoom, 500)):
             if noise and np.isfinite(t.sigma) and t.sigma > 0:
-                axes.axhspan(-2 * t.sigma, 2 * t.sigma, color=BAND, linewidth=0, zorder=0.5)
+                for edge in (-2 * t.sigma, 2 * t.sigma):
+                    axes.axhline(edge, color=INK, linewidth=0.8, linestyle=(0, (4, 3)), zorder=4)
             for e, colour in errors:
                 axes.plot(*envelope(t.time[part], e[part], columns), color=colour, linewidth=0.9)
             _limits(axes, [e[part] for e, _ in errors])
@@ -181,8 +182,13 @@ def _uncounted(axes: Axes, x: np.ndarray, counted: np.ndarray) -> None:
             axes.axvspan(a, b, color=GRID, alpha=0.5, linewidth=0, zorder=0.3)
 
 
-def spectrum(m: Mismatch, t: Traces | None, channel: str, channel_unit: str, found: bool, name: str) -> str | None:
-    """Spectral density of what is measured, of the errors and of the noise; None when there is no spectrum."""
+def spectrum(
+    m: Mismatch, t: Traces | None, channel: str, channel_unit: str, found: bool, name: str, *, bands: bool = True
+) -> str | None:
+    """Spectral density of what is measured, of the errors and of the noise; None when there is no spectrum.
+
+    ``bands``: shade those that hold most of the error.
+    """
     f, residual, noise, output = (np.asarray(a, float) for a in m.spectrum)
     keep = f > 0
     if np.count_nonzero(keep) < 3:
@@ -192,7 +198,7 @@ def spectrum(m: Mismatch, t: Traces | None, channel: str, channel_unit: str, fou
     alt = "Spectral density of the measured signal, of the prediction errors and of the noise over frequency"
     with _style():
         figure = _figure(3.5)
-        axes = figure.add_axes((0.075, 0.15, 0.905, 0.73))
+        axes = figure.add_axes((0.075, 0.15, 0.905, 0.7))
         curves = [(output, MEASURED, "-", 2.4, f"measured {channel}"), (residual, REFITTED, "-", 1.3, "error, nominal refitted")]
         after = psd(t.measured - t.corrected, float(np.median(np.diff(t.time))), len(f)) if found and t is not None else None
         if after is not None and len(after[1]) == len(f):
@@ -203,7 +209,8 @@ def spectrum(m: Mismatch, t: Traces | None, channel: str, channel_unit: str, fou
             axes.loglog(f[keep], np.where(y[keep] > 0, y[keep], np.nan), style, color=colour, linewidth=width, label=label)
         axes.set_xlim(f[keep][0], f[keep][-1])
         _decades(axes)
-        _bands(axes, m.frequency)
+        if bands:
+            _bands(axes, m.frequency)
         axes.grid(True, which="major")
         axes.set_xlabel("frequency [Hz]")
         axes.set_ylabel(f"density [{f'({u})' if len(u) > 1 else u}²/Hz]" if u else "density [1/Hz]")
@@ -234,12 +241,12 @@ def _bands(axes: Axes, shares: Sequence[Share]) -> None:
         at = float(np.sqrt(a * b))
         if s.share >= 0.03 and all(abs(np.log(at / other)) > 0.08 * np.log(high / low) for other in used):
             used.append(at)
-            axes.text(at, 0.97, percent(s.share), transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=9)
+            axes.text(at, 1.005, percent(s.share), transform=axes.get_xaxis_transform(), ha="center", va="bottom", fontsize=9)
 
 
 def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | None:
     """Disturbance torque over the states that explain most of it, with two standard errors; None when there is none to draw."""
-    drawn = [s for i, s in enumerate(s for s in shares if len(s.x) > 1) if i == 0 or s.share >= _WORTH][:3]
+    drawn = [s for s in shares if len(s.x) > 1 and s.share >= _WORTH][:3]
     if not drawn:
         return None
     u = unit(torque_unit)
@@ -255,10 +262,11 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
         for i, s in enumerate(drawn):
             axes = figure.add_subplot(grid[0, i])
             axes.axhline(0, color=MUTED, linewidth=0.8)
-            axes.fill_between(s.x, s.y - 2 * s.error, s.y + 2 * s.error, color=BAND, linewidth=0)
-            axes.plot(s.x, s.y, "o-", color=REFITTED, linewidth=1.4, markersize=3.6, markeredgewidth=0)
+            x, x_unit = _scaled(s)
+            axes.fill_between(x, s.y - 2 * s.error, s.y + 2 * s.error, color=BAND, linewidth=0)
+            axes.plot(x, s.y, "o-", color=REFITTED, linewidth=1.4, markersize=3.6, markeredgewidth=0)
             axes.set_title(f"explains {percent(s.share)}")
-            axes.set_xlabel(f"{s.state} [{unit(s.unit)}]" if unit(s.unit) else s.state)
+            axes.set_xlabel(f"{s.state} [{x_unit}]" if x_unit else s.state)
             axes.set_ylim(low - margin, high + margin)
             axes.xaxis.set_major_locator(_ticks(5))
             axes.yaxis.set_major_locator(_ticks(6))
@@ -267,3 +275,9 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
             else:
                 axes.set_ylabel(f"disturbance [{u}]")
         return _svg(figure, name, alt)
+
+
+def _scaled(s: StateShare) -> tuple[np.ndarray, str]:
+    """The state in thousandths of its unit when it is that small: mrad, mm."""
+    small = s.unit in ("rad", "m") and float(np.max(np.abs(s.x))) < 0.05
+    return (1e3 * s.x, f"m{s.unit}") if small else (s.x, unit(s.unit))

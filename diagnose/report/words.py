@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from diagnose.report.figures import number, percent, unit
 from diagnose.result import Diagnosis, Share, Verdict
 
-__all__ = ["VERDICTS", "VerdictWords", "effect_name", "formula", "linear_name", "structure_name", "where"]
+__all__ = ["VERDICTS", "VerdictWords", "effect_name", "formula", "linear_name", "placed", "structure_name", "where"]
 
 _SMALL = 0.05
 
@@ -90,15 +90,18 @@ def linear_name(name: str, unit_text: str) -> str:
     return f"{'mass' if unit_text == 'kg' else kind}, {_PLACES.get(place, place)}"
 
 
+def placed(d: Diagnosis) -> bool:
+    """Whether there is a mismatch to place: not when the refitted nominal model leaves noise only."""
+    return d.mismatch.above_noise >= _SMALL or d.verdict not in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY)
+
+
 def where(d: Diagnosis) -> list[str]:
     """The place of the mismatch in a few sentences: how much, when, at which frequencies, by which state, at which place."""
     m = d.mismatch
     known = math.isfinite(d.noise_floor)
-    if m.above_noise < _SMALL and d.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
-        return [
-            f"With its numbers fitted anew, the nominal model leaves {percent(m.above_noise)} of its error unexplained by the "
-            "noise: there is nothing to place."
-        ]
+    if not placed(d):
+        left = f"{percent(m.above_noise)} of its squared error above" if m.above_noise > 0 else "nothing above"
+        return [f"With its numbers fitted anew, the nominal model leaves {left} the noise: there is nothing to place."]
     linear = f"{percent(m.linear_share)} of that follows the input linearly, the rest is nonlinear or a disturbance."
     if known:
         out = [f"Of the refitted nominal model's squared error, {percent(m.above_noise)} is more than noise; {linear}"]
