@@ -86,7 +86,8 @@ def unphysical(axis: Axis) -> tuple[str, ...]:
     out = [
         f"The nominal damping at {c.joint!r} is negative ({c.damping:g}): no passive spring has that. It may stand for a delay, "
         "for friction or for a further mode that was left out when it was identified."
-        for c in axis.chain.couplings if c.damping < 0
+        for c in axis.chain.couplings
+        if c.damping < 0
     ]
     out += [
         f"The nominal viscous friction at {b.joint!r} is negative ({b.viscous:g})." for b in axis.chain.bodies if b.viscous < 0

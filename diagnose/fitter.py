@@ -59,7 +59,8 @@ class Fitted:
     @property
     def linear(self) -> dict[str, float]:
         """Fitted linear parameters."""
-        return {n: v for (o, n, _), v in self.hypothesis.values(self.fit.x).items() if o == "" and n != "initial_velocity"}
+        values = self.hypothesis.values(self.fit.x)
+        return {n: v for (o, n, r), v in values.items() if o == "" and n != "initial_velocity" and r <= 0}
 
     @property
     def own(self) -> dict[tuple[str, str, int], float]:
@@ -106,6 +107,7 @@ class Fitter:
     experiments: tuple[Experiment, ...]
     held_out: tuple[Experiment, ...]
     jobs: int = 2
+    varies: tuple[str, ...] = ()
     orders: tuple[float, ...] = ()
     whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
     runs: int = 0
@@ -165,11 +167,22 @@ class Fitter:
         e = self.error(axis, experiment, initial)
         if e is None:
             return None
-        if len(self.whitening) > 1:
-            from scipy.signal import lfilter
+        w, keep = self.whitened(e, experiment)
+        return w[keep]
 
-            e = lfilter(self.whitening, [1.0], e)
-        return np.asarray(e[self.counted(experiment)] / self.sigma(experiment))
+    def whitened(self, e: np.ndarray, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted, whitened error (M,) and which of it counts: not the samples that the filter reaches past a gap."""
+        keep = self.counted(experiment)
+        w = e / self.sigma(experiment)
+        p = len(self.whitening) - 1
+        if p == 0:
+            return w, keep
+        from scipy.signal import lfilter
+
+        w = lfilter(self.whitening, [1.0], np.where(keep, w, 0.0))
+        reach = np.convolve(~keep, np.ones(p + 1))[: len(keep)] > 0
+        reach[:p] = True
+        return w, keep & ~reach
 
     def residual(self, h: Hypothesis) -> Callable[[np.ndarray], np.ndarray | None]:
         """Residual vector over all estimation experiments as a function of the scaled vector."""
@@ -213,7 +226,7 @@ class Fitter:
                    own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
         """Lay out a hypothesis on these experiments."""
         moving = tuple(e.moving and self.view.channel == "velocity" for e in self.experiments)
-        return Hypothesis.build(self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own)
+        return Hypothesis.build(self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own, self.varies)
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
             tolerance: float = 1e-6, borrow: Fitted | None = None) -> Fitted:  # fmt: skip
@@ -271,7 +284,7 @@ class Fitter:
         J = 0.5 * (forward + backward)
         return Fitted(h, Fit(f.x, f.cost, r, J, f.status, f.iterations, f.predicted_gain), fitted.n)
 
-    def validate(self, fitted: Fitted, blocks: int = 25) -> HeldOut | None:
+    def validate(self, fitted: Fitted, blocks: int = 40) -> HeldOut | None:
         """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is."""
         h = fitted.hypothesis
         axis = fitted.axis
@@ -285,13 +298,9 @@ class Fitter:
             if e is None:
                 return None
             keep = self.counted(experiment)
-            w = e / self.sigma(experiment)
-            if len(self.whitening) > 1:
-                from scipy.signal import lfilter
-
-                w = lfilter(self.whitening, [1.0], w)
+            w, valid = self.whitened(e, experiment)
             w2 = w**2
-            for part in np.array_split(np.flatnonzero(keep), blocks):
+            for part in np.array_split(np.flatnonzero(valid), blocks):
                 sse.append(float(np.sum(w2[part])))
                 count.append(len(part))
             squares += float(np.sum(e[keep] ** 2))
@@ -307,7 +316,7 @@ class Fitter:
         moving = experiment.moving and self.view.channel == "velocity"
         alone = Hypothesis.build(
             h.nominal, fitted.effects, self.scales, 1, (moving,), fitted.linear,
-            {(o, n, 0): v for (o, n, r), v in fitted.own.items() if r == 0},
+            {(o, n, 0): v for (o, n, r), v in fitted.own.items() if r == 0}, self.varies,
         )  # fmt: skip
         free = np.array([e.recording >= 0 for e in alone.entries])
         x = alone.start.copy()

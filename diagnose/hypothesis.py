@@ -75,15 +75,21 @@ class Hypothesis:
         moving: tuple[bool, ...],
         linear: Mapping[str, float] | None = None,
         own: Mapping[tuple[str, str, int], float] | None = None,
+        varies: tuple[str, ...] = (),
     ) -> Hypothesis:
-        """Lay out a vector; ``linear`` and ``own`` (per-recording values) give starts, the nominal values otherwise."""
+        """Lay out a vector; ``linear`` and ``own`` (per-recording values) give starts, the nominal values otherwise.
+
+        ``varies`` names linear parameters that each recording has of its own (an inertia that depends on a pose not recorded).
+        """
         entries = []
         for p in nominal.chain.linear_parameters():
             start = (linear or {}).get(p.name, p.value)
             scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
             positive = p.kind in ("inertia", "stiffness")
             low, high = (0.02 * scale, 50 * scale) if positive else (-50 * scale, 50 * scale)
-            entries.append(Entry("", p.name, p.quantity, scale, low, high, min(max(start, low), high), -1, positive))
+            for r in range(n_recordings) if p.name in varies else (-1,):
+                mine = min(max((own or {}).get(("", p.name, r), start), low), high)
+                entries.append(Entry("", p.name, p.quantity, scale, low, high, mine, r, positive))
         for effect in (*nominal.effects, *effects):
             s = scales[effect.place]
             for spec in type(effect).specs():
@@ -91,6 +97,10 @@ class Hypothesis:
                 scale = _scale(spec.quantity, value, s)
                 log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
                 low, high = (1e-4 * scale, 1e4 * scale) if log else (spec.lower, spec.upper)
+                if spec.quantity is Quantity.CYCLES and effect.place != "arm":
+                    # what does not repeat within the travel is not periodic: one and a half periods at least
+                    low = max(low, 3 * math.pi / max(s.travel, 1e-12))
+                    value = max(value, low)
                 entry = (spec.name, spec.quantity, scale, low, high)
                 if spec.nuisance:
                     for r in range(n_recordings):
@@ -128,7 +138,9 @@ class Hypothesis:
     def axis(self, x: np.ndarray, recording: int = 0) -> Axis:
         """The axis that a vector stands for, with the numbers of one recording."""
         v = self.values(x)
-        linear = {n: value for (owner, n, _), value in v.items() if owner == "" and n != "initial_velocity"}
+        linear = {
+            n: value for (owner, n, r), value in v.items() if owner == "" and n != "initial_velocity" and r in (-1, recording)
+        }  # fmt: skip
         effects = []
         for effect in (*self.nominal.effects, *self.effects):
             mine = {n: value for (owner, n, r), value in v.items() if owner == effect.key and r in (-1, recording)}

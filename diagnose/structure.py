@@ -94,7 +94,9 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
             return Structure(0.0, 1.0)
         keep = fitter.counted(experiment)
         z = e[keep] / fitter.sigma(experiment)
-        predicted = (_dictionary(fitter, solved[0], experiment, solved[1])[: len(e)][keep] / fitter.sigma(experiment) / scale) @ weights
+        predicted = (
+            _dictionary(fitter, solved[0], experiment, solved[1])[: len(e)][keep] / fitter.sigma(experiment) / scale
+        ) @ weights
         # a gain of any size that carries over counts, a wrong amplitude does not hide it
         gain = 2 * z * predicted - predicted**2
         gains += [float(np.sum(p)) for p in np.array_split(gain, blocks)]

@@ -10,7 +10,7 @@ Both are low-passed alike where they are filtered, so that a comparison is of li
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -84,18 +84,25 @@ class ForceView:
     """Inverse dynamics along the recorded motion, judged on torque.
 
     cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling rate), then
-    decimation by ``decimate``. slow: samples below this fraction of the rms speed do not count (the direction of friction is unknown there).
+    decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of friction is unknown
+    there), nor those around which the speed stays below ``rest`` times it for a fifth of a second (the axis stands).
     """
 
     cutoff_hz: float | None = None
     decimate: int = 10
     slow: float = 0.005
+    rest: float = 0.05
     channel: str = "torque"
+    _cache: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Angle, velocity, acceleration (low-passed, by central differences) and the filter's coefficients."""
+        """Angle, velocity, acceleration (low-passed, by central differences) and the torque as commanded."""
         from scipy.signal import sosfiltfilt
 
+        if id(experiment) in self._cache:
+            return self._cache[id(experiment)]
         r = experiment.recording
         sos = self._sos(r.dt)
         if r.angle is not None:
@@ -104,7 +111,10 @@ class ForceView:
         else:
             v = sosfiltfilt(sos, measured_velocity(r))
             q = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * r.dt])
-        return q, v, np.gradient(v, r.dt), sos
+        # the command is held over each sample, so that it acts half a sample late on average
+        held = _shift(r.torque, -0.5 * r.dt, r.dt)
+        self._cache[id(experiment)] = (q, v, np.gradient(v, r.dt), sosfiltfilt(sos, held))
+        return self._cache[id(experiment)]
 
     def _sos(self, dt: float) -> np.ndarray:
         from scipy.signal import butter
@@ -117,7 +127,7 @@ class ForceView:
         from scipy.signal import sosfiltfilt
 
         r = experiment.recording
-        q, v, a, sos = self._filtered(experiment)
+        q, v, a, commanded = self._filtered(experiment)
         try:
             s = assemble(axis)
             if s.output_delay > 0 or s.output_lag > 0:
@@ -127,20 +137,23 @@ class ForceView:
             needed = inverse(s, q, v - offset, a, r.dt)
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
-        delivered = apply_input(s, r.torque)
+        sos = self._sos(r.dt)
         late = s.input_delay + s.input_lag
-        if late > 0:
-            delivered = _shift(delivered, -late, r.dt)
-        # the command is held over each sample: it acts half a sample late on average
-        delivered = _shift(delivered, -0.5 * r.dt, r.dt)
+        if s.input_maps or late > 0:
+            commanded = sosfiltfilt(sos, _shift(apply_input(s, r.torque), -0.5 * r.dt - late, r.dt))
         every = slice(None, None, self.decimate)
-        return Signals(r.time[every], sosfiltfilt(sos, delivered)[every], sosfiltfilt(sos, needed)[every])
+        return Signals(r.time[every], commanded[every], sosfiltfilt(sos, needed)[every])
 
     def counts(self, experiment: Experiment) -> np.ndarray:
         """The experiment's mask without the filter's ends and standstill."""
         r = experiment.recording
         _, v, _, _ = self._filtered(experiment)
-        moving = np.abs(v) > self.slow * math.sqrt(float(np.mean(v**2)))
+        from scipy.ndimage import maximum_filter1d
+
+        rms = math.sqrt(float(np.mean(v**2)))
+        # a sample at which the speed passes through zero, and a rest, during which the torque is whatever friction lets stand
+        rest = maximum_filter1d(np.abs(v), 2 * max(1, round(0.1 / r.dt)) + 1) < self.rest * rms
+        moving = (np.abs(v) > self.slow * rms) & ~rest
         edge = math.ceil(2.0 / ((self.cutoff_hz or 0.1 / r.dt) * r.dt))
         inside = np.zeros(len(r), bool)
         inside[edge : len(r) - edge] = True

@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 
-__all__ = ["levinson", "whitening_filter"]
+__all__ = ["effective_share", "levinson", "whitening_filter"]
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -23,6 +23,23 @@ def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
         a[1 : m + 1] += k * a[m - 1 :: -1][:m]
         variance[m] = variance[m - 1] * (1 - k * k)
     return a, variance
+
+
+def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
+    """Share of the samples that are worth an independent one, 1 / (1 + 2 sum rho_k^2), from the residual of the first experiment.
+
+    Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536. Used where the residual is the model's own error rather than sensor noise:
+    a filter would weigh such errors by their colour, not by what they mean.
+    """
+    experiment = fitter.experiments[0]
+    e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, 0), experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
+    if e is None:
+        return 1.0
+    e = np.where(fitter.counted(experiment), e, 0.0)
+    lags = min(lags, len(e) // 4)
+    r = np.array([float(e[: len(e) - k] @ e[k:]) for k in range(lags + 1)])
+    rho = r[1:] / r[0]
+    return float(1.0 / (1.0 + 2.0 * np.sum(rho**2)))
 
 
 def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material: float = 0.02) -> np.ndarray | None:

@@ -722,6 +722,8 @@ def drive(f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
             return 1, k
         if k == total - 1:
             break
+        if n == 1 and n_s == 0:
+            continue  # nothing moves but what is measured
         h = dt / n_sub
         for sub in range(n_sub):
             for stage in range(4):

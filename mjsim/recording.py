@@ -72,13 +72,15 @@ class Binding:
 
     TOML: ``[recording]`` with ``time``, ``torque``, ``velocity``, ``angle``, each a column name or a table ``{column, unit, gain, row}``;
     instead of a time column, ``dt`` [s]. ``second_angle``, ``second_velocity`` bind a link-side encoder. ``[experiment]`` with
-    ``loop`` = "open" | "closed" and ``judge`` = "motion" | "force".
+    ``loop`` = "open" | "closed", ``judge`` = "motion" | "force", and ``varies`` = names of linear parameters that each recording has of its
+    own (an inertia that depends on the pose of other axes).
     """
 
     channels: Mapping[str, Channel]
     dt: float | None = None
     loop: str | None = None
     judge: str | None = None
+    varies: tuple[str, ...] = ()
     source: str = "default column names"
 
     CHANNELS = ("time", "torque", "velocity", "angle", "second_angle", "second_velocity")
@@ -128,7 +130,10 @@ class Binding:
                 raise InputError(f"{path}: [experiment] {key}", f"{experiment[key]!r}", " or ".join(choices), "correct it")
         if not channels:
             channels = dict(cls.default().channels)
-        return cls(channels, given.get("dt"), experiment.get("loop"), experiment.get("judge"), str(path))
+        varies = experiment.get("varies", [])
+        if not isinstance(varies, list) or not all(isinstance(v, str) for v in varies):
+            raise InputError(f"{path}: [experiment] varies", f"{varies!r}", 'a list of names, as ["Jm"]', "correct it")
+        return cls(channels, given.get("dt"), experiment.get("loop"), experiment.get("judge"), tuple(varies), str(path))
 
 
 def find_binding(recording: Path, model: Path | None = None) -> Binding:
@@ -161,6 +166,7 @@ class Recording:
     second_velocity: np.ndarray | None = None
     loop: str | None = None
     judge: str | None = None
+    varies: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -261,7 +267,7 @@ def load(path: str | Path, *, model: str | Path | None = None, binding: Binding 
     return Recording(
         time=arrays["time"], torque=arrays["torque"], velocity=arrays.get("velocity"), angle=arrays.get("angle"), dt=dt,
         source=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest(), columns=flat,
-        second_angle=arrays.get("second_angle"), second_velocity=arrays.get("second_velocity"), loop=binding.loop, judge=binding.judge,
+        second_angle=arrays.get("second_angle"), second_velocity=arrays.get("second_velocity"), loop=binding.loop, judge=binding.judge, varies=binding.varies,
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ __all__ = ["render_report", "write_report"]
 
 _SHOWN_RIVALS = 8
 _MOST_TRACES = 4
+_WEAK = 0.05
 _LONG_DIFF = 80
 _CARRIED = '<text name="simgap"'
 
@@ -69,6 +70,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         fits=_fits(d),
         rivals=shown,
         more_rivals=hidden,
+        better=_better(d),
         failed=[(structure_name(tuple(k.split("+"))), why) for k, why in d.failed.items()],
         false_alarm=[(k.replace("_", " "), percent(v) if _is_share(k, v) else number(v)) for k, v in d.false_alarm.items()],
         equivalents=[
@@ -166,6 +168,7 @@ def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:
             (name, about.get(name, ""), *_estimated(e), _weak(e) and not name.startswith("phase"))
             for name, e in f.parameters.items()
         ],
+        "weak": f.evidence.get("p_value", 0.0) > _WEAK,
         "evidence": _evidence(f, unit(channel_unit)),
         "more": [(k.replace("_", " "), number(v)) for k, v in f.evidence.items() if k not in known],
     }
@@ -276,6 +279,16 @@ def _rivals(d: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     ]
     front = {i for i, row in enumerate(rows) if i < _SHOWN_RIVALS or row["chosen"] or not row["rival"].effects}
     return [row for i, row in enumerate(rows) if i in front], [row for i, row in enumerate(rows) if i not in front]
+
+
+def _better(d: Diagnosis) -> list[tuple[str, str]]:
+    """(structure, held-out error) of rivals that were not chosen although they err materially less on the held-out data."""
+    best = d.fit.get("corrected")
+    if best is None or not d.findings:
+        return []
+    chosen = {f"{f.effect}@{f.place}" for f in d.findings}
+    ahead = [r for r in d.rivals if set(r.effects) != chosen and r.held_out_rms < 0.99 * best.held_out_rms]
+    return [(structure_name(r.effects), number(r.held_out_rms)) for r in sorted(ahead, key=lambda r: r.held_out_rms)[:3]]
 
 
 def _diff(text: str) -> list[tuple[str, str]]:

@@ -135,7 +135,7 @@ def time(t: Traces, channel: str, channel_unit: str, found: bool, noise: bool, n
         for axes, part, columns in ((bottom, everything, 550), (bottom_zoom, zoom, 500)):
             if noise and np.isfinite(t.sigma) and t.sigma > 0:
                 for edge in (-2 * t.sigma, 2 * t.sigma):
-                    axes.axhline(edge, color=INK, linewidth=0.8, linestyle=(0, (4, 3)), zorder=4)
+                    axes.axhline(edge, color=MUTED, linewidth=0.7, linestyle=(0, (4, 3)), zorder=4)
             for e, colour in errors:
                 axes.plot(*envelope(t.time[part], e[part], columns), color=colour, linewidth=0.9)
             _limits(axes, [e[part] for e, _ in errors])
@@ -255,7 +255,7 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
     )
     with _style():
         figure = _figure(3.1)
-        grid = figure.add_gridspec(1, max(2, len(drawn)), left=0.075, right=0.995, bottom=0.17, top=0.89, wspace=0.1)
+        grid = figure.add_gridspec(1, max(2, len(drawn)), left=0.075, right=0.985, bottom=0.17, top=0.89, wspace=0.1)
         low = min(float(np.min(s.y - 2 * s.error)) for s in drawn)
         high = max(float(np.max(s.y + 2 * s.error)) for s in drawn)
         margin = 0.08 * (high - low) or 1.0
