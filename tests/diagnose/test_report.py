@@ -422,6 +422,24 @@ def test_the_carried_text_is_told_in_one_line(diagnosis: Diagnosis, tmp_path: Pa
     assert "</custom>" in text
 
 
+def test_doubt_is_shown(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    rival = Rival(("backlash@gearbox",), 9, 0.06, 0.03, -40000.0, "budget")
+    weak = dataclasses.replace(
+        diagnosis.findings[0], evidence={"p_value": 0.12}, parameters={"torque_Nm": Estimate(1.0, (-1.0, 3.0), "N m")}
+    )
+    doubtful = dataclasses.replace(diagnosis, traces=(), findings=(weak,), rivals=(*diagnosis.rivals, rival))
+    write_report(doubtful, tmp_path / "report.html")
+    text = words((tmp_path / "report.html").read_text(encoding="utf-8"))
+    for part in ("weak on held-out data", "not told from zero", "Backlash (gearbox) (0.03000 rad/s)", "stopped at its budget"):
+        assert part in text, part
+    assert "Less held-out error" not in words_of_sound(diagnosis, tmp_path)
+
+
+def words_of_sound(diagnosis: Diagnosis, tmp_path: Path) -> str:
+    write_report(dataclasses.replace(diagnosis, traces=()), tmp_path / "sound.html")
+    return words((tmp_path / "sound.html").read_text(encoding="utf-8"))
+
+
 def test_envelope_keeps_every_peak_and_gap() -> None:
     x = np.arange(10_000.0)
     y = np.zeros(10_000)
