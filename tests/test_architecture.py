@@ -1,0 +1,127 @@
+"""The shape of the code: imports go one way, every name in ``__all__`` exists, files stay readable, no machine's paths stand in them."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+LAYERS = ("mjsim", "ident", "diagnose", "simgap")  # each may import those before it and itself
+SOURCES = sorted(p for layer in LAYERS for p in (ROOT / layer).rglob("*.py"))
+LONGEST = 700
+# one compiled unit: numba inlines across functions of one file, and every runner calls it
+LONG_BY_NATURE = {"mjsim/kernel.py"}
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(path: Path) -> list[tuple[int, str]]:
+    """(line, absolute module) of every import, also those inside functions."""
+    out = []
+    package = name_of(path).split(".")
+    if path.name != "__init__.py":
+        package = package[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            out += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(x for x in (base, node.module) if x)
+            out += [(node.lineno, f"{module}.{alias.name}") for alias in node.names]
+    return out
+
+
+def relative(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def test_imports_go_one_way():
+    wrong = []
+    for path in SOURCES:
+        own = LAYERS.index(relative(path).split("/")[0])
+        for line, module in imported(path):
+            top = module.split(".")[0]
+            if top in LAYERS and LAYERS.index(top) > own:
+                wrong.append(f"{relative(path)}:{line} imports {module}")
+    assert not wrong
+
+
+def test_the_sealed_plant_shares_no_physics_with_what_it_tests():
+    """A benchmark whose plant used the library's laws or solver would only show that the library agrees with itself."""
+    barred = (
+        "mjsim.effects",
+        "mjsim.ode",
+        "mjsim.kernel",
+        "mjsim.system",
+        "mjsim.reference",
+        "mjsim.batch",
+        "mjsim.accurate",
+        "diagnose",
+    )
+    wrong = [
+        f"{relative(path)}:{line} imports {module}"
+        for path in SOURCES
+        if relative(path).startswith("simgap/benchmark/")
+        for line, module in imported(path)
+        if any(module == b or module.startswith(f"{b}.") for b in barred)
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_all_names_exist(path):
+    if path.name == "__main__.py":
+        return
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    has_all = any(
+        isinstance(n, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in n.targets) for n in tree.body
+    )
+    defines = any(isinstance(n, ast.ClassDef | ast.FunctionDef) and not n.name.startswith("_") for n in tree.body)
+    assert has_all or not defines, f"{relative(path)} defines public names and has no __all__"
+    if not has_all:
+        return
+    module = importlib.import_module(name_of(path))
+    names = module.__all__
+    assert len(set(names)) == len(names)
+    assert not [n for n in names if not hasattr(module, n)]
+    assert ast.get_docstring(tree), f"{relative(path)} does not say what it is"
+
+
+def test_files_stay_readable():
+    long = {relative(p): len(p.read_text(encoding="utf-8").splitlines()) for p in SOURCES}
+    assert not {k: v for k, v in long.items() if v > LONGEST and k not in LONG_BY_NATURE}
+
+
+def test_one_effect_is_one_file():
+    effects = [p for p in SOURCES if relative(p).startswith("mjsim/effects/")]
+    for path in effects:
+        registered = sum(
+            any(isinstance(d, ast.Name) and d.id == "register" for d in node.decorator_list)
+            for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef)
+        )  # fmt: skip
+        assert registered <= 1, relative(path)
+        if registered:
+            assert len(path.read_text(encoding="utf-8").splitlines()) <= 150, relative(path)
+
+
+def test_no_machine_paths():
+    """What is written down must hold on every machine."""
+    where = re.compile(r"(?<![\w.])/(?:" + "|".join(("home", "root", "work", "tmp", "Users", "mnt")) + r")/")
+    kinds = {".py", ".md", ".toml", ".xml", ".yml", ".yaml", ".json", ".csv", ".html", ".j2", ".css"}
+    wrong = []
+    for top in (*LAYERS, "tests", "docs", "benchmarks", "examples", "models", ".github", ".ci"):
+        for path in (ROOT / top).rglob("*"):
+            if path.is_file() and (path.suffix in kinds or top == ".ci") and path != Path(__file__).resolve():
+                text = path.read_text(encoding="utf-8")
+                wrong += [f"{relative(path)}: {m.group()}" for m in where.finditer(text)]
+    for name in ("README.md", "CHANGELOG.md", "Makefile", "pyproject.toml"):
+        if (ROOT / name).is_file():
+            wrong += [f"{name}: {m.group()}" for m in where.finditer((ROOT / name).read_text(encoding="utf-8"))]
+    assert not wrong
