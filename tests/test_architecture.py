@@ -1,4 +1,4 @@
-"""The shape of the code: imports go one way, every name in ``__all__`` exists, files stay readable, no machine's paths stand in them."""
+"""The shape of the code: imports go one way, every name in ``__all__`` exists, files stay short, no machine's paths in them."""
 
 from __future__ import annotations
 
