@@ -226,12 +226,7 @@ def _versions() -> dict[str, str]:
 def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, ...]:
     out = []
     for effect in best.effects:
-        without = tuple(k for k in best.key if k != effect.key)
-        poorer = search.pool.get(tuple(sorted(without)))
-        if poorer is None:
-            rest = [e for e in best.effects if e.key != effect.key]
-            poorer = search.fitter.fit(search.fitter.hypothesis(rest, best.linear, best.own))
-            search.pool[poorer.key] = poorer
+        poorer = search.without(best, effect)
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)

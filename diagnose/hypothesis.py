@@ -96,7 +96,7 @@ class Hypothesis:
                 value = getattr(effect, spec.name)
                 scale = _scale(spec.quantity, value, s)
                 log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
-                low, high = (1e-4 * scale, 1e4 * scale) if log else (spec.lower, spec.upper)
+                low, high = (1e-3 * scale, 1e3 * scale) if log else (spec.lower, spec.upper)
                 if spec.quantity is Quantity.CYCLES and effect.place != "arm":
                     # what does not repeat within the travel is not periodic: one and a half periods at least
                     low = max(low, 3 * math.pi / max(s.travel, 1e-12))

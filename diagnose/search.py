@@ -228,17 +228,24 @@ class Search:
                 return f
         return current
 
+    def without(self, current: Fitted, effect: Effect) -> Fitted:
+        """The best fit of a structure without one of its effects: its own, and one begun at the richer solution, both converged."""
+        rest = tuple(e for e in current.effects if e.key != effect.key)
+        known = self.pool.get(key_of(rest))
+        if known is not None and known.fit.status is Status.CONVERGED and not rest:
+            return known
+        self._keep(self.fitter.fit(self.fitter.hypothesis(rest, current.linear, current.own), iterations=30))
+        if known is not None and known.fit.status is not Status.CONVERGED:
+            self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30))
+        return self.pool[key_of(rest)]
+
     def _eliminate(self, current: Fitted) -> Fitted:
         """Drop every effect that does not pay; try simpler forms of each."""
         changed = True
         while changed and current.effects:
             changed = False
             for effect in current.effects:
-                rest = tuple(e for e in current.effects if e.key != effect.key)
-                poorer = self.pool.get(key_of(rest))
-                if poorer is None:
-                    poorer = self.fitter.fit(self.fitter.hypothesis(rest, current.linear, current.own), iterations=20)
-                    self._keep(poorer)
+                poorer = self.without(current, effect)
                 if not self.pays(poorer, current):
                     current, changed = poorer, True
                     break

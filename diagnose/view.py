@@ -24,6 +24,9 @@ from mjsim.system import assemble
 __all__ = ["ForceView", "MotionView", "Signals", "View"]
 
 
+MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible
+
+
 @dataclass(frozen=True)
 class Signals:
     """What is compared, on one time grid (M): time [s], measured and predicted in the view's unit."""
@@ -65,7 +68,7 @@ class MotionView:
         """Velocity measured and simulated at every sample."""
         r = experiment.recording
         try:
-            y = simulate(axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before)
+            y = simulate(axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS)
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         return Signals(r.time, measured_velocity(r), y.velocity)

@@ -61,13 +61,14 @@ def simulate(
     t0: float = 0.0,
     before: float = 0.0,
     substeps: int | None = None,
+    most_substeps: int = 64,
 ) -> Trajectory:
     """Free-run an axis on a commanded torque (N,) held over each sample of dt [s].
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
     ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied; ``before``: commanded torque
     ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the accuracy rule of
-    `System.substeps`. Raises DivergedError.
+    `System.substeps`; a model that needs more than ``most_substeps`` is not run. Raises DivergedError.
     """
     from mjsim import kernel
 
@@ -92,6 +93,8 @@ def simulate(
     if s.spatial > 0:
         speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
     n_sub = substeps or s.substeps(dt, speed)
+    if n_sub > most_substeps:
+        raise DivergedError(f"the model is too stiff: it needs {n_sub} steps a sample, {most_substeps} are allowed")
     out = np.empty((count, 2 * n + s.n_states + n - 1))
     status, at = kernel.integrate(
         s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
