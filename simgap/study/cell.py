@@ -15,7 +15,7 @@ from mjsim.errors import InputError
 from simgap.study.pipeline import FAITHFUL, Pipeline
 from simgap.study.plants import FEATURE_NAMES, PLANTS, Plant, build
 
-__all__ = ["DT", "GRID_HZ", "Cell", "Experiment", "Feature", "Result", "analyse", "features_of", "log", "run_cell"]
+__all__ = ["DT", "GRID_HZ", "Cell", "Experiment", "Feature", "Result", "analyse", "band", "features_of", "log", "run_cell"]
 
 DT = 5e-4
 """Sampling interval of the logs [s]."""
@@ -159,11 +159,11 @@ def analyse(torque: np.ndarray, velocity: np.ndarray, dt: float, pipeline: Pipel
     except InputError as error:
         return Result(void=str(error))
     model = estimate.model
-    dense = _DENSE_HZ[_DENSE_HZ < 0.495 / model.dt]
+    dense = _DENSE_HZ[: int(np.searchsorted(_DENSE_HZ, 0.495 / model.dt))]
     response = bode(dataclasses.replace(model, covariance=None), dense)
     keep = np.searchsorted(dense, GRID_HZ)
     magnitude, phase = response.magnitude_db, response.phase_deg
-    low = (dense >= 1.0) & (dense <= 3.0)
+    low = band(dense, 1.0, 3.0)
     zero = _root_near(model.zeros, model.dt, 8.0, 22.0)
     mode = _root_near(model.poles, model.dt, 29.0, 60.0)
     return Result(
@@ -176,6 +176,11 @@ def analyse(torque: np.ndarray, velocity: np.ndarray, dt: float, pipeline: Pipel
         simulation_percent=quality(estimate).simulation_percent,
         search=estimate.status.value,
     )
+
+
+def band(frequency_hz: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Which of the frequencies lie within [low, high] Hz."""
+    return np.asarray((frequency_hz >= low) & (frequency_hz <= high))
 
 
 def _root_near(roots: np.ndarray, dt: float, low: float, high: float) -> complex | None:

@@ -6,6 +6,7 @@ All on exact frequency responses, flat weight over 0.5 to 30 Hz (a chirp's), err
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +24,9 @@ class DampingStudy:
     """What was found.
 
     zero_real: dg [Nms/rad] -> real part [rad/s] of the zero pair at the first notch. without_delay, with_delay: the nearest axis
-    with dg >= 0: its error, dg and delay [s]. mistaken: (delay of the robot [s], dg that a fit without delay finds, its error), for a
-    robot with dg = 0. mistaken_for: delay [s] that is taken for the published dg, None when none within 5 ms is. spring_delay_s:
-    delay of the spring's torque that is the same to first order, abs(dg) / kg; spring_delay_error: its error. A delay is positive
+    with dg >= 0: its error, dg and delay [s]. mistaken: (delay of the robot [s], dg that a fit without delay finds, its error),
+    for a robot with dg = 0. mistaken_for: delay [s] that is taken for the published dg, None when none within 5 ms is.
+    spring_delay_s: delay of the spring's torque that is the same to first order, abs(dg) / kg; spring_delay_error: its error. A delay is positive
     when the velocity is logged late, negative when the torque is.
     """
 
@@ -38,16 +39,22 @@ class DampingStudy:
     spring_delay_s: float
     spring_delay_error: float
 
-    def to_dict(self) -> dict[str, object]:
-        """Plain values."""
+    @classmethod
+    def from_plain(cls, values: dict[str, Any]) -> DampingStudy:
+        """From `dataclasses.asdict` that went through JSON."""
+        known = dict(values)
+        known["zero_real"] = {float(k): v for k, v in values["zero_real"].items()}
+        known["mistaken"] = tuple(tuple(m) for m in values["mistaken"])
+        return cls(**known)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As it stands in ``claims.json``."""
         return {
             "first_notch_zero_real_by_dg": {f"{k:g}": v for k, v in self.zero_real.items()},
             "sign_turned_relative_error": self.plain_sign_error,
             "nearest_without_negative_damping": self.without_delay,
             "nearest_without_negative_damping_with_delay": self.with_delay,
-            "dg_that_a_fit_without_delay_finds": [
-                {"delay_s": d, "dg": g, "relative_error": e} for d, g, e in self.mistaken
-            ],
+            "dg_that_a_fit_without_delay_finds": [{"delay_s": d, "dg": g, "relative_error": e} for d, g, e in self.mistaken],
             "delay_taken_for_published_dg_s": self.mistaken_for,
             "equivalent_delay_of_the_spring_torque_s": self.spring_delay_s,
             "equivalent_delay_of_the_spring_torque_relative_error": self.spring_delay_error,
@@ -155,3 +162,11 @@ def study_damping(quick: bool = False) -> DampingStudy:
         spring_delay_s=spring,
         spring_delay_error=_error(_spring_delay(spring), target),
     )
+
+
+def second_mode_hz() -> float:
+    """Natural frequency [Hz] of the second flexible mode of the nominal axis, from its poles."""
+    from mjsim.system import assemble, state_matrix
+
+    poles = np.linalg.eigvals(state_matrix(assemble(nominal()).f))
+    return float(np.max(np.abs(poles[poles.imag > 0])) / (2 * np.pi))

@@ -71,16 +71,21 @@ class Store:
             self.path(cell.inputs()), json.dumps({"inputs": cell.inputs(), "result": result.to_dict()}, separators=(",", ":"))
         )
 
-    def clean(self, cells: Iterable[Cell]) -> None:
-        """Remove what belongs to none of these cells (older code, older settings)."""
-        wanted = {self.path(c.inputs()).name for c in cells}
-        for path in self.folder.glob("*.json"):
-            if path.name not in wanted:
-                path.unlink(missing_ok=True)
+    def remember(self, inputs: Any, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """The kept plain values of these inputs, or those that ``work`` gives, which are then kept."""
+        from ident.serial import write_atomic
+
+        path = self.path(inputs)
+        try:
+            return dict(json.loads(path.read_text(encoding="utf-8"))["result"])
+        except (OSError, ValueError, KeyError, TypeError):
+            result = work()
+            write_atomic(path, json.dumps({"inputs": inputs, "result": result}, separators=(",", ":")))
+            return result
 
 
 def compute(cells: Iterable[Cell], store: Store, jobs: int = 1, tick: Callable[[], None] = lambda: None) -> dict[Cell, Result]:
-    """Results of all cells, from the store or new, ``jobs`` side by side; ``tick`` after each. Safe to break off and to resume."""
+    """Results of all cells, from the store or new, ``jobs`` side by side; ``tick`` after each. Safe to break off."""
     wanted = list(dict.fromkeys(cells))
     try:
         store.folder.mkdir(parents=True, exist_ok=True)

@@ -43,7 +43,7 @@ BASE_BETTER = Variant("better", "base", Experiment(high_hz=45.0, engine="accurat
 
 
 def robustness_map(quick: bool = False) -> tuple[Variant, ...]:
-    """All variants, the two bases first. One thing changes at a time, amplitude in both bands; away from the bases the ODE runs."""
+    """The two bases, then variants: one thing changes at a time, amplitude in both bands; away from the bases the ODE runs."""
     out = [BASE, BASE_BETTER]
     for base in (BASE, BASE_BETTER):
         e, p, family = replace(base.experiment, engine="ode"), base.pipeline, base.family
