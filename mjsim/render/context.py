@@ -1,0 +1,82 @@
+"""An off-screen OpenGL context for MuJoCo without a display: EGL, else OSMesa, whatever was imported before."""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib
+import os
+import sys
+from types import TracebackType
+from typing import Any, Self
+
+import mujoco
+import numpy as np
+
+from mjsim.errors import InputError
+
+__all__ = ["Offscreen"]
+
+_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+
+
+def _open(width: int, height: int) -> Any:
+    """The first context that opens, made current. Raises InputError naming the packages to install when none does."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    names = [wanted] if wanted in _LIBRARIES else list(_LIBRARIES)
+    said = []
+    for name in names:
+        if ctypes.util.find_library(_LIBRARIES[name]) is None:
+            said.append(f"{name}: no lib{_LIBRARIES[name]}")
+            continue
+        chosen = os.environ.get("PYOPENGL_PLATFORM")
+        if chosen not in (None, name):
+            # PyOpenGL binds to one platform; before it has drawn anything it may still be given another
+            for module in [
+                m for m in sys.modules if m.split(".")[0] == "OpenGL" or m.startswith(("mujoco.egl", "mujoco.osmesa"))
+            ]:
+                del sys.modules[module]
+            del os.environ["PYOPENGL_PLATFORM"]
+        try:
+            context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+            context.make_current()
+            return context
+        except Exception as error:  # what fails here comes from a C library under one of several bindings
+            said.append(f"{name}: {' '.join(str(error).split()) or type(error).__name__}")
+    raise InputError(
+        "rendering", f"no off-screen OpenGL ({'; '.join(said)})", "EGL or OSMesa",
+        "on Debian or Ubuntu: apt-get install libegl1 libgl1 libosmesa6",
+    )  # fmt: skip
+
+
+class Offscreen:
+    """Renders a model from its camera; use it in a ``with`` block."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        self.model, self.width, self.height = model, width, height
+        self._gl = _open(width, height)
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(model, maxgeom=2000)
+        self._option = mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = 0
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._context.free()
+        self._gl.free()
+
+    def render(self, data: mujoco.MjData) -> np.ndarray:
+        """(height, width, 3) bytes."""
+        self._gl.make_current()
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        mujoco.mjv_updateScene(self.model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene)
+        mujoco.mjr_render(self._rect, self._scene, self._context)
+        pixels = np.empty((self.height, self.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, self._rect, self._context)
+        return pixels[::-1]
