@@ -23,11 +23,11 @@ _FREE = ("Jm", "Jg", "Ja", "fm", "kg", "ka", "da")
 class DampingStudy:
     """What was found.
 
-    zero_real: dg [Nms/rad] -> real part [rad/s] of the zero pair at the first notch. without_delay, with_delay: the nearest axis
-    with dg >= 0: its error, dg and delay [s]. mistaken: (delay of the robot [s], dg that a fit without delay finds, its error),
-    for a robot with dg = 0. mistaken_for: delay [s] that is taken for the published dg, None when none within 5 ms is.
-    spring_delay_s: delay of the spring's torque that is the same to first order, abs(dg) / kg; spring_delay_error: its error. A delay is positive
-    when the velocity is logged late, negative when the torque is.
+    zero_real: dg [Nms/rad] -> real part [rad/s] of the zero pair at the first notch. plain_sign_error: of turning dg's sign.
+    without_delay, with_delay: the nearest axis with dg >= 0: its error, dg and delay [s]. mistaken: (delay of the robot [s], dg
+    that a fit without delay finds, its error), for a robot with dg = 0. mistaken_for: delay [s] that is taken for the published
+    dg, None when none within 5 ms is. spring_delay_s: delay of the spring's torque that is the same to first order, abs(dg) / kg;
+    spring_delay_error: its error. A delay is positive when the velocity is logged late, negative when the torque is.
     """
 
     zero_real: dict[float, float]
