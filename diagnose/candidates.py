@@ -80,9 +80,11 @@ def _variants(effect: Effect) -> Iterator[Effect]:
 def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacing: Effect | None = None) -> list[Screened]:
     """What each candidate promises on top of a fitted base, strongest first.
 
-    The response of the candidate at its start (a secant) is made orthogonal to the base's own parameters; the residual's projection
+    The response of the candidate at its start (a secant) is made orthogonal to the base's own parameters; the residual's
+    projection
     on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has it. A phase
-    enters as two responses in quadrature. An amplitude of the wrong sign gains nothing. With ``replacing``, each candidate takes the place
+    enters as two responses in quadrature. An amplitude of the wrong sign gains nothing. With ``replacing``, each
+    candidate takes the place
     of that effect of the base, from which it inherits the parameters that they share.
     """
     J = base.fit.J

@@ -44,7 +44,8 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
 def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10.0) -> tuple[str, ...]:
     """Identifiers that could stand in this effect's place: same rest of the structure, criterion within ``margin``.
 
-    A margin of 10 in C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely refines the effect,
+    A margin of 10 in C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely
+    refines the effect,
     and gains nothing by it, is not an equivalent.
     """
     rest = {k for k in best.key if k != effect.key}
@@ -65,7 +66,10 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10
 
 
 def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
-    """Effects that the angle channel contradicts without any model: an offset of the velocity sensor shows as its drift from the angle."""
+    """Effects that the angle channel contradicts without any model.
+
+    An offset of the velocity sensor shows as its drift from the angle.
+    """
     verdicts = []
     for experiment in experiments:
         r = experiment.recording
@@ -96,7 +100,10 @@ def unphysical(axis: Axis) -> tuple[str, ...]:
 
 
 def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequence[Finding]) -> str | None:
-    """The excitation, of a few simple ones, under which the equivalents' predictions differ most; None when there is nothing to tell."""
+    """Name the excitation, of a few simple ones, under which the equivalents differ most.
+
+    None when there is nothing to tell.
+    """
     pairs = []
     for f in findings:
         for name in f.equivalents:

@@ -16,7 +16,8 @@ __all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "prepare", "whi
 class Experiment:
     """A recording and the part of it that a fit counts.
 
-    counts (N) bool; sigma: noise rms of the judged output (weights recordings against each other); moving: the axis is not at rest
+    counts (N) bool; sigma: noise rms of the judged output (weights recordings against each other); moving: the axis is
+    not at rest
     at the first sample; before: torque held ahead of it.
     """
 
@@ -70,7 +71,8 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         at_top = np.abs(signal) >= top * (1 - 1e-9)
         flat = at_top[1:] & at_top[:-1] & (np.diff(signal) == 0)
         if name == "velocity" and np.mean(flat) > 0.05:
-            raise InputError(recording.source, f"{name} stands at its limit {top:.4g} for {100 * np.mean(flat):.0f} % of the time",
+            share = 100 * np.mean(flat)
+            raise InputError(recording.source, f"{name} stands at its limit {top:.4g} for {share:.0f} % of the time",
                              "an unclipped signal", "raise the sensor's range or lower the excitation")  # fmt: skip
     moving = _starts_in_motion(v, noise, spread)
     before = float(recording.torque[0]) if moving else 0.0

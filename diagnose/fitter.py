@@ -29,7 +29,10 @@ def key_of(effects: Sequence[Effect]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fitted hypothesis: chi2 is the weighted sum of squares over n samples; ``effects`` carry the fitted values of recording 0."""
+    """A fitted hypothesis.
+
+    chi2 is the weighted sum of squares over n samples; ``effects`` carry the fitted values of recording 0.
+    """
 
     hypothesis: Hypothesis
     fit: Fit
@@ -226,7 +229,9 @@ class Fitter:
                    own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
         """Lay out a hypothesis on these experiments."""
         moving = tuple(e.moving and self.view.channel == "velocity" for e in self.experiments)
-        return Hypothesis.build(self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own, self.varies)
+        return Hypothesis.build(
+            self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own, self.varies
+        )
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
             tolerance: float = 1e-6, borrow: Fitted | None = None) -> Fitted:  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import platform
 import time
@@ -21,6 +22,7 @@ from diagnose.decide import (
 )
 from diagnose.experiment import Experiment, hold_out_blocks, measured_velocity, prepare
 from diagnose.fitter import Fitted, Fitter, HeldOut
+from diagnose.least_squares import Fit
 from diagnose.locate import disturbance, locate
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
@@ -50,7 +52,10 @@ class Options:
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None) -> View:
-    """Motion or force: as asked, as the binding says, else force when there is only a position (a servo under a position loop)."""
+    """Motion or force.
+
+    As asked, as the binding says, else force when there is only a position (a servo under a position loop).
+    """
     judge = judge or recordings[0].judge
     if judge is None:
         judge = "force" if recordings[0].velocity is None else "motion"
@@ -129,8 +134,10 @@ def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:
 def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], began: float) -> tuple[Search, Fitted]:
     left = options.seconds - (time.monotonic() - began)
     # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
-    strict = {} if fitter.noise_known else {"price": 6.0, "entry": 10.0, "material": 0.05, "p_enter": 0.02}
-    search = Search(fitter, SearchOptions(only=options.effects, depth=options.depth, seconds=left, **strict), progress)
+    chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
+    if not fitter.noise_known:
+        chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.05, p_enter=0.02)
+    search = Search(fitter, chosen, progress)
     base = search.nominal()
     if not base.ok:
         raise InputError(
@@ -160,7 +167,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     base = search.nominal()
     progress("validate: what is left, intervals, rivals")
     structure = remaining_structure(fitter, best)
-    best = fitter.refined(best)
+    best = fitter.refined(search.polish(best))
     mismatch = locate(fitter, base)
     found = _findings(search, best, options)
     verdict = _verdict(search, base, best, structure, options)
@@ -184,7 +191,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     unit = _unit(fitter)
     return Diagnosis(
         verdict=verdict,
-        summary=_summary(verdict, found, fits, gap, fitter.noise_known),
+        summary=_summary(verdict, found, fits, gap, fitter.noise_known, unit),
         findings=found if verdict in (Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED) else (),
         mismatch=mismatch,
         linear_parameters=estimates(best, fitter, owner=""),
@@ -304,9 +311,7 @@ def _figures(fitter: Fitter, search: Search, base: Fitted, best: Fitted) -> tupl
     return fits, gap if best.effects else math.nan
 
 
-def _at(fitted: Fitted, x: np.ndarray):  # type: ignore[no-untyped-def]
-    import dataclasses
-
+def _at(fitted: Fitted, x: np.ndarray) -> Fit:
     return dataclasses.replace(fitted.fit, x=x)
 
 
@@ -315,12 +320,16 @@ def _rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     out: list[Rival] = []
     for f in sorted(search.pool.values(), key=search.criterion)[:most]:
         held = search.held.get(f.key) or (search.held_out(f) if len(out) < 8 else None)
-        sigma = search.fitter.sigma(search.fitter.experiments[0])
         out.append(
-            Rival(f.key, len(f.hypothesis.entries), sigma * math.sqrt(f.chi2 / f.n), held.rms if held else math.nan,
+            Rival(f.key, len(f.hypothesis.entries), _rms(search.fitter, f), held.rms if held else math.nan,
                   search.criterion(f) - reference, f.fit.status.name.lower())
         )  # fmt: skip
     return tuple(out)
+
+
+def _rms(fitter: Fitter, fitted: Fitted) -> float:
+    """Estimation error in the view's unit, without whitening."""
+    return _error_figures(fitter, lambda i: fitted.hypothesis.axis(fitted.fit.x, i), fitted, None).rms
 
 
 def _traces(fitter: Fitter, base: Fitted, best: Fitted) -> tuple[Traces, ...]:
@@ -343,23 +352,30 @@ def _traces(fitter: Fitter, base: Fitted, best: Fitted) -> tuple[Traces, ...]:
                 continue
             out.append(
                 Traces(experiment.recording.source, role, refitted.time, refitted.measured, given.predicted if given else None,
-                       refitted.predicted, corrected.predicted, fitter.counted(experiment), experiment.sigma)
+                       refitted.predicted, corrected.predicted, fitter.counted(experiment),
+                       experiment.sigma if fitter.noise_known else math.nan)
             )  # fmt: skip
     return tuple(out)
 
 
-def _summary(verdict: Verdict, findings: Sequence[Finding], fits: dict[str, FitFigures], gap: float, known: bool) -> str:
+def _summary(
+    verdict: Verdict, findings: Sequence[Finding], fits: dict[str, FitFigures], gap: float, known: bool, unit: str
+) -> str:
     """The answer in one sentence."""
     before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
-    names = " and ".join(f"{f.effect.replace('_', ' ')} at the {f.place}" for f in findings)
+    names = " and ".join(f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at the {f.place}" for f in findings)
     match verdict:
         case Verdict.NO_MISMATCH:
             return "Nothing is missing: the nominal model agrees with the recording to within its noise."
         case Verdict.PARAMETERS_ONLY:
             return "No physics is missing: the nominal structure fits once its parameters are adjusted."
         case Verdict.MISSING_PHYSICS:
-            closed = f", {100 * gap:.1f} % of what {'exceeded the noise' if known else 'it was'}" if math.isfinite(gap) else ""
-            return f"The simulation left out {names}: putting it back lowers the held-out error from {before:.4g} to {after:.4g}{closed}."
+            share = min(100.0, 100 * gap)
+            closed = f", by {share:.1f} % of what {'exceeded the noise' if known else 'it was'}" if math.isfinite(gap) else ""
+            return (
+                f"The simulation left out {names}: putting it back lowers the held-out error "
+                f"from {before:.4g} to {after:.4g} {unit}{closed}."
+            )
         case Verdict.UNEXPLAINED:
             part = f" {names} account for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""
             return f"The mismatch is not explained:{part} structure remains that none of the known effects accounts for."

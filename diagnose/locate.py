@@ -1,6 +1,7 @@
 """Where the mismatch is, before any name is tried: in time, in frequency, over the state, and in the mechanism.
 
-The disturbance torque at a place is what, added there, would turn the model's output into the measured one. It is found by regularised
+The disturbance torque at a place is what, added there, would turn the model's output into the measured one. It is found by
+regularised
 deconvolution of the residual through the fitted linear axis (the Wiener filter of a flat disturbance in the measured noise):
 
     D(f) = G*(f) E(f) / (|G(f)|^2 + S_noise / S_disturbance)

@@ -53,7 +53,8 @@ class Estimate:
 class Finding:
     """One effect that was found: what, where, how large, on what evidence, and which others the data cannot tell from it.
 
-    evidence: held_out_error_before / _after (rms without and with this effect, view's unit), p_value (held-out, one-sided, corrected
+    evidence: held_out_error_before / _after (rms without and with this effect, view's unit), p_value (held-out, one-
+    sided, corrected
     for the number of hypotheses), delta_chi2 (estimation, whitened), hypotheses (number tested).
     """
 
@@ -92,7 +93,10 @@ class StateShare:
 
 @dataclass(frozen=True)
 class Place:
-    """A place at which a disturbance could close the gap: rms of the torque (or signal) that does, how much of it one state explains."""
+    """A place at which a disturbance could close the gap.
+
+    Rms of the torque (or signal) that does, how much of it one state explains.
+    """
 
     place: str
     element: str
@@ -106,7 +110,8 @@ class Place:
 class Mismatch:
     """Where the refitted nominal model and the recording differ.
 
-    spectrum: (frequency_hz, residual psd, noise psd, output psd) arrays; above_noise: share of the residual energy that is not noise;
+    spectrum: (frequency_hz, residual psd, noise psd, output psd) arrays; above_noise: share of the residual energy that
+    is not noise;
     linear_share: share of it that is coherent with the input (the rest is nonlinear distortion or disturbance).
     """
 
@@ -176,7 +181,10 @@ class Traces:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The outcome; see the fields of the contract's ``diagnosis.json``. ``channel`` and ``unit``: what the models are judged on."""
+    """The outcome; see the fields of the contract's ``diagnosis.json``. ``channel`` and ``unit``.
+
+    What the models are judged on.
+    """
 
     verdict: Verdict
     summary: str

@@ -29,7 +29,8 @@ class SearchOptions:
     """Budgets and thresholds.
 
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
-    held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of candidates; depth: most effects; width: rivals fitted in
+    held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of candidates;
+    depth: most effects; width: rivals fitted in
     full at each move; beam: structures from which the next move starts.
     """
 
@@ -119,13 +120,17 @@ class Search:
         floor = 0.4 * self.options.entry
         visible = base.chi2 > 1.05 * base.n or not self.fitter.noise_known
         promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
-        # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is something to explain
+        # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is
+        # something to explain
         if visible:
             promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
         return self._race(base, [(base.effects, s) for s in promising])
 
     def refine(self, base: Fitted) -> list[Fitted]:
-        """Fit the structures in which an effect of ``base`` is replaced by one that refines it, where the score says it can matter."""
+        """Fit the structures in which an effect of ``base`` is replaced by one that refines it.
+
+        Where the score says it can matter.
+        """
         entrants: list[tuple[tuple[Effect, ...], Screened]] = []
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
@@ -228,8 +233,19 @@ class Search:
                 return f
         return current
 
+    def polish(self, fitted: Fitted) -> Fitted:
+        """The same structure fitted on to a tight tolerance."""
+        better = self.fitter.fit(fitted.hypothesis, fitted.fit.x, iterations=40, tolerance=1e-8)
+        if better.ok and better.chi2 <= fitted.chi2:
+            self._keep(better)
+            return better
+        return fitted
+
     def without(self, current: Fitted, effect: Effect) -> Fitted:
-        """The best fit of a structure without one of its effects: its own, and one begun at the richer solution, both converged."""
+        """The best fit of a structure without one of its effects.
+
+        Its own, and one begun at the richer solution, both converged.
+        """
         rest = tuple(e for e in current.effects if e.key != effect.key)
         known = self.pool.get(key_of(rest))
         if known is not None and known.fit.status is Status.CONVERGED and not rest:

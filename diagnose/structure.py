@@ -1,7 +1,8 @@
 """Does the residual still hold structure that the recorded input and motion predict? The test behind ``unexplained``.
 
 A dictionary of torques, functions of the measured velocity, angle and command, is passed through the fitted linear axis, and
-the residual is regressed on it (ridge) on the estimation samples. What counts is how much it predicts of the *held-out* residual: noise, coloured
+the residual is regressed on it (ridge) on the estimation samples. What counts is how much it predicts of the *held-out*
+residual: noise, coloured
 or not, is not predicted by it; physics that was left out is.
 """
 
@@ -21,7 +22,10 @@ __all__ = ["Structure", "remaining_structure"]
 
 @dataclass(frozen=True)
 class Structure:
-    """share: part of the held-out squared residual that the dictionary predicts (<= 0 when none); p_value: one-sided, over blocks."""
+    """share.
+
+    Part of the held-out squared residual that the dictionary predicts (<= 0 when none); p_value: one-sided, over blocks.
+    """
 
     share: float
     p_value: float
@@ -47,7 +51,8 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
     scale = fitter.scales["motor"].velocity or 1.0
     x = s / scale
     u = r.torque / (fitter.scales["motor"].input or 1.0)
-    torques = [np.ones_like(x), np.tanh(x / 0.02), np.tanh(x / 0.1), x, np.abs(x), x * np.abs(x), x**3, u * np.abs(u), u**3, np.abs(u),
+    torques = [np.ones_like(x), np.tanh(x / 0.02), np.tanh(x / 0.1), x, np.abs(x), x * np.abs(x), x**3, u * np.abs(u), u**3,
+               np.abs(u),
                np.tanh(x / 0.05) * np.abs(u), np.tanh(x / 0.05) * np.exp(-((x / 0.1) ** 2)),
                np.tanh(x / 0.05) * np.arange(len(x)) / len(x)]  # fmt: skip
     if r.angle is not None:

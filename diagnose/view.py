@@ -1,6 +1,7 @@
 """How a model is judged against a recording: by its free-run motion, or by the force that the recorded motion needs.
 
-Motion (output error): the model runs on the recorded torque and its velocity is compared. Efficient and unbiased when the noise is
+Motion (output error): the model runs on the recorded torque and its velocity is compared. Efficient and unbiased when the
+noise is
 in the sensor, also under feedback, since the torque that acted is recorded.
 Force (inverse dynamics): the model is moved as recorded and the torque that this needs is compared. For recordings under a tight
 position loop, whose motion says nothing and whose free run drifts on any disturbance of the torque.
@@ -68,7 +69,9 @@ class MotionView:
         """Velocity measured and simulated at every sample."""
         r = experiment.recording
         try:
-            y = simulate(axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS)
+            y = simulate(
+                axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS
+            )
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         return Signals(r.time, measured_velocity(r), y.velocity)
@@ -86,8 +89,10 @@ class MotionView:
 class ForceView:
     """Inverse dynamics along the recorded motion, judged on torque.
 
-    cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling rate), then
-    decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of friction is unknown
+    cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling
+    rate), then
+    decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of
+    friction is unknown
     there), nor those around which the speed stays below ``rest`` times it for a fifth of a second (the axis stands).
     """
 

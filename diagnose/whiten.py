@@ -28,7 +28,8 @@ def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
 def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
     """Share of the samples that are worth an independent one, 1 / (1 + 2 sum rho_k^2), from the residual of the first experiment.
 
-    Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536. Used where the residual is the model's own error rather than sensor noise:
+    Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536. Used where the residual is the model's own error rather than
+    sensor noise:
     a filter would weigh such errors by their colour, not by what they mean.
     """
     experiment = fitter.experiments[0]

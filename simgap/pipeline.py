@@ -46,12 +46,8 @@ def diagnose_files(
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     write_corrected(model, corrected_axis(nominal, result), corrected)
-    diff = "".join(
-        difflib.unified_diff(
-            model.read_text(encoding="utf-8").splitlines(keepends=True), corrected.read_text(encoding="utf-8").splitlines(keepends=True),
-            model.name, corrected.name, n=1,
-        )
-    )  # fmt: skip
+    before, after = (p.read_text(encoding="utf-8").splitlines(keepends=True) for p in (model, corrected))
+    diff = "".join(difflib.unified_diff(before, after, model.name, corrected.name, n=1))
     from diagnose.report import write_report
 
     write_report(result, out / "report.html", corrected_diff=diff, truth=truth)

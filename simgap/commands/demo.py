@@ -10,16 +10,20 @@ __all__ = ["command"]
 
 
 @click.command("demo", epilog="Example: simgap demo --seed 7 --out out/demo")
-@click.option("--out", default=Path("out/demo"), show_default=True, type=click.Path(path_type=Path), help="Folder for everything written.")
-@click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws the effect, its size, the axis and the noise.")
+@click.option(
+    "--out", default=Path("out/demo"), show_default=True, type=click.Path(path_type=Path), help="Folder for everything written."
+)
+@click.option(
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws the effect, its size, the axis and the noise."
+)
 @click.option("--level", default="plain", show_default=True, help="Kind of case, as in the benchmark.")
 @click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads.")
 @click.option("--json", "as_json", is_flag=True, help="Print truth and finding as JSON.")
 def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     """Conceal a random effect in the ABB IRB1400 axis, diagnose it, and print the truth beside the finding.
 
-    The recordings come from a plant with its own laws and its own solver; the diagnosis is handed the CSV files and the nominal model,
-    nothing else. The truth lies in an envelope whose SHA-256 is printed before the diagnosis begins.
+    The recordings come from a plant with its own laws and its own solver; the diagnosis is handed the CSV files and
+    the nominal model, nothing else. The truth lies in an envelope whose SHA-256 is printed before the diagnosis begins.
     """
     import json
 
@@ -32,7 +36,9 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     recordings, truth_file = out / "recordings", out / "envelope" / "truth.json"
     digest = write_cases(recordings, truth_file, {level: 1}, seed)
     if not as_json:
-        click.echo(f"An effect is concealed in {recordings / '001_estimation.csv'}; envelope sealed with SHA-256 {digest[:16]}...")
+        click.echo(
+            f"An effect is concealed in {recordings / '001_estimation.csv'}; envelope sealed with SHA-256 {digest[:16]}..."
+        )
     model = shipped_model("robot_axis1")
     inputs = [recordings / "001_estimation.csv"], model, out, [recordings / "001_held_out.csv"]
     options = Options(jobs=jobs, seed=seed)
@@ -64,6 +70,6 @@ def show_truth(truth, findings) -> None:  # type: ignore[no-untyped-def]
             e = f.parameters.get(name) if f else None
             interval = f"[{e.ci95[0]:.4g}, {e.ci95[1]:.4g}]" if e else ""
             shown = f"{e.value:.4g}" if e else ", ".join(found) or "(nothing)"
-            table.add_row(f"{effect} at {truth['where'].get(effect, '')}", name, f"{value:.4g}" if isinstance(value, float) else str(value),
-                          shown, interval)  # fmt: skip
+            given = f"{value:.4g}" if isinstance(value, float) else str(value)
+            table.add_row(f"{effect} at {truth['where'].get(effect, '')}", name, given, shown, interval)
     Console().print(table)
