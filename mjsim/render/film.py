@@ -84,8 +84,8 @@ def film(
     """Film one shot, or two side by side, to ``out`` (.mp4, .gif, .png: one picture).
 
     ``size``: of each scene with its overlay [pixels]; ``fps`` of the film; ``speed``: film time over true time (0.2 is slow
-    motion); ``start``, ``duration`` [s] of the motion shown, all of it when None; a png shows the moment ``start``, or that of the
-    largest wind-up. ``progress`` wraps the loop over frames. Raises InputError.
+    motion); ``start``, ``duration`` [s] of the motion shown, all of it when None; a png
+    shows the moment ``start``, or that of the largest wind-up. ``progress`` wraps the loop over frames. Raises InputError.
     """
     path = Path(out)
     if path.suffix.lower() not in SUFFIXES:

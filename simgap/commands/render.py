@@ -44,12 +44,11 @@ def _shots(source: str, recording: Path | None, simulation: Path | None) -> list
 
         axis, motion = load_axis(path), None
         if recording is None:
-            raise InputError(
-                path,
-                "a model alone does not move",
-                "a log to move it",
-                "add --recording LOG, or name a scenario (simgap run --list)",
-            )
+            if simulation is not None:
+                raise InputError("--simulation", "no recording to set it against", "--recording LOG", "add it")
+            amplitude, torque = _demonstration(axis)
+            said = f"simulation, chirp 0.5-15 Hz, {amplitude:.3g} {'Nm' if axis.chain.motion is Motion.HINGE else 'N'}"
+            return [shot_of_run(said, axis, ode.simulate(axis, torque, 5e-4))]
     else:
         if recording is not None or simulation is not None:
             raise InputError(source, "--recording and --simulation go with a model", "MODEL.xml", "name the model")
