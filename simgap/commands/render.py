@@ -34,6 +34,7 @@ def _shots(source: str, recording: Path | None, simulation: Path | None) -> list
     """One shot, or two when a recording is given: the model on the recorded torque (or a simulated log) and the recording."""
     from mjsim import ode
     from mjsim.errors import InputError
+    from mjsim.quantity import Motion
     from mjsim.recording import load
     from mjsim.render import shot_of_recording, shot_of_run
     from mjsim.scenario import load_scenario, run
