@@ -14,7 +14,7 @@ from mjsim.axis import Axis
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.recording import load
 
-__all__ = ["corrected_axis", "diagnose_files"]
+__all__ = ["corrected_axis", "diagnose_files", "model_diff"]
 
 
 def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
@@ -25,6 +25,12 @@ def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
     for f in diagnosis.findings:
         axis = axis + effect_class(f.effect)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
     return axis
+
+
+def model_diff(model: Path, corrected: Path) -> str:
+    """What the corrected file changes of the nominal one, as a unified diff."""
+    before, after = (p.read_text(encoding="utf-8").splitlines(keepends=True) for p in (model, corrected))
+    return "".join(difflib.unified_diff(before, after, model.name, corrected.name, n=1))
 
 
 def diagnose_files(
@@ -46,11 +52,9 @@ def diagnose_files(
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     write_corrected(model, corrected_axis(nominal, result), corrected)
-    before, after = (p.read_text(encoding="utf-8").splitlines(keepends=True) for p in (model, corrected))
-    diff = "".join(difflib.unified_diff(before, after, model.name, corrected.name, n=1))
     from diagnose.report import write_report
 
-    write_report(result, out / "report.html", corrected_diff=diff, truth=truth)
+    write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth)
     result.write_json(out / "diagnosis.json")
     return result
 

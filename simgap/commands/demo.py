@@ -30,7 +30,7 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     from diagnose.flow import Options
     from mjsim.models import shipped_model
     from simgap.benchmark.seal import open_envelope, write_cases
-    from simgap.pipeline import diagnose_files
+    from simgap.pipeline import diagnose_files, model_diff
     from simgap.show import show_diagnosis
 
     recordings, truth_file = out / "recordings", out / "envelope" / "truth.json"
@@ -51,7 +51,8 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     show_truth(truth, result.findings)
     from diagnose.report import write_report
 
-    write_report(result, out / "report.html", truth=truth)
+    diff = model_diff(model, out / "corrected.xml")
+    write_report(result, out / "report.html", corrected_diff=diff, truth=truth)
 
 
 def show_truth(truth, findings) -> None:  # type: ignore[no-untyped-def]
