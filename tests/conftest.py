@@ -1,0 +1,88 @@
+"""Recordings of known truth, short and made on the spot; which tests are the long proofs is said by the mark ``slow``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+# one thread for the linear algebra: threads of its own would fight those of the search
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import pytest
+
+from mjsim.axis import Axis
+from mjsim.effects import Effect
+from mjsim.excitation import chirp
+from mjsim.mjcf import load_axis
+from mjsim.models import shipped_model
+from mjsim.ode import simulate
+from mjsim.recording import Recording
+
+DT = 5e-4
+NOISE = 0.05  # rms of the velocity noise [rad/s]
+CHANGED = {"Jm": 4.7e-4, "fm": 0.0345, "kg": 1.46e5, "ka": 0.458e5, "Ja": 1.66}  # an axis is never quite its data sheet
+
+Record = Callable[..., Recording]
+
+
+@pytest.fixture(scope="session")
+def robot() -> Axis:
+    """The nominal robot axis, from its MJCF."""
+    return load_axis(shipped_model("robot_axis1"))
+
+
+@pytest.fixture(scope="session")
+def record(robot: Axis) -> Record:
+    """``record(Effect, ..., seconds=3, seed=0, amplitude=1, noise=0.05, changed=True)``: a chirp from 0.5 to 30 Hz at 2 kHz.
+
+    The angle carries 1e-4 rad of noise, as an encoder of the motor does.
+    """
+
+    def make(*effects: Effect, seconds: float = 3.0, seed: int = 0, amplitude: float = 1.0, noise: float = NOISE,
+             changed: bool = True, axis: Axis | None = None, top: float = 30.0) -> Recording:  # fmt: skip
+        plant = axis or (robot.with_linear(CHANGED) if changed else robot)
+        for e in effects:
+            plant = plant + e
+        torque = chirp(seconds, DT, amplitude, 0.5, top)
+        run = simulate(plant, torque, DT)
+        rng = np.random.default_rng(seed)
+        return Recording(
+            run.time, torque, run.velocity + noise * rng.standard_normal(len(torque)),
+            run.angle + 1e-4 * rng.standard_normal(len(torque)), DT, source=f"synthetic_{seed}.csv",
+        )  # fmt: skip
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def pair(record: Record) -> Callable[..., tuple[Recording, Recording]]:
+    """Two recordings of the same axis on other noise and another excitation: for the fit, and held out."""
+
+    def make(*effects: Effect, **options: float) -> tuple[Recording, Recording]:
+        first = record(*effects, **options)
+        other = record(*effects, **{"seed": 1, "top": 24.0, **options, "amplitude": 0.8 * options.get("amplitude", 1.0)})
+        return first, other
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def local_copy() -> Callable[..., Path]:
+    """``local_copy("emps", "DATA_EMPS.mat")``: a file of a local copy of recordings that are not part of the project, else skip.
+
+    Looked for under the folder SIMGAP_DATA names, else in ``shared`` beside the checkout.
+    """
+
+    def find(folder: str, file: str) -> Path:
+        beside = Path(__file__).resolve().parents[2] / "shared"
+        given = os.environ.get("SIMGAP_DATA")
+        for top in (Path(given) if given else beside, beside):
+            for path in (top / folder / file, top / "real" / folder / file, top / file):
+                if path.is_file():
+                    return path
+        pytest.skip(f"no local copy of {folder}/{file}: set SIMGAP_DATA to the folder that holds it")
+
+    return find

@@ -1,0 +1,103 @@
+"""A hypothesis as a vector and back: every number finds its place, whatever the effects, the recordings and the values."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diagnose.experiment import prepare
+from diagnose.hypothesis import Hypothesis, make
+from diagnose.scales import PLACES, scales_by_place
+from mjsim.effects import NotApplicableError, registered
+from mjsim.mjcf import load_axis
+from mjsim.models import shipped_model
+
+AXIS = load_axis(shipped_model("robot_axis1"))
+CHOICES = [(n, p) for n, c in registered().items() for p in c.places]
+
+
+@pytest.fixture(scope="module")
+def scales(record):
+    return scales_by_place(AXIS, prepare(record(seconds=1.0)), (1.0,))
+
+
+def lay_out(scales, chosen, recordings=1, moving=False, varies=()):
+    effects = tuple(
+        make(n, p, registered()[n].starts(dataclasses.replace(scales[p], orders=(1.0,)))[0]) for n, p in dict.fromkeys(chosen)
+    )
+    return Hypothesis.build(AXIS, effects, scales, recordings, (moving,) * recordings, varies=varies)
+
+
+@settings(max_examples=80, deadline=None)
+@given(chosen=st.lists(st.sampled_from(CHOICES), max_size=3, unique=True), recordings=st.integers(1, 3), moving=st.booleans(),
+       seed=st.integers(0, 10**6))  # fmt: skip
+def test_vector_to_axis_and_back(scales, chosen, recordings, moving, seed):
+    h = lay_out(scales, chosen, recordings, moving)
+    lower, upper = h.bounds
+    rng = np.random.default_rng(seed)
+    x = np.clip(h.start + rng.normal(0, 0.3, len(h.start)), lower, upper)
+    assert len(h.entries) == len(lower) == len({e.label for e in h.entries})
+    values = h.values(x)
+    for r in range(recordings):
+        axis = h.axis(x, r)
+        back = {p.name: p.value for p in axis.chain.linear_parameters()}
+        for name, value in back.items():
+            assert value == pytest.approx(values["", name, -1])
+        for e in axis.effects:
+            for name, value in e.values.items():
+                owner = (e.key, name, r) if (e.key, name, r) in values else (e.key, name, -1)
+                assert value == pytest.approx(values[owner])
+        assert (h.initial(x, r) is not None) == moving
+    for e, v in zip(h.entries, x, strict=True):
+        assert e.scaled(e.si(float(v))) == pytest.approx(float(v), rel=1e-9, abs=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(chosen=st.lists(st.sampled_from(CHOICES), max_size=2, unique=True))
+def test_the_slope_of_an_entry_is_its_derivative(scales, chosen):
+    h = lay_out(scales, chosen)
+    for e, x in zip(h.entries, h.start, strict=True):
+        step = 1e-6
+        assert e.slope(float(x)) == pytest.approx((e.si(float(x) + step) - e.si(float(x) - step)) / (2 * step), rel=1e-6)
+
+
+def test_the_start_is_the_nominal_axis(scales):
+    h = lay_out(scales, ())
+    assert h.axis(h.start) == AXIS
+    assert h.initial(h.start, 0) is None
+
+
+def test_phases_and_named_parameters_belong_to_each_recording(scales):
+    h = lay_out(scales, [("torque_ripple", "motor")], recordings=2, varies=("Jm",))
+    labels = [e.label for e in h.entries]
+    assert {"Jm#0", "Jm#1", "torque_ripple@motor.phase_rad#0", "torque_ripple@motor.phase_rad#1"} <= set(labels)
+    assert "torque_ripple@motor.amplitude_Nm" in labels
+    x = h.start.copy()
+    x[labels.index("Jm#1")] += 0.1
+    assert h.axis(x, 0).chain.bodies[0].inertia == AXIS.chain.bodies[0].inertia
+    assert h.axis(x, 1).chain.bodies[0].inertia > AXIS.chain.bodies[0].inertia
+
+
+def test_a_recording_in_motion_starts_with_the_whole_chain_in_motion(scales):
+    h = lay_out(scales, (), moving=True)
+    x = h.start.copy()
+    x[-1] = 1.0
+    speeds = h.initial(x, 0)[1]
+    assert speeds[0] > 0
+    np.testing.assert_allclose(speeds, speeds[0] * np.array([1, 1 / 118, 1 / 118]))
+
+
+def test_effects_without_a_place_are_seen():
+    emps = load_axis(shipped_model("emps"))
+    backlash = make("backlash", "gearbox", {"gap_rad": 1e-4})
+    with pytest.raises(NotApplicableError):
+        backlash.ports(emps.chain)
+    assert set(PLACES) == {"motor", "gearbox", "arm", "actuator", "sensor"}
+
+
+def test_start_values_are_clipped_into_their_bounds():
+    assert make("coulomb_friction", "motor", {"torque_Nm": -1.0}).values == {"torque_Nm": 0.0}

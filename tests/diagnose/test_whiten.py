@@ -1,0 +1,57 @@
+"""The whitening filter and the effective number of samples, against NumPy and against processes of known colour."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
+from diagnose.view import MotionView
+from diagnose.whiten import effective_share, levinson, whitening_filter
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 12), st.integers(0, 10**6))
+def test_levinson_solves_the_yule_walker_equations(order, seed):
+    x = np.random.default_rng(seed).standard_normal(400)
+    r = np.array([x[: len(x) - k] @ x[k:] for k in range(order + 1)])
+    a, variance = levinson(r, order)
+    expected = np.append(1.0, solve_toeplitz(r[:-1], -r[1:]))
+    np.testing.assert_allclose(a, expected, atol=1e-9)
+    assert variance[-1] == pytest.approx(r[0] + expected[1:] @ r[1:])
+    assert np.all(np.diff(variance) <= 1e-12 * r[0])
+
+
+def fitted(record, robot, noise):
+    """A fitter whose residual at the true axis is a given noise."""
+    import dataclasses
+
+    r = record(changed=False, noise=0.0)
+    r = dataclasses.replace(r, velocity=r.velocity + noise)
+    fitter = Fitter(robot, MotionView(), (prepare(r),), (prepare(r),), 1)
+    return fitter, fitter.fit(fitter.hypothesis(()), iterations=0)
+
+
+def test_white_noise_needs_no_filter(record, robot):
+    white = 0.05 * np.random.default_rng(0).standard_normal(6000)
+    fitter, f = fitted(record, robot, white)
+    assert whitening_filter(fitter, f) is None
+    # 200 lags, each with a squared correlation of 1/n by chance
+    assert effective_share(fitter, f) == pytest.approx(1 / (1 + 2 * 200 / 6000), rel=0.05)
+
+
+def test_coloured_noise_is_whitened(record, robot):
+    coloured = lfilter([1.0], [1.0, -0.8], 0.05 * np.random.default_rng(0).standard_normal(6000))
+    fitter, f = fitted(record, robot, coloured)
+    filter_ = whitening_filter(fitter, f)
+    assert filter_ is not None
+    white = lfilter(filter_, [1.0], coloured)[20:]
+    rho = np.array([white[:-k] @ white[k:] for k in range(1, 20)]) / (white @ white)
+    assert np.max(np.abs(rho)) < 4 / np.sqrt(len(white))
+    # sum of .8^(2k) is 1.78: one sample in 4.6 counts
+    assert effective_share(fitter, f) == pytest.approx(1 / (1 + 2 * 0.64 / 0.36), rel=0.15)
