@@ -349,6 +349,32 @@ def _dips(g0, s0, g1, s1, h):
 
 
 @njit(cache=True, nogil=True)
+def _cubic_root(g0, s0, g1, s1, h):
+    """Where the cubic through a margin that holds at 0 and is violated at h crosses zero, and its slope there."""
+    a = s0 * h
+    d = g1 - g0
+    b = 3.0 * d - 2.0 * a - s1 * h
+    c = a + s1 * h - 2.0 * d
+    lo, hi = 0.0, 1.0
+    e = g0 / (g0 - g1)
+    slope = d
+    for _ in range(40):
+        value = g0 + e * (a + e * (b + e * c))
+        if value < 0.0:
+            hi = e
+        else:
+            lo = e
+        slope = a + e * (2.0 * b + 3.0 * e * c)
+        new = e - value / slope if slope < 0.0 else 0.5 * (lo + hi)
+        if not (new > lo and new < hi):
+            new = 0.5 * (lo + hi)
+        if abs(new - e) < 1e-10:
+            break
+        e = new
+    return e * h, slope / h
+
+
+@njit(cache=True, nogil=True)
 def integrate(
     f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, affine, x0, s0, angle, locked, t0, out
 ):
@@ -391,6 +417,8 @@ def integrate(
     for i in range(n):
         any_event = any_event or has_friction[i] or f[5, i] > 0.0
     lag = before
+    before_t = 0.0
+    before_g = 0.0
     spans = np.array([split * dt, (1.0 - split) * dt])
     subs = np.ones(2, np.int64)
     steps = np.zeros(2)
@@ -581,22 +609,27 @@ def integrate(
                                 continue
                             g = _margin(ev, f, gap_law, gain, el, p, xn, t + h, ue, mode, w, z)
                             hi = h
+                            smooth = True
+                            s0 = 0.0
+                            s1 = 0.0
+                            g0 = 0.0
+                            if ev < n:
+                                side_ev = mode[0, ev]
+                                smooth = side_ev != 0
+                                g0, s0, s1 = side_ev * x[1, ev], side_ev * wk[1, ev], side_ev * wk[10, ev]
+                            else:
+                                j = ev - n
+                                side_ev = mode[1, j]
+                                d0, d1 = f[2, j] * x[0, j] - x[0, j + 1], f[2, j] * xn[0, j] - xn[0, j + 1]
+                                if side_ev == 0:
+                                    side_ev = -1 if d0 + d1 > 0.0 else 1
+                                g0 = side_ev * d0 + f[5, j] if mode[1, j] == 0 else side_ev * d0 - f[5, j]
+                                s0 = side_ev * (f[2, j] * x[1, j] - x[1, j + 1])
+                                s1 = side_ev * (f[2, j] * xn[1, j] - xn[1, j + 1])
                             if g >= 0.0:
+                                if not smooth:
+                                    continue
                                 # the step may hide a reversal: violated in between, holding again at its end
-                                if ev < n:
-                                    if mode[0, ev] == 0:
-                                        continue
-                                    side_ev = mode[0, ev]
-                                    g0, s0, s1 = side_ev * x[1, ev], side_ev * wk[1, ev], side_ev * wk[10, ev]
-                                else:
-                                    j = ev - n
-                                    side_ev = mode[1, j]
-                                    d0, d1 = f[2, j] * x[0, j] - x[0, j + 1], f[2, j] * xn[0, j] - xn[0, j + 1]
-                                    if side_ev == 0:
-                                        side_ev = -1 if d0 + d1 > 0.0 else 1
-                                    g0 = side_ev * d0 + f[5, j] if mode[1, j] == 0 else side_ev * d0 - f[5, j]
-                                    s0 = side_ev * (f[2, j] * x[1, j] - x[1, j + 1])
-                                    s1 = side_ev * (f[2, j] * xn[1, j] - xn[1, j + 1])
                                 hi = _dips(g0, s0, g, s1, h)
                                 if hi < 0.0:
                                     continue
@@ -605,6 +638,7 @@ def integrate(
                                 g = _margin(ev, f, gap_law, gain, el, p, xt, t + hi, um, mode, w, z)
                                 if g >= 0.0:
                                     continue
+                                smooth = False
                             # bracket [lo, hi]: holds at lo, violated at hi
                             lo, ghi = 0.0, g
                             glo = _margin(ev, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, w, z)
@@ -620,32 +654,34 @@ def integrate(
                                         break
                                     hi, ghi = probe, gp
                                     probe *= 0.5
-                            side = 0
                             if glo > 0.0:
-                                for _it in range(60):
-                                    if hi - lo < 1e-13 + 1e-12 * dt:
-                                        break
-                                    mid = (lo * ghi - hi * glo) / (ghi - glo)
+                                # secants from the root of the cubic through both ends; they end just past the event
+                                close = 1e-13 + 1e-12 * dt
+                                mid = (lo * ghi - hi * glo) / (ghi - glo)
+                                slope = (ghi - glo) / (hi - lo)
+                                if lo == 0.0 and smooth:
+                                    mid, slope = _cubic_root(glo, s0, ghi, s1, hi)
+                                for it in range(60):
                                     if not (mid > lo and mid < hi):
                                         mid = 0.5 * (lo + hi)
                                     _step(f, gap_law, gain, el, p, x, xt, mid, t, uk, lag, tau, n_s, mode, w, wk, z)
                                     um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-mid / tau)
                                     gm = _margin(ev, f, gap_law, gain, el, p, xt, t + mid, um, mode, w, z)
+                                    if it > 0 and mid != before_t:
+                                        slope = (gm - before_g) / (mid - before_t)
+                                    before_t, before_g = mid, gm
                                     if gm < 0.0:
                                         hi, ghi = mid, gm
-                                        if side == -1:
-                                            glo *= 0.5
-                                        side = -1
-                                        if gm > -1e-15:
-                                            break
                                     else:
                                         lo, glo = mid, gm
-                                        if gm == 0.0:
-                                            hi = mid
-                                            break
-                                        if side == 1:
-                                            ghi *= 0.5
-                                        side = 1
+                                    if hi - lo < close:
+                                        break
+                                    move = -gm / slope if slope < 0.0 else h
+                                    if abs(move) < 2e-7 * dt:
+                                        hi = min(hi, mid + move + 1e-15)
+                                        break
+                                    # a secant that leaves the bracket, or does not settle, gives way to bisection
+                                    mid = mid + move if it < 12 else 0.5 * (lo + hi)
                             h = hi
                             hit = ev
                             _step(f, gap_law, gain, el, p, x, xn, h, t, uk, lag, tau, n_s, mode, w, wk, z)
