@@ -195,8 +195,8 @@ def _l1(g: Group, t: Thresholds) -> tuple[bool, dict[str, Any]]:
         found = r.features.get(name)
         values[f"{name}_hz"] = None if found is None else found.hz
         values[f"{name}_off_percent"] = None if found is None else 100 * (found.hz / exact[name].hz - 1)
-    offs = [values[f"{n}_off_percent"] for n in FEATURE_NAMES]
-    return all(o is not None and abs(o) <= t.moved for o in offs), values
+        values[f"{name}_in_place"] = found is not None and abs(values[f"{name}_off_percent"]) <= t.moved
+    return all(values[f"{n}_in_place"] for n in FEATURE_NAMES), values
 
 
 NONLINEAR = ("coulomb_1", "coulomb_2", "coulomb_3", "static_2", "static_5", "gap_1", "gap_5", "gap_10", "torque_50", "torque_20")
@@ -211,7 +211,8 @@ def _l2(g: Group, t: Thresholds) -> tuple[bool, dict[str, Any]]:
     values = {
         "phase_linear_deg": base, "change_by_sign_of_dg_deg": by_sign,
         "magnitude_rms_db": _rms_db(g, "linear", "damping_positive"),
-        "other_causes_of_the_same_change": alike,
+        "other_causes_of_the_same_change": alike, "sign_of_dg_turns_the_phase": abs(by_sign) > 180.0,
+        "nothing_else_turns_it": not alike,
     }  # fmt: skip
     return abs(by_sign) > 180.0 and not alike, values
 
@@ -228,12 +229,14 @@ def _f2(g: Group, t: Thresholds) -> tuple[bool, dict[str, Any]]:
         for c in ("coulomb_1", "coulomb_2", "coulomb_3")
         for n in ("first_notch", "first_peak")
     }
-    return all(abs(v) <= t.moved for v in moved.values()), moved
+    parts = {f"{n}_kept": all(abs(v) <= t.moved for k, v in moved.items() if n in k) for n in ("first_notch", "first_peak")}
+    return all(parts.values()), parts | moved
 
 
 def _f3(g: Group, t: Thresholds) -> tuple[bool, dict[str, Any]]:
     moved = {f"{n}_percent": _moved(g, "linear", "coulomb_3", n) for n in ("second_notch", "second_peak")}
-    return all(v > t.moved for v in moved.values()), moved
+    parts = {f"{n}_higher": moved[f"{n}_percent"] > t.moved for n in ("second_notch", "second_peak")}
+    return all(parts.values()), parts | moved
 
 
 def _f4(g: Group, t: Thresholds) -> tuple[bool, dict[str, Any]]:
@@ -259,12 +262,11 @@ def _s2(g: Group, t: Thresholds) -> tuple[bool, dict[str, Any]]:
 
 def _fall(g: Group, t: Thresholds, cases: tuple[str, ...]) -> tuple[bool, dict[str, Any]]:
     values: dict[str, Any] = {}
-    met = True
     for name in BOTH_NOTCHES_AND_FIRST_PEAK:
         hz = [_feature(g, c, name).hz for c in cases]
         values |= {f"{c}_{name}_hz": v for c, v in zip(cases, hz, strict=True)}
-        met &= _falls(hz, t.moved / 100 * hz[0])
-    return met, values
+        values[f"{name}_falls"] = _falls(hz, t.moved / 100 * hz[0])
+    return all(values[f"{n}_falls"] for n in BOTH_NOTCHES_AND_FIRST_PEAK), values
 
 
 def _keeps(g: Group, t: Thresholds, cases: tuple[str, ...]) -> tuple[bool, dict[str, Any]]:

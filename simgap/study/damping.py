@@ -23,15 +23,17 @@ _FREE = ("Jm", "Jg", "Ja", "fm", "kg", "ka", "da")
 class DampingStudy:
     """What was found.
 
-    zero_real: dg [Nms/rad] -> real part [rad/s] of the zero pair at the first notch. plain_sign_error: of turning dg's sign.
-    without_delay, with_delay: the nearest axis with dg >= 0: its error, dg and delay [s]. mistaken: (delay of the robot [s], dg
-    that a fit without delay finds, its error), for a robot with dg = 0. mistaken_for: delay [s] that is taken for the published
-    dg, None when none within 5 ms is. spring_delay_s: delay of the spring's torque that is the same to first order, abs(dg) / kg;
-    spring_delay_error: its error. A delay is positive when the velocity is logged late, negative when the torque is.
+    zero_real: dg [Nms/rad] -> real part [rad/s] of the zero pair at the first notch. plain_sign_error: of turning dg's sign;
+    sign_phase_band_hz: where that moves the phase by more than 45 deg, whole turns aside. without_delay, with_delay: the nearest
+    axis with dg >= 0: its error, dg and delay [s]. mistaken: (delay of the robot [s], dg that a fit without delay finds, its
+    error), for a robot with dg = 0. mistaken_for: delay [s] that is taken for the published dg, None when none within 5 ms is.
+    spring_delay_s: delay of the spring's torque that is the same to first order, abs(dg) / kg; spring_delay_error: its error. A
+    delay is positive when the velocity is logged late, negative when the torque is.
     """
 
     zero_real: dict[float, float]
     plain_sign_error: float
+    sign_phase_band_hz: tuple[float, float]
     without_delay: dict[str, float]
     with_delay: dict[str, float]
     mistaken: tuple[tuple[float, float, float], ...]
@@ -44,6 +46,8 @@ class DampingStudy:
         """From `dataclasses.asdict` that went through JSON."""
         known = dict(values)
         known["zero_real"] = {float(k): v for k, v in values["zero_real"].items()}
+        low, high = values["sign_phase_band_hz"]
+        known["sign_phase_band_hz"] = (low, high)
         known["mistaken"] = tuple(tuple(m) for m in values["mistaken"])
         return cls(**known)
 
@@ -52,6 +56,7 @@ class DampingStudy:
         return {
             "first_notch_zero_real_by_dg": {f"{k:g}": v for k, v in self.zero_real.items()},
             "sign_turned_relative_error": self.plain_sign_error,
+            "sign_turned_moves_phase_by_45_deg_within_hz": list(self.sign_phase_band_hz),
             "nearest_without_negative_damping": self.without_delay,
             "nearest_without_negative_damping_with_delay": self.with_delay,
             "dg_that_a_fit_without_delay_finds": [{"delay_s": d, "dg": g, "relative_error": e} for d, g, e in self.mistaken],
@@ -140,6 +145,9 @@ def study_damping(quick: bool = False) -> DampingStudy:
     published = known["dg"]
     target = response(axis, _F)
     plain = response(axis.with_linear({"dg": -published}), _F)
+    fine = np.arange(8.0, 24.0, 0.01)
+    turned, straight = (response(axis.with_linear({"dg": d}), fine) for d in (-published, published))
+    apart = fine[np.abs(np.angle(turned / straight, deg=True)) > 45.0]
     mistaken = []
     for delay in (-2e-3, 0.0, 2e-3) if quick else (-5e-3, -4e-3, -3e-3, -2e-3, -1e-3, -0.5e-3, 0.0, 0.5e-3, 1e-3, 2e-3):
         robot = _delayed(response(axis.with_linear({"dg": 0.0}), _F), delay)
@@ -155,6 +163,7 @@ def study_damping(quick: bool = False) -> DampingStudy:
     return DampingStudy(
         zero_real={d: float(first_zero(axis.with_linear({"dg": d})).real) for d in (published, 0.0, -published)},
         plain_sign_error=_error(plain, target),
+        sign_phase_band_hz=(round(float(apart[0]), 2), round(float(apart[-1]), 2)),
         without_delay=_fit(target, (0.0, 400.0), False, (0.0, 62.0)),
         with_delay=_fit(target, (0.0, 400.0), True, (0.0, 62.0)),
         mistaken=tuple(mistaken),

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simgap.study.cell import GRID_HZ, Result
-from simgap.study.claims import Verdict, physical_features
+from simgap.study.claims import physical_features
 from simgap.study.damping import DampingStudy
 from simgap.study.ledger import FAMILIES, Entry
 from simgap.study.variants import Variant
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Curve", "Picture", "bode_figure", "damping_figure", "ladder_figure", "map_figure", "save", "time_figure"]
@@ -72,60 +71,74 @@ def bode_figure(
     note: str = "",
     exact: tuple[str, np.ndarray] | None = None,
 ) -> Picture:
-    """Magnitude above phase, one column per pipeline: (title, upper edge of the excitation [Hz], curves).
+    """Magnitude, the resonances enlarged, and phase; one column per pipeline: (title, edge of the excitation [Hz], curves).
 
-    What lies outside the excitation is grey. ``exact``: label and complex response on GRID_HZ of a thin reference line.
+    What lies outside the excitation is grey. ``exact``: label and complex response on GRID_HZ, drawn as small rings.
     """
     data: dict[str, np.ndarray] = {"frequency_hz": GRID_HZ}
     with _context():
-        figure = _figure(3.6 * len(columns) + 0.2, 4.9)
-        grid = figure.subplots(2, len(columns), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 2))
+        figure = _figure(3.6 * len(columns) + 0.2, 6.6)
+        grid = figure.subplots(3, len(columns), sharey="row", squeeze=False, height_ratios=(4, 4, 3))
         for j, (title, high, curves) in enumerate(columns):
-            top, bottom = grid[0][j], grid[1][j]
-            for axis in (top, bottom):
+            for axis in grid[:, j]:
                 axis.axvspan(high, 60.0, color="0.92", linewidth=0, zorder=0)
             if exact is not None:
-                thin = {"color": "0.55", "linewidth": 0.7, "zorder": 1}
-                top.plot(GRID_HZ, 20 * np.log10(np.abs(exact[1])), label=exact[0], **thin)
-                bottom.plot(GRID_HZ, np.degrees(np.unwrap(np.angle(exact[1]))), **thin)
+                _rings(grid[:, j], exact)
+            family = ("report", "better")[j]
             for i, c in enumerate(curves):
-                if c.result.void:
-                    top.plot([], [], linestyle=c.style, color=c.grey, linewidth=c.width, label=f"{c.label} (no model)")
-                    continue
                 line = {"linestyle": c.style, "color": c.grey, "linewidth": c.width, "zorder": 3 + i}
+                if c.result.void:
+                    grid[0][j].text(0.03, 0.05 + 0.09 * i, f"{c.label}: no model", transform=grid[0][j].transAxes, fontsize=7)
+                    grid[0][j].plot([], [], label=c.label, **line)
+                    continue
                 magnitude, phase = np.asarray(c.result.magnitude_db), np.asarray(c.result.phase_deg)
-                top.plot(GRID_HZ, magnitude, label=c.label, **line)
-                bottom.plot(GRID_HZ, phase, **line)
-                key = f"{('report', 'better')[j] if len(columns) > 1 else 'report'}: {c.label}".replace("\n", " ").replace(
-                    ",", ""
-                )
+                for axis, values in zip(grid[:, j], (magnitude, magnitude, phase), strict=True):
+                    axis.plot(GRID_HZ, values, label=c.label, **line)
+                key = f"{family}: {c.label}".replace(",", "")
                 data[f"{key} [dB]"], data[f"{key} [deg]"] = magnitude, phase
-            top.set_title(title, fontsize=8.5)
-            _dress(top, bottom, first=j == 0)
-            top.text(0.988, 0.02, "not excited", transform=top.transAxes, ha="right", va="bottom", fontsize=6.5, color="0.35")
+            grid[0][j].set_title(title, fontsize=8.5)
+            _dress(grid[:, j], first=j == 0)
+        if exact is not None:
+            data["linear exact [dB]"] = 20 * np.log10(np.abs(exact[1]))
+            data["linear exact [deg]"] = np.degrees(np.unwrap(np.angle(exact[1])))
         handles, labels = grid[0][0].get_legend_handles_labels()
         figure.legend(
-            handles, labels, loc="outside lower center", ncols=min(5, len(labels)), fontsize=8, frameon=False, handlelength=3.4
+            handles, labels, loc="outside lower center", ncols=min(5, len(labels)), fontsize=8, frameon=False, handlelength=3.2
         )
         figure.suptitle(caption + (f"\n{note}" if note else ""), fontsize=9.5)
     return Picture(name, caption, figure, data)
 
 
-def _dress(top: Axes, bottom: Axes, first: bool) -> None:
-    top.set_xscale("log")
-    top.set_xlim(1.0, 55.0)
-    top.set_ylim(-32, 62)
-    bottom.set_ylim(-480, 200)
-    bottom.set_yticks(range(-450, 181, 90))
+def _rings(axes: np.ndarray, exact: tuple[str, np.ndarray]) -> None:
+    magnitude, phase = 20 * np.log10(np.abs(exact[1])), np.degrees(np.unwrap(np.angle(exact[1])))
+    steps = ((14, magnitude), (5, magnitude), (14, phase))
+    for axis, (step, values) in zip(axes, steps, strict=True):
+        axis.plot(GRID_HZ[::step], values[::step], "o", markersize=2.4, markerfacecolor="white", markeredgewidth=0.5,
+                  color="0.25", zorder=2, label=exact[0])  # fmt: skip
+
+
+def _dress(axes: np.ndarray, first: bool) -> None:
+    top, middle, bottom = axes
     ticks = [1, 2, 5, 10, 20, 30, 50]
-    bottom.set_xticks(ticks, [str(t) for t in ticks])
-    bottom.minorticks_off()
-    bottom.set_xlabel("frequency [Hz]")
     for axis in (top, bottom):
+        axis.set_xscale("log")
+        axis.set_xlim(1.0, 55.0)
+        axis.set_xticks(ticks, [str(t) for t in ticks])
+        axis.minorticks_off()
+    middle.set_xlim(13.0, 41.0)
+    top.set_ylim(-32, 62)
+    middle.set_ylim(-26, 46)
+    bottom.set_ylim(-560, 200)
+    bottom.set_yticks(range(-540, 181, 90))
+    bottom.set_xlabel("frequency [Hz]")
+    for axis in axes:
         axis.grid(True, color="0.85", linewidth=0.4)
         axis.set_axisbelow(True)
+    top.text(0.988, 0.02, "not excited", transform=top.transAxes, ha="right", va="bottom", fontsize=6.5, color="0.35")
+    middle.text(0.012, 0.97, "enlarged, linear axis", transform=middle.transAxes, ha="left", va="top", fontsize=6.5, color="0.35")
     if first:
         top.set_ylabel("magnitude [dB re rad/s/Nm]")
+        middle.set_ylabel("magnitude [dB]")
         bottom.set_ylabel("phase [deg]")
 
 
@@ -189,7 +202,7 @@ def ladder_figure(name: str, caption: str, rows: Sequence[Mapping[str, Any]]) ->
                        markerfacecolor="black" if key == "error_30" else "white", label=label)  # fmt: skip
         right.set_xscale("log")
         right.set_xlabel("error of G, rms over rms [%]")
-        right.legend(loc="lower left", fontsize=7, frameon=False)
+        right.legend(loc="lower right", fontsize=7, frameon=False)
         for axis in (left, right):
             axis.grid(True, color="0.9", linewidth=0.4)
             axis.set_axisbelow(True)
@@ -224,8 +237,12 @@ def map_figure(name: str, caption: str, entries: Sequence[Entry]) -> Picture:
                     np.full(len(at), x[i]), y[at], marker, color=grey, markerfacecolor=face, markersize=size, markeredgewidth=0.7
                 )
             data[f"{v.family}: {v.changed}".replace(",", "")] = np.array(["" if m is None else str(int(m)) for m in met])
-        words = {Verdict.HOLDS: "holds", Verdict.FAILS: "fails", Verdict.DEPENDS: "depends"}
-        axis.set_yticks(y, [f"{e.claim.id}  {words[e.verdict]}" for e in entries])
+        axis.set_yticks([])
+        for k, e in enumerate(entries):
+            axis.text(-3.6, y[k], e.claim.id, ha="left", va="center", fontsize=8.5)
+            axis.text(-2.5, y[k], e.verdict.value, ha="left", va="center", fontsize=8.5)
+            if k % 2:
+                axis.axhspan(y[k] - 0.5, y[k] + 0.5, color="0.95", linewidth=0, zorder=0)
         axis.set_xticks(x, [v.changed for v in order], rotation=90, fontsize=7.5)
         axis.xaxis.tick_top()
         axis.tick_params(length=0)
@@ -234,7 +251,7 @@ def map_figure(name: str, caption: str, entries: Sequence[Entry]) -> Picture:
             axis.text(float(mine.mean()), y[-1] - 1.1, text, ha="center", va="top", fontsize=8.5)
             axis.hlines(y[-1] - 0.85, mine[0] - 0.4, mine[-1] + 0.4, color="black", linewidth=0.6)
         axis.set_ylim(y[-1] - 2.0, 0.8)
-        axis.set_xlim(-0.7, x[-1] + 0.7)
+        axis.set_xlim(-3.8, x[-1] + 0.7)
         for spine in axis.spines.values():
             spine.set_visible(False)
         axis.plot([], [], "s", color="black", markersize=5, label="criterion met")
@@ -252,13 +269,13 @@ def damping_figure(name: str, caption: str, study: DampingStudy) -> Picture:
         figure = _figure(4.6, 3.0)
         axis = figure.subplots()
         axis.axhline(-62.0, color="0.4", linewidth=0.8, linestyle=DASH)
-        axis.text(float(delay.max()) * 1e3, -62.0, r"published $d_g$ = -62", fontsize=8, ha="right", va="bottom", color="0.2")
+        axis.text(float(delay.max()) * 1e3, -62.0, r"published $d_g = -62$", fontsize=8, ha="right", va="bottom", color="0.2")
         axis.plot(1e3 * delay, dg, "o-", color="black", markersize=3.5, linewidth=1.0, markerfacecolor="white")
         if study.mistaken_for is not None:
             axis.plot(1e3 * study.mistaken_for, -62.0, "o", color="black", markersize=6)
-            axis.annotate(f"{1e3 * study.mistaken_for:.2f} ms", (1e3 * study.mistaken_for, -62.0), xytext=(8, -14),
-                          textcoords="offset points", fontsize=8)  # fmt: skip
-        axis.set_xlabel("velocity late (+) or torque late (-) in the log [ms]")
+            text = f"{1e3 * study.mistaken_for:.2f} ms".replace("-", "\u2212")
+            axis.annotate(text, (1e3 * study.mistaken_for, -62.0), xytext=(8, -14), textcoords="offset points", fontsize=8)
+        axis.set_xlabel("velocity late (+) or torque late (\u2212) in the log [ms]")
         axis.set_ylabel(r"$d_g$ that the fit finds [Nms/rad]")
         axis.grid(True, color="0.88", linewidth=0.4)
         figure.suptitle(caption, fontsize=9.5)

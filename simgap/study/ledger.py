@@ -36,6 +36,16 @@ class Entry:
         met = [o.met for v, o in self.answers.items() if v.family == family]
         return met.count(True), met.count(False), met.count(None)
 
+    def parts(self) -> dict[str, dict[str, float]]:
+        """Share of the variants that can say in which each part of a compound claim is met, by family."""
+        out: dict[str, dict[str, float]] = {}
+        for family in FAMILIES:
+            said = [o.values for v, o in self.answers.items() if v.family == family and o.met is not None]
+            for name in dict.fromkeys(k for values in said for k, x in values.items() if isinstance(x, bool)):
+                answers = [values[name] for values in said if name in values]
+                out.setdefault(name, {})[family] = sum(answers) / len(answers)
+        return out
+
     def sentence(self) -> str:
         """What the verdict rests on, in words."""
         parts = []
@@ -121,6 +131,7 @@ def claims_json(entries: Sequence[Entry], extra: Mapping[str, Mapping[str, Any]]
                 "share_met": {k: round(s, 3) for k, s in e.shares.items()},
                 "verdict_at_half_thresholds": e.at_half.value,
                 "verdict_at_double_thresholds": e.at_double.value,
+                "parts_met": {k: {f: round(s, 3) for f, s in p.items()} for k, p in e.parts().items()},
                 "about_second_peak": e.claim.second_peak,
                 "reading": e.reading.name.lower() if e.reading is not Reading.NONE else None,
                 "basis": e.sentence(),

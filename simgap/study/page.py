@@ -44,11 +44,24 @@ def _cell(found: Feature | None) -> str:
     return "–" if found is None else f"{found.hz:.2f}"
 
 
+def _fourth(study: Study) -> list[tuple[str, list[str], str]]:
+    """Rows of figure 4's table."""
+    rows = []
+    for x, family in zip(study.robot_results, FAMILIES.values(), strict=True):
+        for who, r in (("robot", x.robot), ("model", x.model)):
+            rows.append((f"{who}, {family}", _four(r), "–" if r.void else f"{r.simulation_percent:.1f}"))
+    return rows
+
+
+def _four(r: Result) -> list[str]:
+    return ["–"] * 4 if r.void else [_cell(r.features.get(n)) for n in FEATURE_NAMES]
+
+
 def _row(plant: str, report: Result, better: Result) -> dict[str, Any]:
     label = PLANTS[plant].label.replace("$d_g = +62$", "dg = +62")
     out: dict[str, Any] = {"label": label}
     for family, r in (("report", report), ("better", better)):
-        out[family] = ["–"] * 4 if r.void else [_cell(r.features.get(n)) for n in FEATURE_NAMES]
+        out[family] = _four(r)
         out[f"{family}_fit"] = "–" if r.void else f"{r.simulation_percent:.1f}"
         out[f"{family}_low"] = "–" if r.void else f"{r.low_db:.1f}"
     return out
@@ -72,6 +85,7 @@ def _context(study: Study, pictures: str) -> dict[str, Any]:
                 "reading": "" if e.reading is Reading.NONE else e.reading.value,
                 "artefact": e.reading is Reading.ARTEFACT,
                 "other": _other(e),
+                "parts": _parts(e),
                 "base": {f: say(c["values"].get(f, {})) for f in FAMILIES},
                 "shares": {f: f"{100 * e.shares[f]:.0f} %" if f in e.shares else "–" for f in FAMILIES},
             }
@@ -84,11 +98,21 @@ def _context(study: Study, pictures: str) -> dict[str, Any]:
         "exact": {n: f"{exact[n].hz:.2f}" for n in FEATURE_NAMES},
         "rows": [_row(p, study.base[p], study.better[p]) for p in PLANTS],
         "ladder": study.ladder, "seeds": len(study.ladder[0]["peak_hz"]), "d": d, "pictures": pictures, "robot": study.robot,
+        "fourth": _fourth(study),
         "t": THRESHOLDS, "agreed": AGREED,
         "cells": study.cells, "quick": study.quick, "mode": study.ladder[0]["exact_mode_hz"],
         "peak_shift": _shifts(study), "names": [p.name for p in study.pictures],
         "captions": {p.name: p.caption for p in study.pictures},
     }  # fmt: skip
+
+
+def _parts(e: Entry) -> str:
+    """Parts of a compound claim with their shares."""
+    texts = []
+    for name, shares in e.parts().items():
+        both = " / ".join(f"{100 * shares[f]:.0f} %" if f in shares else "–" for f in FAMILIES)
+        texts.append(f"{name.replace('_', ' ')} {both}")
+    return "; ".join(texts)
 
 
 def _other(e: Entry) -> str:
@@ -100,14 +124,16 @@ def _other(e: Entry) -> str:
 
 
 def _shifts(study: Study) -> str:
-    """How the second peak moves with the gap when it is inside the excitation, in words."""
+    """How both peaks move with the gap when they are inside the excitation, in words."""
     parts = []
-    base = study.better["linear"].features.get("second_peak")
-    for plant in ("gap_1", "gap_5", "gap_10"):
-        found = study.better[plant].features.get("second_peak")
-        if base and found:
-            parts.append(f"{100 * (found.hz / base.hz - 1):+.1f} % at {PLANTS[plant].label.removeprefix('b = ')}")
-    return ", ".join(parts) or "not found"
+    for name in ("second_peak", "first_peak"):
+        base = study.better["linear"].features.get(name)
+        moved = []
+        for plant in ("gap_1", "gap_5", "gap_10"):
+            found = study.better[plant].features.get(name)
+            moved.append(f"{100 * (found.hz / base.hz - 1):+.1f} %" if base and found else "none")
+        parts.append(f"{', '.join(moved)} for the {name.replace('_', ' ')}")
+    return "; ".join(parts)
 
 
 def page_markdown(study: Study, pictures: str = "") -> str:

@@ -68,7 +68,7 @@ def surrogate_robot(high_hz: float, duration: float = 20.0) -> Robot:
     torque = chirp(e.duration, DT, e.amplitude, LOW_HZ, e.high_hz)
     velocity = np.asarray(accurate.simulate(axis, torque, DT).velocity) + 0.05 * rng.standard_normal(torque.size)
     return Robot(
-        torque, velocity, DT, "surrogate robot: simulated with concealed parameters,\nnot a measured IRB1400",
+        torque, velocity, DT, "surrogate robot (concealed parameters, not a measured IRB1400)",
         "surrogate robot", f"surrogate {_SEED} {high_hz:g} {duration:g}",
         {"linear": values, "coulomb_friction_Nm": friction, "backlash_rad": gap, "velocity_noise_rad_s": 0.05, "seed": _SEED},
     )  # fmt: skip
@@ -107,6 +107,8 @@ def robot_models(robot: Robot, pipelines: tuple[Pipeline, ...] = (FAITHFUL, BETT
     from mjsim import accurate
 
     simulated = np.asarray(accurate.simulate(nominal(), robot.torque, robot.dt).velocity)
+    e = Experiment()  # the noise of all other cells: without any, the fit of the noise model is ill-conditioned
+    simulated = simulated + e.noise * np.random.default_rng(e.seed).standard_normal(simulated.size)
     out = []
     for pipeline in pipelines:
         here = _at(pipeline, robot.dt)

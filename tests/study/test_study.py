@@ -265,7 +265,7 @@ def test_the_study_end_to_end(tmp_path: Path) -> None:
     from simgap.commands.study import command
 
     out, docs = tmp_path / "study", tmp_path / "docs" / "study.md"
-    given = CliRunner().invoke(command, ["--out", str(out), "--jobs", "1", "--quick", "--docs", str(docs)])
+    given = CliRunner().invoke(command, ["--out", str(out), "--jobs", "2", "--quick", "--docs", str(docs)])
     assert given.exit_code == 0, given.output
     found = json.loads((out / "claims.json").read_text())
     assert [x["id"] for x in found] == [x.id for x in c.CLAIMS]
