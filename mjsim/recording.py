@@ -70,10 +70,10 @@ class Channel:
 class Binding:
     """Which column is what.
 
-    TOML: ``[recording]`` with ``time``, ``torque``, ``velocity``, ``angle``, each a column name or a table ``{column, unit, gain, row}``;
-    instead of a time column, ``dt`` [s]. ``second_angle``, ``second_velocity`` bind a link-side encoder. ``[experiment]`` with
-    ``loop`` = "open" | "closed", ``judge`` = "motion" | "force", and ``varies`` = names of linear parameters that each recording has of its
-    own (an inertia that depends on the pose of other axes).
+    TOML: ``[recording]`` with ``time``, ``torque``, ``velocity``, ``angle``, each a column name or a table
+    ``{column, unit, gain, row}``; instead of a time column, ``dt`` [s]. ``second_angle``, ``second_velocity`` bind a link-side
+    encoder. ``[experiment]`` with ``loop`` = "open" | "closed", ``judge`` = "motion" | "force", and ``varies`` = names of linear
+    parameters that each recording has of its own (an inertia that depends on the pose of other axes).
     """
 
     channels: Mapping[str, Channel]
@@ -124,7 +124,7 @@ class Binding:
                     "column, unit, gain or row",
                     "rename it",
                 )
-            channels[key] = Channel(**value)
+            channels[key] = Channel(**_checked(value, f"{path}: [recording] {key}"))
         for key, choices in (("loop", ("open", "closed")), ("judge", ("motion", "force"))):
             if experiment.get(key) not in (None, *choices):
                 raise InputError(f"{path}: [experiment] {key}", f"{experiment[key]!r}", " or ".join(choices), "correct it")
@@ -133,7 +133,25 @@ class Binding:
         varies = experiment.get("varies", [])
         if not isinstance(varies, list) or not all(isinstance(v, str) for v in varies):
             raise InputError(f"{path}: [experiment] varies", f"{varies!r}", 'a list of names, as ["Jm"]', "correct it")
-        return cls(channels, given.get("dt"), experiment.get("loop"), experiment.get("judge"), tuple(varies), str(path))
+        dt = given.get("dt")
+        if dt is not None and not (_is_number(dt) and 0 < dt < math.inf):
+            raise InputError(f"{path}: [recording] dt", f"{dt!r}", "a sample time in seconds, above zero", "correct it")
+        return cls(channels, dt, experiment.get("loop"), experiment.get("judge"), tuple(varies), str(path))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _checked(value: dict[str, Any], where: str) -> dict[str, Any]:
+    """The keys of a bound channel, each of its kind."""
+    kinds = {"column": ("a column name in quotes", str), "unit": ("a unit in quotes", str), "row": ("a whole number", int)}
+    for key, (expected, kind) in kinds.items():
+        if key in value and (not isinstance(value[key], kind) or isinstance(value[key], bool)):
+            raise InputError(f"{where}.{key}", f"{value[key]!r}", expected, "correct it")
+    if "gain" in value and not (_is_number(value["gain"]) and math.isfinite(value["gain"]) and value["gain"] != 0):
+        raise InputError(f"{where}.gain", f"{value['gain']!r}", "a number other than zero", "correct it")
+    return value
 
 
 def find_binding(recording: Path, model: Path | None = None) -> Binding:
@@ -150,8 +168,9 @@ def find_binding(recording: Path, model: Path | None = None) -> Binding:
 class Recording:
     """One experiment on one axis, sampled uniformly; arrays (N,) are read-only and in SI.
 
-    time [s]; torque: commanded input [N m | N]; velocity [rad/s | m/s] and angle [rad | m] of body 0, either may be None; columns: every
-    numeric column as it stands in the file; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states.
+    time [s]; torque: commanded input [N m | N]; velocity [rad/s | m/s] and angle [rad | m] of body 0, either may be None;
+    columns: every numeric column as it stands in the file; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding
+    states.
     """
 
     time: np.ndarray
@@ -261,14 +280,22 @@ def load(path: str | Path, *, model: str | Path | None = None, binding: Binding 
             raise InputError(path, f"{role} has {len(array)} samples, torque {count}", "equal lengths", "cut them alike")
         bad = np.flatnonzero(~np.isfinite(array))
         if len(bad):
-            raise InputError(path, f"{role} is not finite in row {bad[0] + 1}", "a number", "remove or interpolate these samples")
+            raise InputError(
+                path, f"{role} is not finite in {_row(path, bad[0])}", "a number", "remove or interpolate these samples"
+            )
     dt = _sample_time(path, arrays["time"])
     flat = {k: v for k, v in table.items() if v.ndim == 1 and len(v) == count}
     return Recording(
         time=arrays["time"], torque=arrays["torque"], velocity=arrays.get("velocity"), angle=arrays.get("angle"), dt=dt,
         source=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest(), columns=flat,
-        second_angle=arrays.get("second_angle"), second_velocity=arrays.get("second_velocity"), loop=binding.loop, judge=binding.judge, varies=binding.varies,
+        second_angle=arrays.get("second_angle"), second_velocity=arrays.get("second_velocity"),
+        loop=binding.loop, judge=binding.judge, varies=binding.varies,
     )  # fmt: skip
+
+
+def _row(path: Path, index: int) -> str:
+    """How a user finds a sample in the file: by its row in a CSV, of which the header is row 1, else by its number from 1 on."""
+    return f"row {index + 2}" if path.suffix.lower() == ".csv" else f"sample {index + 1}"
 
 
 def _sample_time(path: Path, time: np.ndarray) -> float:
@@ -278,13 +305,15 @@ def _sample_time(path: Path, time: np.ndarray) -> float:
     step = np.diff(time)
     back = np.flatnonzero(step <= 0)
     if len(back):
-        raise InputError(path, f"time does not increase at row {back[0] + 2}", "increasing time", "sort or remove these rows")
+        raise InputError(
+            path, f"time does not increase at {_row(path, back[0] + 1)}", "increasing time", "sort or remove these rows"
+        )
     dt = float((time[-1] - time[0]) / (len(time) - 1))
     # a printed time stamp is rounded; a missing or shifted sample is off by a good part of dt
     off = np.flatnonzero(np.abs(step - dt) > 0.05 * dt)
     if len(off):
         raise InputError(
-            path, f"sample time {step[off[0]]:.6g} s at row {off[0] + 2}, elsewhere {dt:.6g} s", "uniform sampling",
+            path, f"sample time {step[off[0]]:.6g} s at {_row(path, off[0] + 1)}, elsewhere {dt:.6g} s", "uniform sampling",
             "resample to a uniform grid first",
         )  # fmt: skip
     return float(f"{dt:.9g}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 from diagnose.flow import Options, diagnose
 from diagnose.result import Diagnosis
 from mjsim.axis import Axis
+from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.recording import load
 
@@ -44,7 +46,10 @@ def diagnose_files(
     truth: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
     """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole."""
+    _need_folder(out)
     nominal = load_axis(model)
+    for name in options.effects if options else ():
+        _need_place(name, nominal, model)
     loaded = [load(p, model=model) for p in recordings]
     held = [load(p, model=model) for p in held_out]
     with _status(progress) as say:
@@ -57,6 +62,32 @@ def diagnose_files(
     write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth)
     result.write_json(out / "diagnosis.json")
     return result
+
+
+def _need_folder(out: Path) -> None:
+    """Refuse, before the work is done, a place at which no folder can be made. Raises InputError."""
+    there = next(p for p in (out, *out.resolve().parents) if p.exists())
+    if not there.is_dir():
+        raise InputError(out, f"{there.name!r} is a file", "a folder", "choose another --out")
+    if not os.access(there, os.W_OK):
+        raise InputError(out, "the folder cannot be written", "a writable place", "choose another --out")
+
+
+def _need_place(name: str, axis: Axis, model: Path) -> None:
+    """Refuse an effect that was asked for and that this chain cannot have. Raises InputError."""
+    from mjsim.effects import NotApplicableError, effect_class
+
+    cls = effect_class(name)
+    anything = {s.name: min(max(1.0, s.lower), s.upper) for s in cls.specs()}
+    for place in cls.places:
+        try:
+            cls(place=place, **anything).ports(axis.chain)
+            return
+        except NotApplicableError as error:
+            why = str(error)
+    raise InputError(
+        "--effects", f"{name!r} has no place in {model.name}: {why}", "effects that the axis can have", "leave it out"
+    )
 
 
 def _status(on: bool) -> AbstractContextManager[Any]:
