@@ -169,8 +169,8 @@ class Recording:
     """One experiment on one axis, sampled uniformly; arrays (N,) are read-only and in SI.
 
     time [s]; torque: commanded input [N m | N]; velocity [rad/s | m/s] and angle [rad | m] of body 0, either may be None;
-    columns: every numeric column as it stands in the file; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding
-    states.
+    columns: every numeric column as it stands in the file; dt [s]; source: file name; sha256 of the file; loop, judge: what the
+    binding states.
     """
 
     time: np.ndarray
