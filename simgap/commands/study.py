@@ -28,9 +28,12 @@ def command(out: Path, jobs: int | None, recording: Path | None, quick: bool, do
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     import json
 
+    from mjsim.errors import InputError
     from simgap.study.run import run_study
     from simgap.study.show import progress, show, write_docs
 
+    if docs is not None and docs.is_dir():
+        raise InputError(docs, "it is a folder", "a Markdown file", f"name {docs / 'study.md'}")
     count = jobs or min(2, os.cpu_count() or 1)
     with progress() as say:
         study = run_study(out, jobs=count, recording=recording, quick=quick, say=say)

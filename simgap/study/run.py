@@ -70,7 +70,10 @@ def run_study(
     steps = {(text, s): Cell("linear", Experiment(high_hz=high, seed=s), p) for text, p, high in LADDER for s in seeds}
     wanted = list(dict.fromkeys([*cells(variants), *steps.values()]))
     store = Store(out / "cells", stamp())
+    store.open()
     known = sum(store.path(c.inputs()).is_file() for c in wanted)
+    say("figure 4", 0, 0)
+    robot, robot_results = _robot(store, given)  # first, for a recording may be unusable
     done = 0
 
     def tick() -> None:
@@ -82,8 +85,6 @@ def run_study(
     results = compute(wanted, store, jobs, tick)
     say("what the negative damping may stand for", 0, 0)
     damping = _damping(store, quick)
-    say("figure 4", 0, 0)
-    robot, robot_results = _robot(store, given)
     say("figures and pages", 0, 0)
     groups = {v: {p: results[v.cell(p)] for p in PLANTS} for v in variants}
     entries = ledger(groups)

@@ -51,6 +51,14 @@ class Store:
     folder: Path
     stamp: str
 
+    def open(self) -> None:
+        """Make the folder; InputError when it cannot be written."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            where = self.folder.parent
+            raise InputError(where, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+
     def path(self, inputs: Any) -> Path:
         """Where the result of these inputs is kept."""
         text = json.dumps(inputs, sort_keys=True) + self.stamp
@@ -87,10 +95,7 @@ class Store:
 def compute(cells: Iterable[Cell], store: Store, jobs: int = 1, tick: Callable[[], None] = lambda: None) -> dict[Cell, Result]:
     """Results of all cells, from the store or new, ``jobs`` side by side; ``tick`` after each. Safe to break off."""
     wanted = list(dict.fromkeys(cells))
-    try:
-        store.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(store.folder, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+    store.open()
     out: dict[Cell, Result] = {}
     for cell in wanted:
         kept = store.get(cell)
