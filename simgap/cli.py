@@ -20,6 +20,7 @@ COMMANDS: dict[str, str] = {
     "crosscheck": "Hold MuJoCo against the analytic equations, effect by effect.",
     "replay": "Run a model, found physics included, free on a recorded input.",
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
+    "data": "Locate or fetch a public real recording, proven by its hash.",
     "study": "Draw the report's figures and give each of its claims a verdict.",
 }
 
