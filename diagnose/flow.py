@@ -27,7 +27,7 @@ from diagnose.locate import disturbance, locate
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
 from diagnose.search import Search, SearchOptions
-from diagnose.structure import Structure, remaining_structure
+from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.view import ForceView, MotionView, View
 from diagnose.whiten import effective_share, whitening_filter
 from mjsim.axis import Axis
@@ -39,7 +39,13 @@ __all__ = ["Options", "diagnose"]
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a diagnosis. judge: "motion", "force" or None (what the binding says, else by the channels); jobs: threads."""
+    """Options of a diagnosis.
+
+    judge: "motion", "force" or None (what the binding says, else by the channels); effects: identifiers to consider, all when
+    empty; jobs: threads; seconds: budget; depth: most effects. structure_share, structure_p: least part of the held-out squared
+    error that must be predictable, and its p-value, for structure to remain; missed: least mean square of missed motion over
+    that of the noise; left: least part of the mismatch that must be left (docs/decisions/false-alarms.md).
+    """
 
     judge: str | None = None
     effects: tuple[str, ...] = ()
@@ -49,6 +55,8 @@ class Options:
     depth: int = 3
     structure_share: float = 0.05
     structure_p: float = 1e-4
+    missed: float = 0.05
+    left: float = 0.03
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None) -> View:
@@ -157,7 +165,10 @@ def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], b
 def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None], began: float) -> Diagnosis:
     progress("compare: refitting the nominal model")
     search, best = _search(fitter, options, progress, began)
-    filter_ = whitening_filter(fitter, best) if fitter.noise_known else None
+    # a residual is coloured by its noise or by motion that the model misses; only noise may be whitened away
+    missed = motion_error(fitter, best)
+    noise_only = fitter.noise_known and (missed is None or missed < options.missed)
+    filter_ = whitening_filter(fitter, best) if noise_only else None
     if filter_ is not None:
         progress("the residual is coloured: searching again on whitened errors")
         fitter.whitening = filter_
@@ -170,8 +181,15 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     best = fitter.refined(search.polish(best))
     mismatch = locate(fitter, base)
     found = _findings(search, best, options)
-    verdict = _verdict(search, base, best, structure, options)
+    motion = motion_error(fitter, base), motion_error(fitter, best)
+    verdict = _verdict(search, base, best, structure, motion, options)
     notes = list(unphysical(fitter.nominal))
+    if motion[1] is not None and verdict is Verdict.UNEXPLAINED:
+        notes.append(
+            f"Motion that the model misses, confirmed by the angle, has {math.sqrt(max(motion[1], 0.0)):.2g}
+            times the rms of the "
+            "velocity noise on held-out data."
+        )
     if structure.share > options.structure_share and structure.p_value < options.structure_p:
         notes.append(
             f"Structure remains that no known effect accounts for: the recorded input and motion predict "
@@ -260,14 +278,35 @@ def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, 
     return tuple(out)
 
 
-def _verdict(search: Search, base: Fitted, best: Fitted, structure: Structure, options: Options) -> Verdict:
+def _is_unexplained(
+    search: Search, base: Fitted, best: Fitted, structure: Structure, motion: tuple[float | None, float | None], options: Options
+) -> bool:
+    """Whether what is left is material against the noise, and against the mismatch that there was.
+
+    Two witnesses: the part of the held-out error that the input and the motion predict, and the motion that the angle confirms.
+    """
+    before, after = search.held_out(base), search.held_out(best)
+    if before is None or after is None:
+        return False
+    mismatch = before.rms**2 - (search.fitter.experiments[0].sigma ** 2 if search.fitter.noise_known else 0.0)
+    predicted = structure.share * after.rms**2
+    if (
+        structure.p_value < options.structure_p
+        and structure.share > options.structure_share
+        and predicted > options.left * mismatch
+    ):
+        return True
+    missed_before, missed_after = motion
+    if missed_before is None or missed_after is None:
+        return False
+    return missed_after > options.missed and missed_after > options.left * missed_before
+
+
+def _verdict(
+    search: Search, base: Fitted, best: Fitted, structure: Structure, motion: tuple[float | None, float | None], options: Options
+) -> Verdict:
     """Unexplained when a material part of the held-out residual is predictable; else by what was found."""
-    share = structure.share
-    if not search.fitter.noise_known:
-        # the error of any model of a real drive holds some structure: what counts is its part of the mismatch
-        before, after = search.held_out(base), search.held_out(best)
-        share *= (after.chi2 / before.chi2) if before and after else 1.0
-    if share > options.structure_share and structure.p_value < options.structure_p:
+    if _is_unexplained(search, base, best, structure, motion, options):
         return Verdict.UNEXPLAINED
     if best.effects:
         return Verdict.MISSING_PHYSICS

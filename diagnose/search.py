@@ -31,7 +31,8 @@ class SearchOptions:
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
     held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of candidates;
     depth: most effects; width: rivals fitted in
-    full at each move; beam: structures from which the next move starts.
+    full at each move; beam: structures from which the next move starts; runs, seconds: budgets after which no further
+    structure is tried.
     """
 
     price: float = 8.0
@@ -42,6 +43,7 @@ class SearchOptions:
     width: int = 10
     beam: int = 2
     only: tuple[str, ...] = ()
+    runs: int = 6000
     seconds: float = math.inf
 
 
@@ -86,6 +88,10 @@ class Search:
     def __post_init__(self) -> None:
         self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
         self._began = time.monotonic()
+
+    def _spent(self) -> bool:
+        """Whether the budget of runs (the same on every machine) or of seconds is used up."""
+        return self.fitter.runs > self.options.runs or time.monotonic() - self._began > self.options.seconds
 
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
@@ -150,6 +156,8 @@ class Search:
         running: list[Fitted] = []
         far = base.chi2 > 1.5 * base.n
         for present, s in entrants:
+            if self._spent():
+                break
             structure = effect_class(s.candidate.id).family == "structure"
             linears = (base.linear, None) if far else (base.linear,)
             guesses = [
@@ -169,16 +177,14 @@ class Search:
                 running.append(min(fits, key=lambda f: f.chi2))
             else:
                 self.failed[s.candidate.key] = "no start could be run"
-        for keep, iterations in ((6, 3), (4, 6), (3, 20)):
+        # (how many go on, for how many iterations, how far behind the leader they may be, in units of n)
+        for keep, iterations, behind in ((6, 3, 1.5), (4, 6, 0.4), (3, 20, 0.05)):
             running.sort(key=lambda f: f.chi2)
             best = running[0].chi2 if running else 0.0
-            going = []
-            for rank, f in enumerate(running):
-                hopeless = rank >= keep or f.n * math.log(f.chi2 / best) > 3e3 / math.sqrt(iterations) + 0.5 * f.n
-                if not hopeless and f.fit.status is Status.BUDGET:
-                    f = self.fitter.fit(f.hypothesis, f.fit.x, iterations=iterations)
-                going.append(f)
-            running = going
+            for rank, f in enumerate(running[:keep]):
+                near = rank == 0 or math.log(f.chi2 / best) < behind
+                if near and f.fit.status is Status.BUDGET and not self._spent():
+                    running[rank] = self.fitter.fit(f.hypothesis, f.fit.x, iterations=iterations)
         for f in running:
             self._keep(f)
         return running
@@ -202,7 +208,7 @@ class Search:
                     continue
                 expanded.add(state.key)
                 self.expand(state)
-                if time.monotonic() - self._began > self.options.seconds:
+                if self._spent():
                     break
             best = self._best(current)
             self.refine(best)

@@ -16,8 +16,9 @@ from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter
 from diagnose.orders import torque_to_velocity
 from mjsim.axis import Axis
+from mjsim.ode import simulate
 
-__all__ = ["Structure", "remaining_structure"]
+__all__ = ["Structure", "motion_error", "remaining_structure"]
 
 
 @dataclass(frozen=True)
@@ -109,3 +110,37 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
     g = np.array(gains)
     t = float(np.mean(g) / (np.std(g, ddof=1) / np.sqrt(len(g)) + 1e-300))
     return Structure(float(np.sum(g)) / before, float(student.sf(t, len(g) - 1)))
+
+
+def motion_error(fitter: Fitter, fitted: Fitted, window: float = 0.02) -> float | None:
+    """How much of the error is motion that really took place.
+
+    In units of the velocity noise variance; None where it cannot be told.
+
+    The velocity error and the rate of the angle error, both averaged over ``window`` [s], share the motion that the
+    model missed and
+    nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings is therefore
+    the mean square
+    of the missed motion, whatever the colour of either noise. Held-out phases and speeds are estimated as for the free-run error.
+    """
+    if fitter.view.channel != "velocity":
+        return None
+    products: list[float] = []
+    for experiment in fitter.held_out:
+        r = experiment.recording
+        if r.velocity is None or r.angle is None:
+            return None
+        solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
+        if solved is None:
+            return None
+        y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
+        k = max(4, round(window / r.dt))
+        count = (len(r) - 1) // k
+        speed = 0.5 * (r.velocity[1:] + r.velocity[:-1]) - np.diff(y.angle) / r.dt
+        if np.std(0.5 * (r.velocity[1:] + r.velocity[:-1]) - np.diff(r.angle) / r.dt) < 1e-6 * np.std(r.velocity):
+            return None  # one channel was computed from the other
+        speed = speed[: count * k].reshape(count, k).mean(axis=1)
+        angle = np.diff((r.angle - y.angle)[: count * k + 1 : k]) / (k * r.dt)
+        keep = experiment.counts[: count * k].reshape(count, k).all(axis=1)
+        products += list((speed * angle)[keep] / experiment.sigma**2)
+    return float(np.mean(products)) if products else None
