@@ -115,13 +115,10 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
 def motion_error(fitter: Fitter, fitted: Fitted, window: float = 0.02) -> float | None:
     """How much of the error is motion that really took place.
 
-    In units of the velocity noise variance; None where it cannot be told.
-
-    The velocity error and the rate of the angle error, both averaged over ``window`` [s], share the motion that the
-    model missed and
-    nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings is therefore
-    the mean square
-    of the missed motion, whatever the colour of either noise. Held-out phases and speeds are estimated as for the free-run error.
+    In units of the velocity noise variance; None where it cannot be told. The velocity error and the rate of the angle error,
+    both averaged over ``window`` [s], share the motion that the model missed and nothing else: the noise of one sensor is not
+    in the other. Their covariance on the held-out recordings is therefore the mean square of the missed motion, whatever the
+    colour of either noise. Held-out phases and speeds are estimated as for the free-run error.
     """
     if fitter.view.channel != "velocity":
         return None
