@@ -186,9 +186,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     notes = list(unphysical(fitter.nominal))
     if motion[1] is not None and verdict is Verdict.UNEXPLAINED:
         notes.append(
-            f"Motion that the model misses, confirmed by the angle, has {math.sqrt(max(motion[1], 0.0)):.2g}
-            times the rms of the "
-            "velocity noise on held-out data."
+            "Motion that the model misses, confirmed by the angle, has "
+            f"{math.sqrt(max(motion[1], 0.0)):.2g} times the rms of the velocity noise on held-out data."
         )
     if structure.share > options.structure_share and structure.p_value < options.structure_p:
         notes.append(
