@@ -19,6 +19,7 @@ from mjsim.effects import Effect
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
 
 
+ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -76,9 +77,13 @@ class Fitted:
         return self.fit.status is not Status.FAILED
 
     def standard_errors(self) -> np.ndarray:
-        """Standard errors [SI] of the vector's numbers from the Gauss-Newton Hessian, residual variance estimated (p,)."""
+        """Standard errors [SI] of the vector's numbers (p,), from the Gauss-Newton Hessian and the residual variance.
+
+        Two integrations of one law differ by up to about ENGINE of the noise, and that error does not average out over n samples:
+        it can shift an estimate by ENGINE sqrt(n) standard errors, which is added in quadrature.
+        """
         J = self.fit.J
-        variance = self.chi2 / max(self.n - J.shape[1], 1)
+        variance = self.chi2 / max(self.n - J.shape[1], 1) + self.n * ENGINE**2
         scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
         s = np.maximum(s, 1e-10 * s[0])

@@ -177,8 +177,9 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
         search.tested += plain.tested
     base = search.nominal()
     progress("validate: what is left, intervals, rivals")
+    best = search.polish(best)
     structure = remaining_structure(fitter, best)
-    best = fitter.refined(search.polish(best))
+    best = fitter.refined(best)
     mismatch = locate(fitter, base)
     found = _findings(search, best, options)
     motion = motion_error(fitter, base), motion_error(fitter, best)
