@@ -21,6 +21,7 @@ COMMANDS: dict[str, str] = {
     "replay": "Run a model, found physics included, free on a recorded input.",
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
     "data": "Locate or fetch a public real recording, proven by its hash.",
+    "benchmark": "Conceal effects in many recordings, diagnose them, open the envelope, score.",
     "study": "Draw the report's figures and give each of its claims a verdict.",
 }
 
