@@ -90,7 +90,7 @@ class Reading(Enum):
     NONE = ""
     PHYSICS = "physics: it is there too when the excitation reaches the peak and the model can place it"
     ARTEFACT = "extrapolation artefact: seen only where the second peak lies outside the excitation or the model misplaces it"
-    ABSENT = "seen neither in extrapolation nor with the peak inside the excitation"
+    ABSENT = "not there: neither with the peak extrapolated nor with it inside the excitation"
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ def _context(study: Study, pictures: str) -> dict[str, Any]:
         "fourth": _fourth(study),
         "t": THRESHOLDS, "agreed": AGREED,
         "cells": study.cells, "quick": study.quick, "mode": study.ladder[0]["exact_mode_hz"],
-        "peak_shift": _shifts(study), "names": [p.name for p in study.pictures],
+        "peak_shift": _shifts(study), "scatter": _scatter(study), "names": [p.name for p in study.pictures],
         "captions": {p.name: p.caption for p in study.pictures},
     }  # fmt: skip
 
@@ -121,6 +121,12 @@ def _other(e: Entry) -> str:
         f"{v.value} with {w} the thresholds" for v, w in ((e.at_half, "half"), (e.at_double, "twice")) if v is not e.verdict
     ]
     return "; ".join(changes)
+
+
+def _scatter(study: Study) -> str:
+    """How far noise alone moves the second peak of the report's pipeline [%]."""
+    there = [p for p in study.ladder[0]["peak_hz"] if p is not None]
+    return f"{100 * (max(there) / min(there) - 1):.1f}" if there else "-"
 
 
 def _shifts(study: Study) -> str:
