@@ -195,6 +195,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
             f"Structure remains that no known effect accounts for: the recorded input and motion predict "
             f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
         )
+    notes += _steps(search, best, _unit(fitter))
     if filter_ is not None:
         notes.append(
             "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."
@@ -276,6 +277,27 @@ def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, 
         )
     out.sort(key=lambda f: -f.evidence["delta_chi2"])
     return tuple(out)
+
+
+def _steps(search: Search, best: Fitted, unit: str) -> list[str]:
+    """What the simpler form of each found effect achieves: how the refinement was reached."""
+    out = []
+    after = search.held_out(best)
+    before = search.held_out(search.nominal())
+    for effect in best.effects:
+        rest = [k for k in best.key if k != effect.key]
+        for simple in type(effect).refines:
+            f = search.pool.get(tuple(sorted([*rest, f"{simple}@{effect.place}"])))
+            held = search.held_out(f) if f is not None else None
+            if held and after and before:
+                out.append(
+                    f"Held-out error {before.rms:.4g} {unit} for the refitted nominal model, {held.rms:.4g} with "
+                    f"{simple.replace('_', ' ')}, {after.rms:.4g} with {effect.id.replace('_', ' ')}."
+                    if not rest
+                    else f"Held-out error {held.rms:.4g} {unit} with {simple.replace('_', ' ')} in place of "
+                    f"{effect.id.replace('_', ' ')}, {after.rms:.4g} with it."
+                )
+    return out
 
 
 def _is_unexplained(
