@@ -87,7 +87,6 @@ class Verdict(Enum):
 class Reading(Enum):
     """What a claim about the second peak rests on."""
 
-    NONE = ""
     PHYSICS = "physics: it is there too when the excitation reaches the peak and the model can place it"
     ARTEFACT = "extrapolation artefact: seen only where the second peak lies outside the excitation or the model misplaces it"
     ABSENT = "not there: neither with the peak extrapolated nor with it inside the excitation"

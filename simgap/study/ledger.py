@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from simgap.study.claims import AGREED, CLAIMS, THRESHOLDS, Claim, Group, Outcome, Reading, Thresholds, Verdict, ask, judge
-from simgap.study.variants import BASE, BASE_BETTER, Variant
+from simgap.study.variants import BASE_BETTER, Variant
 
 __all__ = ["FAMILIES", "Entry", "claims_json", "ledger", "say"]
 
@@ -18,7 +18,7 @@ _UNITS = (("_percent", " %"), ("_hz", " Hz"), ("_db", " dB"), ("_deg", " deg"), 
 
 @dataclass(frozen=True)
 class Entry:
-    """A claim with its answers by variant, the verdict made of them, and the reading if it speaks of the second peak.
+    """A claim with its answers by variant, the verdict made of them, and the readings (by part) if it speaks of the second peak.
 
     at_half, at_double: the verdict that half and twice the thresholds would give.
     """
@@ -27,9 +27,14 @@ class Entry:
     answers: Mapping[Variant, Outcome]
     verdict: Verdict
     shares: Mapping[str, float]
-    reading: Reading
+    readings: Mapping[str, Reading]
     at_half: Verdict
     at_double: Verdict
+
+    @property
+    def artefact(self) -> bool:
+        """Whether the claim, or a part of it, is seen only by extrapolation."""
+        return Reading.ARTEFACT in self.readings.values()
 
     def count(self, family: str) -> tuple[int, int, int]:
         """Variants of a family that meet the criterion, that do not, that cannot say."""
@@ -62,25 +67,29 @@ class Entry:
         return ". ".join(p[0].upper() + p[1:] for p in parts) + "."
 
 
-def _reading(claim: Claim, answers: Mapping[Variant, Outcome], bases: tuple[Variant, Variant]) -> Reading:
+def _readings(claim: Claim, answers: Mapping[Variant, Outcome], inside: Variant) -> dict[str, Reading]:
+    """What a claim about the second peak rests on; of a compound claim, what each part about that peak does."""
     if not claim.second_peak:
-        return Reading.NONE
-    inside = answers[bases[1]].met
-    if inside:
-        return Reading.PHYSICS
-    seen = [o.met for v, o in answers.items() if o.met is not None and (v.family == "report" or v.experiment.high_hz < 40)]
-    return Reading.ARTEFACT if seen and sum(seen) > (1 - AGREED) * len(seen) else Reading.ABSENT
+        return {}
+    parts = {k for o in answers.values() for k, x in o.values.items() if isinstance(x, bool) and "second_peak" in k}
+    out = {}
+    for part in sorted(parts) or [""]:
+        met = {v: o.values.get(part) if part and o.met is not None else o.met for v, o in answers.items()}
+        outside = [m for v, m in met.items() if m is not None and (v.family == "report" or v.experiment.high_hz < 40)]
+        if met[inside]:
+            out[part] = Reading.PHYSICS
+        else:
+            out[part] = Reading.ARTEFACT if outside and sum(outside) > (1 - AGREED) * len(outside) else Reading.ABSENT
+    return out
 
 
-def ledger(
-    groups: Mapping[Variant, Group], claims: Sequence[Claim] = CLAIMS, bases: tuple[Variant, Variant] = (BASE, BASE_BETTER)
-) -> tuple[Entry, ...]:
-    """Put every claim to every variant."""
+def ledger(groups: Mapping[Variant, Group], claims: Sequence[Claim] = CLAIMS, inside: Variant = BASE_BETTER) -> tuple[Entry, ...]:
+    """Put every claim to every variant; ``inside``: where the second peak is excited and well placed."""
     out = []
     for claim in claims:
         answers, (verdict, shares) = _asked(claim, groups, THRESHOLDS)
         half, double = (_asked(claim, groups, THRESHOLDS.times(f))[1][0] for f in (0.5, 2.0))
-        out.append(Entry(claim, answers, verdict, shares, _reading(claim, answers, bases), half, double))
+        out.append(Entry(claim, answers, verdict, shares, _readings(claim, answers, inside), half, double))
     return tuple(out)
 
 
@@ -133,7 +142,8 @@ def claims_json(entries: Sequence[Entry], extra: Mapping[str, Mapping[str, Any]]
                 "verdict_at_double_thresholds": e.at_double.value,
                 "parts_met": {k: {f: round(s, 3) for f, s in p.items()} for k, p in e.parts().items()},
                 "about_second_peak": e.claim.second_peak,
-                "reading": e.reading.name.lower() if e.reading is not Reading.NONE else None,
+                "second_peak_readings": {part or "claim": r.name.lower() for part, r in e.readings.items()},
+                "extrapolation_artefact": e.artefact,
                 "basis": e.sentence(),
                 "map": [{"family": v.family, "variant": v.changed, "met": o.met} for v, o in e.answers.items()],
             }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from simgap.study.claims import AGREED, THRESHOLDS, Reading, Verdict, physical_features
+from simgap.study.claims import AGREED, THRESHOLDS, Verdict, physical_features
 from simgap.study.ledger import FAMILIES, say
 from simgap.study.plants import FEATURE_NAMES, PLANTS
 
@@ -82,8 +82,8 @@ def _context(study: Study, pictures: str) -> dict[str, Any]:
                 "verdict": e.verdict.value,
                 "basis": e.sentence(),
                 "marks": marks,
-                "reading": "" if e.reading is Reading.NONE else e.reading.value,
-                "artefact": e.reading is Reading.ARTEFACT,
+                "readings": [(part.replace("_", " "), r.value) for part, r in e.readings.items()],
+                "artefact": e.artefact,
                 "other": _other(e),
                 "parts": _parts(e),
                 "base": {f: say(c["values"].get(f, {})) for f in FAMILIES},

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mjsim.errors import InputError
-from simgap.study.claims import Reading
 from simgap.study.page import page_markdown
 from simgap.study.run import Study
 
@@ -40,7 +39,7 @@ def show(study: Study, out: Path) -> None:
     table = Table("id", "claim", "verdict", "report's", "better")
     for e in study.entries:
         shares = [f"{100 * e.shares[f]:.0f} %" if f in e.shares else "-" for f in ("report", "better")]
-        verdict = e.verdict.value + (" (artefact)" if e.reading is Reading.ARTEFACT else "")
+        verdict = e.verdict.value + (" (artefact)" if e.artefact else "")
         table.add_row(e.claim.id, e.claim.text, f"[bold]{verdict}[/bold]", *shares)
     console.print(table)
     console.print("report's, better: share of the variants of each pipeline that meet the criterion.", highlight=False)

@@ -210,7 +210,10 @@ def test_ledger_and_schema() -> None:
     f5 = next(e for e in entries if e.claim.id == "F5")
     assert f5.count("report") == (1, 2, 0)
     assert "only with base" in f5.sentence()
-    assert f5.reading is c.Reading.ARTEFACT
+    assert f5.readings == {"": c.Reading.ARTEFACT}
+    assert f5.artefact
+    x2 = next(e for e in entries if e.claim.id == "X2")
+    assert set(x2.readings) == {"friction_moves_second_peak", "backlash_keeps_second_peak"}
     assert say({"second_peak_percent": -0.5, "lost": [], "x_hz": 2.0}) == "second peak -0.50 %; lost: none; x 2.00 Hz"
 
 
