@@ -43,7 +43,11 @@ class Status(enum.Enum):
 
 @dataclass(frozen=True)
 class Bar:
-    """One bar: what is asked, the figure, its 95 % interval (Clopper-Pearson for shares), on how many, and whether it holds."""
+    """One bar: what is asked, the figure, on how many cases or numbers, and whether it holds.
+
+    ``interval``: 95 % Clopper-Pearson for a share, the quartiles for a median. ``certain``: the whole interval of a share lies on
+    the side of the figure.
+    """
 
     id: str
     text: str
@@ -53,6 +57,7 @@ class Bar:
     n: int
     status: Status
     share: bool = True
+    certain: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -86,14 +91,18 @@ def parse_levels(text: str | None, grade: str) -> dict[str, int]:
 
 
 def _share(id: str, text: str, asked: str, hits: Sequence[bool], least: float = 0.0, most: float = 1.0) -> Bar:
-    value, interval = fraction(sum(hits), len(hits))
-    status = Status.HOLDS if hits and least <= value <= most else Status.FAILS if hits else Status.TOO_FEW
-    return Bar(id, text, asked, value, interval, len(hits), status)
+    n = len(hits)
+    value, (low, high) = fraction(sum(hits), n)
+    if not any(least <= k / n <= most for k in range(n + 1) if n):  # no number of hits could meet it
+        return Bar(id, text, asked, value, (low, high) if n else None, n, Status.TOO_FEW, certain=False)
+    holds = least <= value <= most
+    certain = least <= low and high <= most if holds else high < least or low > most
+    return Bar(id, text, asked, value, (low, high), n, Status.HOLDS if holds else Status.FAILS, certain=certain)
 
 
 def _median(id: str, text: str, asked: str, values: Sequence[float], least: float = -np.inf, most: float = np.inf) -> Bar:
     if not values:
-        return Bar(id, text, asked, float("nan"), None, 0, Status.TOO_FEW)
+        return Bar(id, text, asked, float("nan"), None, 0, Status.TOO_FEW, certain=False)
     value = float(np.median(values))
     quarters = float(np.quantile(values, 0.25)), float(np.quantile(values, 0.75))
     status = Status.HOLDS if least <= value <= most else Status.FAILS
@@ -111,12 +120,12 @@ def bars(cases: Sequence[CaseScore]) -> list[Bar]:
     nulls = [c for c in cases if c.null]
     alarms = [c.verdict == "missing_physics" for c in nulls]
     rate = _share("false_alarms", "False alarms where nothing is missing", "≤ 2 %", alarms, most=0.02)
-    upper = fraction(sum(alarms), len(alarms))[1][1]
+    upper = fraction(sum(alarms), len(alarms))[1][1] if nulls else float("nan")
     decidable = bool(nulls) and fraction(0, len(nulls))[1][1] <= 0.04
     status = Status.HOLDS if upper <= 0.04 else Status.FAILS if decidable or sum(alarms) else Status.TOO_FEW
     limit = Bar("false_alarms_limit", "Upper 95 % limit of false alarms", "≤ 4 %", upper, None, len(nulls), status)
     library = [c for c in cases if c.level in LIBRARY]
-    counted = [p for c in library if c.contract_law for p in c.parameters if p.counted]
+    numbers = [p for c in library if c.contract_law for p in c.parameters]
     hidden = [c for level in HIDDEN for c in by[level] if visible(c)]
     # one that was not found closes nothing
     gaps = [c.gap for c in library if np.isfinite(c.gap)]
@@ -128,9 +137,9 @@ def bars(cases: Sequence[CaseScore]) -> list[Bar]:
         _share("pairs", "Pairs: both right", "≥ 85 %", _good(by["two_effects"]), 0.85),
         _share("out_of_library", "Outside the library: a wrong name given as the answer", "≤ 5 %",
                [c.verdict == "missing_physics" for c in by["out_of_library"]], most=0.05),
-        _median("parameter_error", "Median parameter error", "≤ 3 %", [p.error for p in counted], most=0.03),
+        _median("parameter_error", "Median parameter error", "≤ 3 %", [p.error for p in numbers if p.counted], most=0.03),
         _share("coverage", "95 % intervals that hold the truth", "90 … 98 %",
-               [p.inside for p in counted if p.inside is not None], 0.90, 0.98),
+               [p.inside for p in numbers if p.inside is not None], 0.90, 0.98),
         _median("gap_closed", "Gap closed on held-out data, median", "≥ 98 %", gaps, least=0.98),
     ]  # fmt: skip
 

@@ -21,7 +21,7 @@ __all__ = ["NULLS", "CaseScore", "Outcome", "ParameterScore", "alternatives", "s
 NULLS = ("nothing", "parameters_only")
 WITHOUT = ("no_mismatch", "parameters_only")  # verdicts that say: nothing is
 PHYSICS = ("missing_physics", "unexplained")  # verdicts that say: something is missing
-NOT_COUNTED = ("cycles_per_rev",)  # drawn from a few whole numbers: right or wrong, not near or far
+EXACT = ("cycles_per_rev",)  # whole numbers, found almost exactly: they would flatter the median error
 
 
 class Outcome(enum.Enum):
@@ -50,7 +50,7 @@ class ParameterScore:
 
     ``error``: relative to the truth; for a phase the difference in rad, which is the relative error of the phasor.
     ``inside``: the 95 % interval holds the truth, None without a finite interval. ``counted``: enters the
-    median and the coverage.
+    median error.
     """
 
     effect: str
@@ -169,7 +169,7 @@ def _parameter(effect: str, name: str, truth: float, estimate: Mapping[str, Any]
         error = abs(value - given) / abs(given) if given else abs(value - given)
     finite = math.isfinite(low) and math.isfinite(high)
     inside = low <= given <= high if finite else None
-    counted = math.isfinite(error) and name not in NOT_COUNTED
+    counted = math.isfinite(error) and name not in EXACT
     return ParameterScore(effect, name, given, value, (low, high) if finite else None, error, inside, counted)
 
 

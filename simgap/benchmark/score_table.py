@@ -29,7 +29,7 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _level(cases: Sequence[CaseScore]) -> dict[str, Any]:
-    counted = [p for c in cases for p in c.parameters if p.counted]
+    numbers = [p for c in cases for p in c.parameters]
     return {
         "verdict": _rate([c.verdict_right for c in cases]),
         "right": _rate([c.outcome.good for c in cases]),
@@ -37,8 +37,8 @@ def _level(cases: Sequence[CaseScore]) -> dict[str, Any]:
         "named": _rate([c.named for c in cases]),
         "top1": _rate([c.top1 for c in cases if c.truth]),
         "place": _rate([right for c in cases for _, right in c.places]),
-        "parameter_error": _median([p.error for p in counted]),
-        "coverage": _rate([p.inside for p in counted if p.inside is not None]),
+        "parameter_error": _median([p.error for p in numbers if p.counted]),
+        "coverage": _rate([p.inside for p in numbers if p.inside is not None]),
         "gap_closed": _median([c.gap for c in cases]),
         "outcomes": dict(Counter(c.outcome.value for c in cases)),
         "seconds": _median([c.seconds for c in cases]),
@@ -99,7 +99,7 @@ def _numbers(parameters: Sequence[ParameterScore]) -> dict[str, Any]:
         "n": len(counted),
         "median_error": _median([p.error for p in counted]),
         "worst_error": max((p.error for p in counted), default=float("nan")),
-        "coverage": _rate([p.inside for p in counted if p.inside is not None]),
+        "coverage": _rate([p.inside for p in parameters if p.inside is not None]),
     }
 
 

@@ -40,7 +40,7 @@ def command(out: Path, grade: str, seed: int, jobs: int | None, levels: str | No
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
     results = diagnose_all(out, jobs or min(2, os.cpu_count() or 1))
     truths = open_envelope(out / "recordings", out / "envelope" / "truth.json")
-    versions = next((r["versions"] for r in results.values() if "versions" in r), {})
+    versions: dict[str, str] = next((r["versions"] for r in results.values() if "versions" in r), {})
     about = {"grade": grade, "seed": seed, "counts": counts, "envelope_sha256": digest, "versions": versions}
     summary = _plain({**about, **summarise(truths, results)})
     _page(out, summary)
