@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test proof lint benchmarks clean
+.PHONY: demo test proof lint clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
