@@ -14,6 +14,9 @@ from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 __all__ = ["Candidate", "Screened", "candidates", "conflicts", "screen"]
 
 
+WRONG_SIGN = 0.3  # what the promise of an amplitude of the wrong sign counts
+
+
 @dataclass(frozen=True)
 class Candidate:
     """An effect at a place, not yet with numbers."""
@@ -83,7 +86,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     The response of the candidate at its start (a secant) is made orthogonal to the base's own parameters; the residual's
     projection
     on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has it. A phase
-    enters as two responses in quadrature. An amplitude of the wrong sign gains nothing. With ``replacing``, each
+    enters as two responses in quadrature. An amplitude of the wrong sign counts less. With ``replacing``, each
     candidate takes the place
     of that effect of the base, from which it inherits the parameters that they share.
     """
@@ -161,7 +164,8 @@ def _project(
     if amplitudes:
         signed = all(s.lower < 0 for s in cls.specs() if s.name in amplitudes)
         if factor < 0 and not signed:
-            return 0.0, effect
+            # far from the solution a secant may point the wrong way: it stays in the race, behind
+            return WRONG_SIGN * max(gain, 0.0), effect
         factor = float(np.sign(factor) * np.clip(abs(factor), 0.02, 20.0))
         moved = {n: effect.values[n] * factor for n in amplitudes}
         effect = make(effect.id, effect.place, {**effect.values, **moved})

@@ -86,7 +86,7 @@ class Hypothesis:
             start = (linear or {}).get(p.name, p.value)
             scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
             positive = p.kind in ("inertia", "stiffness")
-            low, high = (0.02 * scale, 50 * scale) if positive else (-50 * scale, 50 * scale)
+            low, high = (0.1 * scale, 10 * scale) if positive else (-20 * scale, 20 * scale)
             for r in range(n_recordings) if p.name in varies else (-1,):
                 mine = min(max((own or {}).get(("", p.name, r), start), low), high)
                 entries.append(Entry("", p.name, p.quantity, scale, low, high, mine, r, positive))

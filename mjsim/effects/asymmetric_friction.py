@@ -63,4 +63,4 @@ class AsymmetricFriction(Effect):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
         f = 0.1 * scales.torque
-        return [{"torque_Nm": f, "asymmetry_Nm": 0.1 * f}, {"torque_Nm": f, "asymmetry_Nm": -0.1 * f}]
+        return [{"torque_Nm": f, "asymmetry_Nm": c * f} for c in (0.1, -0.1, 0.7, -0.7)]
