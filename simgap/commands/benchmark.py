@@ -120,15 +120,20 @@ def diagnose_all(out: Path, jobs: int = 1, work: Callable[[Path, str], dict[str,
     manifest = json.loads((recordings / "manifest.json").read_text(encoding="utf-8"))
     sealed = {n: {k: v for k, v in manifest["recordings"].items() if k.startswith(f"{n}_")} for n in manifest["cases"]}
     done: dict[str, dict] = {}
+    other = 0
     for name in sealed:
         try:
             kept = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
             if kept["stamp"] == mark and kept["sealed"] == sealed[name]:
                 done[name] = kept["result"]
+            else:
+                other += 1
         except (OSError, ValueError, KeyError, TypeError):
             continue
     if done:
         click.echo(f"{len(done)} of {len(sealed)} cases were diagnosed before", err=True)
+    if other:
+        click.echo(f"{other} results are of other code and are computed again", err=True)
 
     def keep(name: str, result: dict[str, Any]) -> None:
         done[name] = _plain(result)
