@@ -60,21 +60,25 @@ def jacobian(
 
 
 def _bounded_step(A: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Minimiser of g d + d A d / 2 with the coordinates that would leave the bounds held at them."""
+    """Minimiser of g d + d A d / 2 within the bounds: coordinates that would leave are held, those that want back are let go."""
     n = len(x)
     d = np.zeros(n)
     free = np.ones(n, bool)
-    for _ in range(n):
-        rhs = -(g[free] + A[np.ix_(free, ~free)] @ d[~free])
-        d[free] = np.linalg.lstsq(A[np.ix_(free, free)], rhs, rcond=1e-14)[0]
+    for _ in range(3 * n):
+        if free.any():
+            rhs = -(g[free] + A[np.ix_(free, ~free)] @ d[~free])
+            d[free] = np.linalg.lstsq(A[np.ix_(free, free)], rhs, rcond=1e-14)[0]
         out = free & ((x + d < lower) | (x + d > upper))
-        if not out.any():
+        if out.any():
+            d[out] = np.clip(x[out] + d[out], lower[out], upper[out]) - x[out]
+            free &= ~out
+            continue
+        slope = A @ d + g
+        inward = ~free & (((d <= lower - x) & (slope < 0)) | ((d >= upper - x) & (slope > 0)))
+        if not inward.any():
             break
-        d[out] = np.clip(x[out] + d[out], lower[out], upper[out]) - x[out]
-        free &= ~out
-        if not free.any():
-            break
-    return d
+        free[np.argmax(np.where(inward, np.abs(slope), 0.0))] = True
+    return np.clip(x + d, lower, upper) - x
 
 
 def levenberg_marquardt(
@@ -100,6 +104,8 @@ def levenberg_marquardt(
     if r is None:
         return Fit(x, np.inf, np.empty(0), np.empty((0, n_x)), Status.FAILED, 0, 0.0)
     cost = float(r @ r)
+    if cost == 0.0:
+        return Fit(x, 0.0, r, np.zeros((len(r), n_x)), Status.CONVERGED, 0, 0.0)
     mu = damping
     J = np.empty((len(r), n_x))
     status = Status.BUDGET
@@ -140,7 +146,7 @@ def levenberg_marquardt(
         if not improved:
             status = Status.CONVERGED if first_gain is not None and first_gain < 10 * tolerance else Status.STALLED
             break
-        if actual < tolerance:
+        if actual < tolerance or cost == 0.0:
             status = Status.CONVERGED
             break
     return Fit(x, cost, r, J, status, iteration, float(gain))

@@ -123,7 +123,6 @@ def test_a_linear_problem_within_bounds(a, b, x0):
     assert fit.cost <= start @ start + 1e-12
 
 
-@pytest.mark.xfail(reason="a coordinate that a step holds at its bound is not released within that step", strict=False)
 def test_a_bound_is_released_when_the_others_have_moved():
     """Holding x1 at its bound is right until x0 and x2 have moved; SciPy's bounded least squares knows the optimum."""
     from scipy.optimize import lsq_linear
@@ -138,6 +137,5 @@ def test_a_bound_is_released_when_the_others_have_moved():
     assert fit.cost == pytest.approx(2 * best.cost, rel=1e-5)
 
 
-@pytest.mark.xfail(reason="the relative gain is divided by a cost of zero", strict=False, raises=ZeroDivisionError)
 def test_a_perfect_fit_ends():
     assert solve(lambda x: x - 1.0, [1.0, 1.0]).status is Status.CONVERGED
