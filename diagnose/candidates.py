@@ -49,7 +49,7 @@ def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...
         if only and name not in only:
             continue
         for place in cls.places:
-            starts = cls.starts(fitter.scales[place])
+            starts = cls.starts(fitter.scales_for(cls, place))
             if not starts:
                 continue
             try:
@@ -97,7 +97,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     tasks = []
     for candidate in supposed:
         cls = effect_class(candidate.id)
-        for values in cls.starts(fitter.scales[candidate.place]):
+        for values in cls.starts(fitter.scales_for(cls, candidate.place)):
             effect = make(candidate.id, candidate.place, values if replacing is None else _inherit(cls, values, replacing))
             starts.append((candidate, effect))
             present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from diagnose.least_squares import Fit, Status, jacobian, levenberg_marquardt
 from diagnose.scales import scales_by_place
 from diagnose.view import View
 from mjsim.axis import Axis
-from mjsim.effects import Effect
+from mjsim.effects import Effect, Scales
 
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
 
@@ -142,6 +143,11 @@ class Fitter:
         """Take the spatial orders found in the residual as starts for position-locked effects."""
         self.orders = orders
         self.scales = scales_by_place(self.nominal, self.experiments[0], orders)
+
+    def scales_for(self, effect: type[Effect], place: str) -> Scales:
+        """Scales for the starts of an effect at a place, with the orders over the angle that it follows."""
+        orders = self.scales[effect.angle_of or place].orders
+        return dataclasses.replace(self.scales[place], orders=orders)
 
     def set_sigma(self, experiment: Experiment, sigma: float) -> None:
         """Weight of an experiment."""

@@ -92,14 +92,15 @@ class Hypothesis:
                 entries.append(Entry("", p.name, p.quantity, scale, low, high, mine, r, positive))
         for effect in (*nominal.effects, *effects):
             s = scales[effect.place]
+            turning = scales[type(effect).angle_of or effect.place]
             for spec in type(effect).specs():
                 value = getattr(effect, spec.name)
-                scale = _scale(spec.quantity, value, s)
+                scale = _scale(spec.quantity, value, turning if spec.quantity is Quantity.CYCLES else s)
                 log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
                 low, high = (1e-3 * scale, 1e3 * scale) if log else (spec.lower, spec.upper)
                 if spec.quantity is Quantity.CYCLES and effect.place != "arm":
                     # what does not repeat within the travel is not periodic: one and a half periods at least
-                    low = max(low, 3 * math.pi / max(s.travel, 1e-12))
+                    low = max(low, 3 * math.pi / max(turning.travel, 1e-12))
                     value = max(value, low)
                 entry = (spec.name, spec.quantity, scale, low, high)
                 if spec.nuisance:

@@ -44,6 +44,7 @@ class TransmissionError(Effect):
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("amplitude_rad",)
     family: ClassVar[str] = "position"
+    angle_of: ClassVar[str] = "motor"
 
     amplitude_rad: float = parameter(Quantity.ANGLE, "amplitude, link side", lower=0.0)
     cycles_per_rev: float = parameter(Quantity.CYCLES, "periods per turn of the motor", lower=0.0)
@@ -57,4 +58,7 @@ class TransmissionError(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"amplitude_rad": 0.1 * scales.deflection, "cycles_per_rev": n, "phase_rad": 0.0} for n in scales.orders[:4]]
+        return [
+            {"amplitude_rad": 0.1 * scales.deflection, "cycles_per_rev": n, "phase_rad": 0.0}
+            for n in dict.fromkeys((*scales.orders[:4], 1.0, 2.0, 3.0, 4.0))
+        ]

@@ -98,10 +98,6 @@ def test_backlash_is_found(pair, robot):
     assert finding.parameters["gap_rad"].value == pytest.approx(2e-4, rel=0.03)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="scales give the gearbox orders and travel of its own angle; a transmission error repeats over the driving motor's",
-)
 def test_a_transmission_error_is_found(pair, robot):
     estimation, held_out = pair(effect("transmission_error", amplitude_rad=2e-4, cycles_per_rev=4.0, phase_rad=0.5), seconds=6.0)
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=(*FEW, "transmission_error")))
