@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,7 +14,7 @@ from mjsim.errors import InputError
 from simgap.benchmark.cases import LEVELS
 from simgap.benchmark.score import CaseScore
 
-__all__ = ["GRADES", "HIDDEN", "Bar", "Status", "bars", "fraction", "parse_levels"]
+__all__ = ["BUDGETS", "GRADES", "HIDDEN", "Bar", "Status", "bars", "fraction", "parse_levels"]
 
 # Quick: some minutes on two cores. Full: 180 nulls, so that two false alarms still leave the upper limit below 4 %.
 GRADES: dict[str, dict[str, int]] = {
@@ -26,6 +27,9 @@ GRADES: dict[str, dict[str, int]] = {
         "out_of_library": 45, "nothing": 90, "parameters_only": 90,
     },
 }  # fmt: skip
+
+# Seconds after which a diagnosis tries no further structure.
+BUDGETS = {"quick": 120.0, "full": math.inf}
 
 HIDDEN = ("under_noise", "behind_refit", "behind_feedback")
 SINGLE = ("plain", *HIDDEN)

@@ -13,35 +13,46 @@ import click
 __all__ = ["command", "diagnose_all", "diagnose_case", "seal"]
 
 
+Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, seconds) -> diagnosis.json
+
+
 @click.command("benchmark", epilog="Example: simgap benchmark --out out/benchmark --grade quick --jobs 2")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for recordings, envelope, results and page.")
 @click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="24 or some 500 cases.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws every case.")
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes side by side (default: two, or one on one core).")
 @click.option("--levels", help="Only these, LEVEL or LEVEL:COUNT with commas, e.g. plain:4,nothing:2.")
+@click.option(
+    "--budget",
+    type=click.FloatRange(0),
+    help="Seconds a case may search, 0: no limit (default: 120 for quick, no limit for full).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print benchmark.json on standard output.")
-def command(out: Path, grade: str, seed: int, jobs: int | None, levels: str | None, as_json: bool) -> None:
+def command(out: Path, grade: str, seed: int, jobs: int | None, levels: str | None, budget: float | None, as_json: bool) -> None:
     """Measure how often the diagnosis is right, how small an effect it sees, and how often it cries wolf.
 
     A generator with its own laws and solver writes recordings; the truth goes into an envelope whose SHA-256 is printed before
     any diagnosis begins. Each case is diagnosed from its CSV files and the nominal model alone. Then the envelope is
-    opened and the findings are scored. A run that was broken off goes on where it stopped.
+    opened and the findings are scored. A run that was broken off goes on where it stopped. A case whose budget is spent tries no
+    further structure: on a slow machine a budget can change the answer, so the full grade has none.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     import json
+    import math
 
     from ident.serial import write_atomic
-    from simgap.benchmark.grade import parse_levels
+    from simgap.benchmark.grade import BUDGETS, parse_levels
     from simgap.benchmark.score_table import summarise
     from simgap.benchmark.seal import open_envelope
 
     counts = parse_levels(levels, grade)
     digest = seal(out, counts, seed)
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
-    results = diagnose_all(out, jobs or min(2, os.cpu_count() or 1))
+    seconds = BUDGETS[grade] if budget is None else budget or math.inf
+    results = diagnose_all(out, jobs or min(2, os.cpu_count() or 1), seconds)
     truths = open_envelope(out / "recordings", out / "envelope" / "truth.json")
     versions: dict[str, str] = next((r["versions"] for r in results.values() if "versions" in r), {})
-    about = {"grade": grade, "seed": seed, "counts": counts, "envelope_sha256": digest, "versions": versions}
+    about = {"grade": grade, "seed": seed, "counts": counts, "envelope_sha256": digest, "versions": versions, "budget_s": seconds}
     summary = _plain({**about, **summarise(truths, results)})
     _page(out, summary)
     write_atomic(out / "benchmark.json", json.dumps(summary, indent=1) + "\n")
@@ -94,7 +105,7 @@ def stamp() -> str:
     return digest.hexdigest()
 
 
-def diagnose_case(recordings: Path, name: str) -> dict[str, Any]:
+def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) -> dict[str, Any]:
     """Diagnose one case from its two CSV files and the shipped nominal model; a failure is a result with ``error``."""
     from diagnose.flow import Options, diagnose
     from mjsim.mjcf import load_axis
@@ -104,19 +115,19 @@ def diagnose_case(recordings: Path, name: str) -> dict[str, Any]:
     model = shipped_model("robot_axis1")
     try:
         estimation, held_out = (load(recordings / f"{name}_{part}.csv", model=model) for part in ("estimation", "held_out"))
-        result = diagnose(load_axis(model), [estimation], [held_out], Options(jobs=1)).as_dict()
+        result = diagnose(load_axis(model), [estimation], [held_out], Options(jobs=1, seconds=seconds)).as_dict()
     except Exception as error:  # one case that breaks must not end the run; it is counted as wrong and listed
         return {"error": f"{type(error).__name__}: {error}"}
     return {**result, "rows": len(estimation)}
 
 
-def diagnose_all(out: Path, jobs: int = 1, work: Callable[[Path, str], dict[str, Any]] = diagnose_case) -> dict[str, dict]:
-    """Results of all cases by name; those that stand in ``out/diagnoses``, by this code, are not computed again."""
+def diagnose_all(out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case) -> dict[str, dict]:
+    """Results of all cases by name; those that stand in ``out/diagnoses``, by this code and budget, are not computed again."""
     import json
 
     from ident.serial import write_atomic
 
-    recordings, folder, mark = out / "recordings", out / "diagnoses", stamp()
+    recordings, folder, mark = out / "recordings", out / "diagnoses", f"{stamp()} {seconds:g} s"
     manifest = json.loads((recordings / "manifest.json").read_text(encoding="utf-8"))
     sealed = {n: {k: v for k, v in manifest["recordings"].items() if k.startswith(f"{n}_")} for n in manifest["cases"]}
     done: dict[str, dict] = {}
@@ -133,7 +144,7 @@ def diagnose_all(out: Path, jobs: int = 1, work: Callable[[Path, str], dict[str,
     if done:
         click.echo(f"{len(done)} of {len(sealed)} cases were diagnosed before", err=True)
     if other:
-        click.echo(f"{other} results are of other code and are computed again", err=True)
+        click.echo(f"{other} results are of other code or another budget and are computed again", err=True)
 
     def keep(name: str, result: dict[str, Any]) -> None:
         done[name] = _plain(result)
@@ -142,19 +153,17 @@ def diagnose_all(out: Path, jobs: int = 1, work: Callable[[Path, str], dict[str,
 
     left = [n for n in sealed if n not in done]
     with _bar(len(sealed), len(done)) as tick:
-        for name, result in _each(recordings, left, jobs, work):
+        for name, result in _each(recordings, left, jobs, seconds, work):
             keep(name, result)
             tick(f"case {name}: {result.get('verdict', 'error')}")
     return {n: done[n] for n in sealed}
 
 
-def _each(
-    recordings: Path, names: list[str], jobs: int, work: Callable[[Path, str], dict[str, Any]]
-) -> Iterator[tuple[str, dict[str, Any]]]:
+def _each(recordings: Path, names: list[str], jobs: int, seconds: float, work: Work) -> Iterator[tuple[str, dict[str, Any]]]:
     """Results as they come, ``jobs`` processes side by side."""
     if jobs <= 1 or len(names) < 2:
         for name in names:
-            yield name, work(recordings, name)
+            yield name, work(recordings, name, seconds)
         return
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from multiprocessing import get_context
@@ -162,7 +171,7 @@ def _each(
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before the workers import numpy
         os.environ.setdefault(variable, "1")
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(work, recordings, n): n for n in names}
+        futures = {pool.submit(work, recordings, n, seconds): n for n in names}
         try:
             for future in as_completed(futures):
                 yield futures[future], future.result()

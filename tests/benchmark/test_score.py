@@ -249,7 +249,14 @@ def test_the_figures_are_json_and_the_page_stands_alone() -> None:
     assert list(summary["errors"]) == ["011"]
     counts = np.array(summary["confusion"]["counts"])
     assert counts.sum() == sum(len(t["effects"]) < 2 for t in truths.values())
-    about = {"grade": "quick", "seed": 1, "counts": {"plain": 2}, "envelope_sha256": "0" * 64, "versions": {"simgap": "0"}}
+    about = {
+        "grade": "quick",
+        "seed": 1,
+        "counts": {"plain": 2},
+        "envelope_sha256": "0" * 64,
+        "versions": {"simgap": "0"},
+        "budget_s": 120.0,
+    }
     plain = json.loads(json.dumps({**about, **summary}).replace("NaN", "null"))
     page, pictures = render_page(plain, _manner())
     assert set(pictures) == {"levels", "power", "effects"}
@@ -262,7 +269,7 @@ def test_the_figures_are_json_and_the_page_stands_alone() -> None:
 
 def test_a_page_of_nulls_alone() -> None:
     summary = summarise({"1": truth("nothing")}, {"1": said(NO)})
-    about = {"grade": "quick", "seed": 1, "counts": {}, "envelope_sha256": "0" * 64, "versions": {}}
+    about = {"grade": "quick", "seed": 1, "counts": {}, "envelope_sha256": "0" * 64, "versions": {}, "budget_s": None}
     page, pictures = render_page(json.loads(json.dumps({**about, **summary}).replace("NaN", "null")), _manner())
     assert set(pictures) == {"levels"}
     assert "No single effects" in page

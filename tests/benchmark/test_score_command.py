@@ -38,7 +38,7 @@ def test_sealing_again_finds_the_same_envelope_and_refuses_another_plan(sealed: 
 def test_what_is_done_is_kept(sealed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def work(recordings: Path, name: str) -> dict:
+    def work(recordings: Path, name: str, seconds: float) -> dict:
         assert sorted(p.name for p in recordings.iterdir() if name in p.name) == [
             f"{name}_estimation.csv",
             f"{name}_held_out.csv",
@@ -66,6 +66,10 @@ def test_what_is_done_is_kept(sealed: Path, monkeypatch: pytest.MonkeyPatch) -> 
     (sealed / "diagnoses" / "002.json").write_text(json.dumps(other))
     asked.clear()
     diagnose_all(sealed, work=work)
+    assert asked == ["001", "002"]
+    asked.clear()
+    with pytest.raises(KeyboardInterrupt):
+        diagnose_all(sealed, seconds=9.0, work=work)
     assert asked == ["001", "002"]
     monkeypatch.setattr(benchmark, "stamp", lambda: "other code")
     asked.clear()
