@@ -49,14 +49,13 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10
     and gains nothing by it, is not an equivalent.
     """
     rest = {k for k in best.key if k != effect.key}
-    reference = search.criterion(best)
     out = []
     for f in search.pool.values():
         others = set(f.key) - rest
         if len(f.key) != len(best.key) or len(others) != 1 or not rest <= set(f.key):
             continue
         (key,) = others
-        if key == effect.key or search.criterion(f) - reference > margin:
+        if key == effect.key or search.ahead(best, f) > margin:
             continue
         rival = next(e for e in f.effects if e.key == key)
         if effect.id in type(rival).refines and len(f.hypothesis.entries) > len(best.hypothesis.entries):

@@ -22,14 +22,16 @@ from diagnose.decide import (
 )
 from diagnose.experiment import Experiment, hold_out_blocks, measured_velocity, prepare
 from diagnose.fitter import Fitted, Fitter, HeldOut
+from diagnose.force_orders import force_orders
 from diagnose.least_squares import Fit
-from diagnose.locate import disturbance, locate
+from diagnose.locate import locate
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
 from diagnose.search import Search, SearchOptions
+from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.view import ForceView, MotionView, View
-from diagnose.whiten import effective_share, whitening_filter
+from diagnose.whiten import effective_share, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -94,18 +96,13 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
     r = experiment.recording
     if r.angle is None:
         return ()
-    v = measured_velocity(r)
     if fitter.view.channel == "torque":
-        every = fitter.view.decimate
-        d = disturbance(fitter, fitted)
-        keep = fitter.counted(experiment)
-        one = np.array([1.0])
-        return find_orders(d, r.angle[::every][: len(d)], v[::every][: len(d)], one, one, r.dt * every, keep=keep)
+        return force_orders(fitter, fitted)
     e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
     if e is None:
         return ()
     b, a = torque_to_velocity(fitted.axis, r.dt)
-    return find_orders(e, r.angle, v, b, a, r.dt, keep=fitter.counted(experiment))
+    return find_orders(e, r.angle, measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment))
 
 
 def diagnose(
@@ -144,7 +141,7 @@ def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], b
     # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
     chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
     if not fitter.noise_known:
-        chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.05, p_enter=0.02)
+        chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.02, p_enter=0.02)
     search = Search(fitter, chosen, progress)
     base = search.nominal()
     if not base.ok:
@@ -159,6 +156,7 @@ def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], b
     if not fitter.noise_known:
         search.effective = effective_share(fitter, base)
         search.effective_of = lambda f: effective_share(fitter, f)
+        search.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
     return search, search.run()
 
 
@@ -196,6 +194,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
             f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
         )
     notes += _steps(search, best, _unit(fitter))
+    second = judge_second_encoder(fitter.nominal.chain, fitter.experiments, fitter.held_out)
+    notes += [second.sentence()] if second is not None else []
     if filter_ is not None:
         notes.append(
             "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."

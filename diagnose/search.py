@@ -83,6 +83,7 @@ class Search:
     tested: int = 0
     effective: float = 1.0
     effective_of: Callable[[Fitted], float] | None = None
+    worth_of: Callable[[Fitted, Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:
@@ -98,6 +99,24 @@ class Search:
         order = sum(effect_class(e.id).places.index(e.place) for e in f.effects)
         n = f.n * self.effective
         return n * math.log(max(f.chi2, 1e-300) / f.n) + self.options.price * len(f.hypothesis.entries) + order
+
+    def gain(self, poorer: Fitted, richer: Fitted) -> float:
+        """How far C falls from one structure to the other, each sample counted for what it is worth to tell these two apart."""
+        if self.worth_of is None:
+            return self.criterion(poorer) - self.criterion(richer)
+        order = [sum(effect_class(e.id).places.index(e.place) for e in f.effects) for f in (poorer, richer)]
+        price = self.options.price * (len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
+        n = richer.n * self.worth_of(poorer, richer)
+        return n * math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300)) - price + order[0] - order[1]
+
+    def ahead(self, f: Fitted, other: Fitted) -> float:
+        """How far C of a structure lies below that of another, both counted from what they have in common."""
+        common = self.pool.get(tuple(sorted(set(f.key) & set(other.key))))
+        if self.worth_of is None or common is None:
+            return self.criterion(other) - self.criterion(f)
+        return (self.gain(common, f) if common.key != f.key else 0.0) - (
+            self.gain(common, other) if common.key != other.key else 0.0
+        )
 
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
@@ -191,7 +210,7 @@ class Search:
 
     def pays(self, before: Fitted, after: Fitted) -> bool:
         """Whether ``after`` is better by the criterion, materially, and on held-out data."""
-        if self.criterion(before) - self.criterion(after) < self.options.entry:
+        if self.gain(before, after) < self.options.entry:
             return False
         c = compare(self.held_out(before), self.held_out(after))
         return c.relative_gain > self.options.material and c.p_value * max(1, len(self.candidates)) < self.options.p_enter
@@ -229,13 +248,12 @@ class Search:
     def _best(self, current: Fitted) -> Fitted:
         """The structure with the best criterion among those that pay against the current one."""
         for f in sorted(self.pool.values(), key=self.criterion):
-            if f.key == current.key:
-                return current
-            if self.criterion(current) - self.criterion(f) < (
-                self.options.entry if len(f.effects) > len(current.effects) else 0.5
-            ):
+            larger = len(f.effects) > len(current.effects)
+            if self.worth_of is not None:  # held-out data judge every number that is added
+                larger |= len(f.hypothesis.entries) > len(current.hypothesis.entries)
+            if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
                 continue
-            if len(f.effects) <= len(current.effects) or self.pays(current, f):
+            if not larger or self.pays(current, f):
                 return f
         return current
 

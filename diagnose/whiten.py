@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 
-__all__ = ["effective_share", "levinson", "whitening_filter"]
+__all__ = ["effective_share", "levinson", "whitening_filter", "worth"]
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -38,9 +38,34 @@ def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
         return 1.0
     e = np.where(fitter.counted(experiment), e, 0.0)
     lags = min(lags, len(e) // 4)
+    return float(1.0 / (1.0 + 2.0 * np.sum(_correlation(e, lags) ** 2)))
+
+
+def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, lags: int = 200) -> float:
+    """Share of the samples that are worth an independent one to tell two models apart, 1 / (1 + 2 sum rho_k sigma_k).
+
+    rho: autocorrelation of the richer model's residual, sigma: that of the difference of the two predictions, on the first
+    experiment. A slow error of the model says little about a slow effect and much about a fast one. The poorer model's residual
+    would not do: it holds the effect itself, and is the more correlated the more there is to find.
+    Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536, for the correlation of two series.
+    """
+    experiment = fitter.experiments[0]
+    errors = []
+    for f in (poorer, richer):
+        e = fitter.error(f.hypothesis.axis(f.fit.x, 0), experiment, f.hypothesis.initial(f.fit.x, 0))
+        if e is None:
+            return 1.0
+        errors.append(np.where(fitter.counted(experiment), e, 0.0))
+    lags = min(lags, len(errors[1]) // 4)
+    difference = errors[0] - errors[1]
+    rho, sigma = _correlation(errors[1], lags), _correlation(difference, lags)
+    return 1.0 / max(1.0, 1.0 + 2.0 * float(rho @ sigma))
+
+
+def _correlation(e: np.ndarray, lags: int) -> np.ndarray:
+    """Autocorrelation at lags 1 to ``lags``; nought for a signal that is nought."""
     r = np.array([float(e[: len(e) - k] @ e[k:]) for k in range(lags + 1)])
-    rho = r[1:] / r[0]
-    return float(1.0 / (1.0 + 2.0 * np.sum(rho**2)))
+    return r[1:] / r[0] if r[0] > 0 else np.zeros(lags)
 
 
 def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material: float = 0.02) -> np.ndarray | None:
