@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +23,7 @@ from mjsim.effects import Effect, Scales
 
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
 
+T = TypeVar("T")
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
@@ -123,6 +128,9 @@ class Fitter:
 
     def __post_init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=max(1, self.jobs))
+        self._nested = threading.local()
+        self._counting = threading.Lock()
+        self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
         self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
@@ -161,12 +169,28 @@ class Fitter:
         """Mask of the compared samples that count."""
         return self._counts[id(experiment)]
 
-    def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
-        """Run tasks on the threads; the answers come in the order of the tasks, so that the number of threads changes nothing."""
-        self.runs += len(tasks)
-        if self.jobs <= 1 or len(tasks) == 1:
+    def map(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """Work side by side; answers come in the order of the tasks, so that the number of threads changes nothing.
+
+        A task that itself asks for more does that work on its own thread: the widest level is the one that is spread.
+        """
+        if self.jobs <= 1 or len(tasks) <= 1 or getattr(self._nested, "inside", False):
             return [t() for t in tasks]
-        return list(self._pool.map(lambda t: t(), tasks))
+
+        def alone(task: Callable[[], T]) -> T:
+            self._nested.inside = True
+            try:
+                return task()
+            finally:
+                self._nested.inside = False
+
+        return list(self._pool.map(alone, tasks))
+
+    def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
+        """Run residuals side by side, and count them."""
+        with self._counting:
+            self.runs += len(tasks)
+        return self.map(tasks)
 
     def error(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
         """Measured minus predicted at every compared sample, in the view's unit."""
@@ -245,16 +269,17 @@ class Fitter:
         )
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
-            tolerance: float = 1e-6, borrow: Fitted | None = None) -> Fitted:  # fmt: skip
+            tolerance: float = 1e-6, borrow: Fitted | None = None, secant: bool = False) -> Fitted:  # fmt: skip
         """Fit one hypothesis from its start.
 
         ``borrow``: a fitted neighbour whose sensitivities stand in for the shared parameters in the first iteration.
+        ``secant``: later iterations update the Jacobian and do not difference it anew.
         """
         start = h.start if x0 is None else x0
         J0 = self._borrowed(h, start, borrow, step) if borrow is not None else None
         result = levenberg_marquardt(
             self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=self.run,
-            max_iterations=iterations, tolerance=tolerance, J0=J0,
+            max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant,
         )  # fmt: skip
         return Fitted(h, result, max(len(result.residual) - len(h.nominal.chain.linear_parameters()), 1))
 
@@ -269,12 +294,12 @@ class Fitter:
         if r is None or len(r) != base.fit.J.shape[0]:
             return None
 
-        def partial(z: np.ndarray) -> np.ndarray | None:
+        def partly(z: np.ndarray) -> np.ndarray | None:
             y = x.copy()
             y[own] = z
             return residual(y)
 
-        part = jacobian(partial, x[own], r, np.full(len(own), step), lower[own], upper[own], self.run)
+        part = jacobian(partly, x[own], r, np.full(len(own), step), lower[own], upper[own], self.run)
         if part is None:
             return None
         J = np.empty((len(r), len(x)))
@@ -328,7 +353,13 @@ class Fitter:
         return HeldOut(np.array(sse), np.array(count), float(np.sqrt(squares / total)), float(np.sqrt(squares / spread)))
 
     def own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
-        """The fitted axis with this experiment's own phases and initial speed, estimated on it."""
+        """The fitted axis with this experiment's own phases and initial speed, estimated on it; remembered."""
+        known = (fitted.key, h.nominal.effects, fitted.fit.x.tobytes(), self.whitening.tobytes(), id(experiment))
+        if known not in self._own:
+            self._own[known] = self._own_values(h, fitted, experiment)
+        return self._own[known]
+
+    def _own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
         moving = experiment.moving and self.view.channel == "velocity"
         alone = Hypothesis.build(
             h.nominal, fitted.effects, self.scales, 1, (moving,), fitted.linear,
@@ -347,21 +378,21 @@ class Fitter:
                     return None
 
             lower, upper = alone.bounds
-            best: Fit | None = None
             phases = [i for i, e in enumerate(alone.entries) if e.recording >= 0 and e.name == "phase_rad"]
-            starts = [x[free]]
-            if phases:
-                for turn in (1.57, 3.14, -1.57):
+            start = x[free]
+            if phases:  # the response turns with the phase: the basin is the quarter turn with the least error
+                starts = []
+                for turn in (0.0, 1.57, 3.14, -1.57):
                     y = x.copy()
                     y[phases] += turn
                     starts.append(y[free])
-            for z0 in starts:
-                f = levenberg_marquardt(
-                    residual, z0, (lower[free], upper[free]), step=np.full(int(free.sum()), 1e-3), run=self.run, max_iterations=8
-                )
-                if f.status is not Status.FAILED and (best is None or f.cost < best.cost):
-                    best = f
-            if best is None:
+                costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(residual, z0) for z0 in starts])]
+                start = starts[int(np.argmin(costs))]
+            best = levenberg_marquardt(
+                residual, start, (lower[free], upper[free]), step=np.full(int(free.sum()), 1e-3), run=self.run,
+                max_iterations=8,
+            )  # fmt: skip
+            if best.status is Status.FAILED:
                 return None
             x[free] = best.x
         return alone.axis(x, 0), alone.initial(x, 0)

@@ -8,8 +8,10 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from diagnose.candidates import candidates
 from diagnose.decide import (
@@ -122,7 +124,8 @@ def diagnose(
     estimation, held = _experiments(recordings, held_out)
     fitter = Fitter(nominal, view, estimation, held, options.jobs, _varies(nominal, recordings[0]))
     try:
-        return _diagnose(fitter, options, progress, began)
+        with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
+            return _diagnose(fitter, options, progress, began)
     finally:
         fitter.close()
 
@@ -379,8 +382,10 @@ def _at(fitted: Fitted, x: np.ndarray) -> Fit:
 def _rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     reference = search.criterion(best)
     out: list[Rival] = []
-    for f in sorted(search.pool.values(), key=search.criterion)[:most]:
-        held = search.held.get(f.key) or (search.held_out(f) if len(out) < 8 else None)
+    ranked = sorted(search.pool.values(), key=search.criterion)[:most]
+    search.fitter.map([partial(search.held_out, f) for f in ranked[:8]])
+    for f in ranked:
+        held = search.held.get(f.key)
         out.append(
             Rival(f.key, len(f.hypothesis.entries), _rms(search.fitter, f), held.rms if held else math.nan,
                   search.criterion(f) - reference, f.fit.status.name.lower())

@@ -92,10 +92,13 @@ def levenberg_marquardt(
     tolerance: float = 1e-5,
     damping: float = 1e-3,
     J0: np.ndarray | None = None,
+    secant: bool = False,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
-    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, when known.
+    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, when known;
+    secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
+    Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -107,12 +110,16 @@ def levenberg_marquardt(
     if cost == 0.0:
         return Fit(x, 0.0, r, np.zeros((len(r), n_x)), Status.CONVERGED, 0, 0.0)
     mu = damping
+    r_old, d = r, np.zeros(n_x)
     J = np.empty((len(r), n_x))
     status = Status.BUDGET
     gain = np.inf
     iteration = 0
     for iteration in range(1, max_iterations + 1):
-        new_J = J0 if J0 is not None and iteration == 1 else jacobian(residual, x, r, step, lower, upper, run)
+        if secant and iteration > 1:
+            new_J: np.ndarray | None = J + np.outer(r - r_old - J @ d, d / (d @ d))
+        else:
+            new_J = J0 if J0 is not None and iteration == 1 else jacobian(residual, x, r, step, lower, upper, run)
         if new_J is None:
             status = Status.STALLED
             break
@@ -136,6 +143,7 @@ def levenberg_marquardt(
             r_new = residual(trial)
             if r_new is not None and (c_new := float(r_new @ r_new)) < cost:
                 actual = (cost - c_new) / cost
+                r_old = r
                 x, r, cost = trial, r_new, c_new
                 mu = max(mu * (0.1 if actual > 0.5 * gain else 1.0), 1e-9)
                 improved = True

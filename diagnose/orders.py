@@ -1,8 +1,8 @@
 """Which spatial frequencies of the motor angle stand out of a residual: starts for ripple, transmission error and their like.
 
 A torque locked to the angle, cos(n q) or sin(n q), reaches the velocity through the fitted linear axis. For each order n the
-residual's energy that the two regressors explain is computed; peaks over n are the orders. The search is linear, so its
-cost is one filtering per order.
+residual's energy that the two regressors explain is computed; peaks over n are the orders. All orders are ranked by one
+product each (the residual filtered backwards, the energy of the regressors taken at the momentary frequency), the best exactly.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def find_orders(
     residual, angle, velocity (N,): velocity residual, measured motor angle and velocity; (b, a): torque to velocity.
     Orders range from one period over the travel to the one whose frequency reaches a quarter of the sampling rate.
     """
-    from scipy.signal import lfilter
+    from scipy.signal import freqz, lfilter
 
     travel = float(np.ptp(angle))
     if travel <= 0:
@@ -62,26 +62,29 @@ def find_orders(
     grid = np.geomspace(low, top, count) if top / low > 50 else np.linspace(low, top, count)
     # integer orders are likely: a turn of the motor is a period of what is fixed to it
     grid = np.unique(np.concatenate([grid, np.arange(1.0, min(top, 64.0) + 0.5)]))
-    every = max(1, int(0.5 / (dt * 1000)))
     mask = np.ones(len(residual), bool) if keep is None else keep
     y = (residual - residual.mean()) * mask
+    # correlating with a filtered wave is correlating the wave with what the transposed filter makes of the residual
+    z = lfilter(b, a, y[::-1])[::-1]
+    near = np.geomspace(1e-4, np.pi, 400)
+    response = np.abs(freqz(b, a, near)[1]) ** 2
     found: list[tuple[float, float]] = []
-    for weight in (None, np.sign(velocity)):
-        power = np.empty(len(grid))
-        for i, n in enumerate(grid):
-            x = np.column_stack([np.sin(n * angle), np.cos(n * angle)])
-            if weight is not None:
-                x *= weight[:, None]
-            x = lfilter(b, a, x, axis=0)[::every] * mask[::every, None]
-            gram = x.T @ x + 1e-12 * np.trace(x.T @ x) * np.eye(2)
-            c = x.T @ y[::every]
-            power[i] = float(c @ np.linalg.solve(gram, c))
-        for i in np.argsort(power)[::-1]:
-            left, right = power[max(i - 1, 0)], power[min(i + 1, len(grid) - 1)]
-            if power[i] >= left and power[i] >= right:
-                found.append((power[i], float(grid[i])))
-                if sum(1 for _ in found) >= most * (1 if weight is None else 2):
-                    break
+    weights = (np.ones(len(angle)), np.sign(velocity))
+    numerators = np.stack([weight * z for weight in weights], axis=1)
+    roughs = np.empty((len(grid), 2))
+    for i, n in enumerate(grid):
+        # the energy behind the filter, where the speed changes slowly
+        energy = 0.5 * float(np.interp(n * np.abs(velocity) * dt, near, response) @ mask)
+        c, s = np.cos(n * angle) @ numerators, np.sin(n * angle) @ numerators
+        roughs[i] = (c**2 + s**2) / max(energy, 1e-300)
+    for weight, rough in zip(weights, roughs.T, strict=True):
+        at_top = [i for i in range(len(grid)) if rough[i] >= max(rough[max(i - 1, 0)], rough[min(i + 1, len(grid) - 1)])]
+        for i in sorted(at_top, key=lambda i: -rough[i])[: 3 * most]:
+            x = np.column_stack([np.sin(grid[i] * angle), np.cos(grid[i] * angle)]) * weight[:, None]
+            x = lfilter(b, a, x, axis=0) * mask[:, None]
+            gram = x.T @ x
+            c = x.T @ y
+            found.append((float(c @ np.linalg.lstsq(gram, c, rcond=1e-12)[0]), float(grid[i])))
     found.sort(reverse=True)
     out: list[float] = []
     for _, n in found:

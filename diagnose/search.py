@@ -9,15 +9,18 @@ A move is made only when it also pays on held-out data. Thresholds: docs/decisio
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, screen
 from diagnose.fitter import Fitted, Fitter, HeldOut, key_of
+from diagnose.hypothesis import make
 from diagnose.least_squares import Status
 from mjsim.effects import Effect, effect_class
 
@@ -172,41 +175,65 @@ class Search:
 
     def _race(self, base: Fitted, entrants: Sequence[tuple[tuple[Effect, ...], Screened]]) -> list[Fitted]:
         """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win."""
-        running: list[Fitted] = []
         far = base.chi2 > 1.5 * base.n
-        for present, s in entrants:
-            if self._spent():
-                break
-            structure = effect_class(s.candidate.id).family == "structure"
-            linears = (base.linear, None) if far else (base.linear,)
-            guesses = [
-                self.fitter.hypothesis((*present, effect), linear, base.own)
-                for linear in linears for effect in s.starts[: None if structure else 2]
-            ]  # fmt: skip
-            costs = self.fitter.run([self.fitter.at_start(h) for h in guesses])
-            cost = [math.inf if c is None else float(c @ c) for c in costs]
-            order = sorted(range(len(guesses)), key=lambda i: cost[i])[: 6 if structure else 1]
-            borrows = [base if i < len(guesses) // len(linears) else None for i in order]
-            fits = [
-                self.fitter.fit(guesses[i], iterations=2, tolerance=1e-4, borrow=borrow)
-                for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
-            ]  # fmt: skip
-            fits = [f for f in fits if f.ok]
-            if fits:
-                running.append(min(fits, key=lambda f: f.chi2))
-            else:
+        # spread over rivals as long as there are enough of them
+        firsts = [] if self._spent() else self.fitter.map([partial(self._enter, base, p, s, far) for p, s in entrants])
+        running: list[Fitted] = []
+        for (_, s), first in zip(entrants, firsts, strict=False):
+            if first is None:
                 self.failed[s.candidate.key] = "no start could be run"
+            else:
+                running.append(first)
         # (how many go on, for how many iterations, how far behind the leader they may be, in units of n)
         for keep, iterations, behind in ((6, 3, 1.5), (4, 6, 0.4), (3, 20, 0.05)):
             running.sort(key=lambda f: f.chi2)
             best = running[0].chi2 if running else 0.0
-            for rank, f in enumerate(running[:keep]):
-                near = rank == 0 or math.log(f.chi2 / best) < behind
-                if near and f.fit.status is Status.BUDGET and not self._spent():
-                    running[rank] = self.fitter.fit(f.hypothesis, f.fit.x, iterations=iterations)
+            on = [
+                rank for rank, f in enumerate(running[:keep])
+                if f.fit.status is Status.BUDGET and (rank == 0 or math.log(f.chi2 / best) < behind)
+            ]  # fmt: skip
+            if not on or self._spent():
+                continue
+            longer = [partial(self.fitter.fit, running[k].hypothesis, running[k].fit.x, iterations=iterations) for k in on]
+            for rank, f in zip(on, self.fitter.map(longer), strict=True):
+                running[rank] = f
         for f in running:
             self._keep(f)
         return running
+
+    def _enter(self, base: Fitted, present: tuple[Effect, ...], s: Screened, far: bool) -> Fitted | None:
+        """A few cheap iterations from the best starts of one rival; None when none of them can be run."""
+        # the response of these is not linear in their amplitude, and a stiffness has drifted to stand in for them: they begin
+        # from the nominal parameters as well, with amplitudes that no secant has moved
+        cls = effect_class(s.candidate.id)
+        curved = cls.family in ("structure", "coupling")
+        guesses = [self.fitter.hypothesis((*present, e), base.linear, base.own) for e in s.starts[: None if curved else 2]]
+        borrowing = len(guesses)
+        if curved:
+            raw = [make(cls.id, s.candidate.place, v) for v in cls.starts(self.fitter.scales_for(cls, s.candidate.place))]
+            guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in raw]
+        elif far:
+            guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in s.starts[:2]]
+        residuals = self.fitter.run([self.fitter.at_start(h) for h in guesses])
+        # what the base's own parameters will take up does not count against a start
+        q, _ = np.linalg.qr(base.fit.J / (np.linalg.norm(base.fit.J, axis=0) + 1e-300))
+        cost = [math.inf if r is None else float(r @ r) - float(np.sum((q.T @ r) ** 2)) if len(r) == len(q) else float(r @ r)
+                for r in residuals]  # fmt: skip
+        most = {"structure": 6, "coupling": 3}.get(cls.family, 1)
+        order = sorted(range(len(guesses)), key=lambda i: cost[i])[:most]
+        borrows = [base if i < borrowing else None for i in order]
+        fits = [
+            self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=not curved)
+            for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
+        ]  # fmt: skip
+        first = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+        if first is None:
+            return None
+        if curved and first.fit.status is Status.BUDGET:
+            # on a curved way it is early to say how far it leads: on while it falls fast
+            first = self.fitter.fit(first.hypothesis, first.fit.x, iterations=6, tolerance=0.02)
+        # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
+        return dataclasses.replace(first, fit=dataclasses.replace(first.fit, status=Status.BUDGET))
 
     def pays(self, before: Fitted, after: Fitted) -> bool:
         """Whether ``after`` is better by the criterion, materially, and on held-out data."""
@@ -226,9 +253,9 @@ class Search:
                 if state.key in expanded or len(state.effects) >= self.options.depth:
                     continue
                 expanded.add(state.key)
-                self.expand(state)
-                if self._spent():
-                    break
+                grown = self.expand(state)
+                if self._spent() or (state.key == current.key and not grown):
+                    break  # nothing can be added to the best structure: its rivals are not built on either
             best = self._best(current)
             self.refine(best)
             best = self._best(current)

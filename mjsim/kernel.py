@@ -7,6 +7,7 @@ in the parameters. Laws are called by address (`mjsim.effects.law`), so that one
 Where the axis is affine between events (``affine``), a whole step is one product with the matrix exponential of the mode, kept
 for each mode that occurs; the matrices are read off the same rates, and RK4 only lands on events.
 
+``bodies``: a tuple of n zeros; its length is a constant of the compiled code, so that every loop over bodies unrolls.
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address, first parameter, state index or -1. ``p``: parameters.
@@ -51,14 +52,14 @@ def _call_law(typingctx, address, z, p, out):  # pragma: no cover
 _call: Any = _call_law
 
 
-def _rates_of(f, gap_law, gain, el, p, x, t, u, mode, w, z):
+def _rates_of(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     """Accelerations and internal rates at one instant.
 
     Writes w (n_w, m): rows 0 accelerations, 1 torque balance without friction, 2 / 3 breakaway levels forward / backward of
     stuck bodies, 4 coupling torques, 5 elastic deflections, 6 deflection rates, 7 kinematic slopes, 8 alpha, 9 beta, 10 sliding
     friction (signed), 11 effective inertias, 12 raw deflections.
     """
-    n = f.shape[1]
+    n = len(bodies)
     za, pa = z.ctypes.data, p.ctypes.data
     oa = za + 8 * N_LOCAL
     for j in range(n - 1):
@@ -100,6 +101,7 @@ def _rates_of(f, gap_law, gain, el, p, x, t, u, mode, w, z):
         z[0] = t
         z[1] = w[5, j]
         z[2] = w[6, j] if connected else 0.0
+        z[5] = x[0, j] + w[13, j]
         z[7] = x[2, si] if si >= 0 else 0.0
         _call(el[e, 2], za, pa + 8 * el[e, 3], oa)
         if connected:
@@ -165,13 +167,13 @@ def _rates_of(f, gap_law, gain, el, p, x, t, u, mode, w, z):
         w[0, i] = (w[1, i] - w[10, i]) / w[11, i]
 
 
-_rates: Any = njit(cache=True, nogil=True)(_rates_of)
+_rates: Any = njit(cache=True, nogil=True, error_model="numpy")(_rates_of)
 _rates_here: Any = njit(cache=True, nogil=True, inline="always")(
     _rates_of
 )  # in the step: passing arrays costs as much as the work
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _relax(s, alpha, beta, h):
     """Exact flow of s' = alpha - beta s over h."""
     x = beta * h
@@ -181,13 +183,13 @@ def _relax(s, alpha, beta, h):
     return s * decay + alpha * (1.0 - decay) / beta
 
 
-@njit(cache=True, nogil=True)
-def _step(f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z):
     """One RK4 step of length h from x to xn (each 3 x m: q, v, s); u relaxes from ``lag`` to ``u`` when tau > 0.
 
     wk (17, m) holds the stage slopes and, in its last row, the coupling torques at the start.
     """
-    n = f.shape[1]
+    n = len(bodies)
     for stage in range(4):
         c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         ut = u if tau <= 0.0 else u + (lag - u) * np.exp(-c * h / tau)
@@ -204,7 +206,7 @@ def _step(f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z
                 xn[1, i] = x[1, i] + c * h * wk[b + 1, i]
             for i in range(n_s):
                 xn[2, i] = _relax(x[2, i], wk[b + 2, i], wk[12 + stage - 1, i], c * h)
-        _rates_here(f, gap_law, gain, el, p, xn, t + c * h, ut, mode, w, z)
+        _rates_here(bodies, f, gap_law, gain, el, p, xn, t + c * h, ut, mode, w, z)
         b = 3 * stage
         for i in range(n):
             wk[b, i] = xn[1, i]
@@ -223,20 +225,20 @@ def _step(f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z
         xn[2, i] = _relax(x[2, i], alpha, beta, h)
 
 
-@njit(cache=True, nogil=True)
-def _margin(event, f, gap_law, gain, el, p, x, t, u, mode, w, z):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _margin(event, bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     """Event function, positive while the mode holds. Events 0..n-1: friction of a body; n..: gap of a coupling."""
-    n = f.shape[1]
+    n = len(bodies)
     if event < n:
         if mode[0, event] != 0:
             return mode[0, event] * x[1, event]
-        _rates(f, gap_law, gain, el, p, x, t, u, mode, w, z)
+        _rates(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z)
         force = w[1, event]
         return min(w[2, event] - force, force + w[3, event])
     j = event - n
     # a kinematic error shifts the deflection, so it is read from the rates when there is one
     if el.shape[0] > 0 and el[0, 0] == KIND_TWIST:
-        _rates(f, gap_law, gain, el, p, x, t, u, mode, w, z)
+        _rates(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z)
         d = w[12, j]
     else:
         d = f[2, j] * x[0, j] - x[0, j + 1]
@@ -245,16 +247,16 @@ def _margin(event, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     return f[5, j] - abs(d)
 
 
-@njit(cache=True, nogil=True)
-def _settle(f, gap_law, gain, el, p, x, t, u, mode, w, z):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _settle(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     """Re-decide stick or slip of every body at rest, after the torques jumped."""
-    n = f.shape[1]
+    n = len(bodies)
     for _ in range(2):
         for i in range(n):
             if mode[2, i] == 1 and x[1, i] == 0.0:
                 old = mode[0, i]
                 mode[0, i] = 0
-                _rates(f, gap_law, gain, el, p, x, t, u, mode, w, z)
+                _rates(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z)
                 force = w[1, i]
                 if force > w[2, i] or (force >= w[2, i] and old == 1):
                     mode[0, i] = 1
@@ -262,14 +264,14 @@ def _settle(f, gap_law, gain, el, p, x, t, u, mode, w, z):
                     mode[0, i] = -1
 
 
-@njit(cache=True, nogil=True)
-def _propagator(f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _propagator(bodies, f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
     """Matrices of the present mode over y = (q, v, lagged input, held input, 1), N = 2n + 3, read off the rates.
 
     Writes phis (2, 2n+1, N): y(h) - y(0) for both steps h; rows (4n, N): accelerations, balances without friction, their rates
     of change, coupling torques; level (2, n): breakaway levels forward and backward. a, power, term (N, N) are scratch.
     """
-    n = f.shape[1]
+    n = len(bodies)
     size = 2 * n + 3
     a[:] = 0.0
     rows[:] = 0.0
@@ -277,7 +279,7 @@ def _propagator(f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, t
         for i in range(n):
             xt[0, i] = 1.0 if c == i else 0.0
             xt[1, i] = 1.0 if c == n + i else 0.0
-        _rates(f, gap_law, gain, el, p, xt, 0.0, 1.0 if c == 2 * n else 0.0, mode, w, z)
+        _rates(bodies, f, gap_law, gain, el, p, xt, 0.0, 1.0 if c == 2 * n else 0.0, mode, w, z)
         column = size - 1 if c < 0 else c
         if c == 2 * n and tau <= 0.0:
             column = 2 * n + 1
@@ -329,7 +331,7 @@ def _propagator(f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, t
                         phis[seg, r, c] += term[r, c]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _dips(g0, s0, g1, s1, h):
     """Whether the cubic through two margins and their slopes falls below zero in between; the time of its minimum, or -1."""
     if not (s0 < 0.0 and s1 > 0.0):
@@ -348,7 +350,7 @@ def _dips(g0, s0, g1, s1, h):
     return e * h if g0 + e * (a + e * (b + e * c)) < 0.0 else -1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cubic_root(g0, s0, g1, s1, h):
     """Where the cubic through a margin that holds at 0 and is violated at h crosses zero, and its slope there."""
     a = s0 * h
@@ -374,9 +376,9 @@ def _cubic_root(g0, s0, g1, s1, h):
     return e * h, slope / h
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def integrate(
-    f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, affine, x0, s0, angle, locked, t0, out
+    bodies, f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, affine, x0, s0, angle, locked, t0, out
 ):
     """Free run. u (N) torque held over each sample; out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
 
@@ -384,7 +386,7 @@ def integrate(
     torque ahead of the first sample; tau > 0 lags it. ``affine``: the equations are affine in every mode. angle (N): measured
     angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample): 0 done, 1 diverged at that sample.
     """
-    n = f.shape[1]
+    n = len(bodies)
     n_s = s0.shape[0]
     m = max(n, n_s, 1)
     x = np.zeros((3, m))
@@ -404,7 +406,7 @@ def integrate(
             mode[0, i] = 1
     for i in range(n_s):
         x[2, i] = s0[i]
-    _rates(f, gap_law, gain, el, p, x, t0, u[0], mode, w, z)
+    _rates(bodies, f, gap_law, gain, el, p, x, t0, u[0], mode, w, z)
     for j in range(n - 1):
         if f[5, j] > 0.0:
             mode[1, j] = 1 if w[12, j] > f[5, j] else (-1 if w[12, j] < -f[5, j] else 0)
@@ -460,7 +462,24 @@ def integrate(
             if keys[slot] != code:
                 keys[slot] = code
                 _propagator(
-                    f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis[slot], rows[slot], levels[slot]
+                    bodies,
+                    f,
+                    gap_law,
+                    gain,
+                    el,
+                    p,
+                    mode,
+                    tau,
+                    steps,
+                    w,
+                    z,
+                    xt,
+                    a,
+                    power,
+                    term,
+                    phis[slot],
+                    rows[slot],
+                    levels[slot],
                 )
             for i in range(n):
                 y[i] = x[0, i]
@@ -471,7 +490,7 @@ def integrate(
                     dot += rows[slot, 3 * n + j, c] * y[c]
                 out[k, 2 * n + n_s + j] = dot
         elif k == total - 1:
-            _rates(f, gap_law, gain, el, p, x, t, u[k], mode, w, z)
+            _rates(bodies, f, gap_law, gain, el, p, x, t, u[k], mode, w, z)
             for j in range(n - 1):
                 out[k, 2 * n + n_s + j] = w[4, j]
         if not np.isfinite(x[1, 0]) or abs(x[1, 0]) > 1e12:
@@ -495,6 +514,7 @@ def integrate(
                     if keys[slot] != code:
                         keys[slot] = code
                         _propagator(
+                            bodies,
                             f,
                             gap_law,
                             gain,
@@ -589,11 +609,14 @@ def integrate(
                         lag = yn[2 * n] if tau > 0.0 else uk
                         t += left
                         continue
-                if any_event:
+                resting = False
+                for i in range(n):
+                    resting = resting or (mode[2, i] == 1 and x[1, i] == 0.0)
+                if resting:
                     ue = uk if tau <= 0.0 else lag
-                    _settle(f, gap_law, gain, el, p, x, t, ue, mode, w, z)
+                    _settle(bodies, f, gap_law, gain, el, p, x, t, ue, mode, w, z)
                 while left > 0.0:
-                    _step(f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
+                    _step(bodies, f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
                     if first:
                         first = False
                         for j in range(n - 1):
@@ -607,7 +630,10 @@ def integrate(
                                 continue
                             if ev >= n and f[5, ev - n] <= 0.0:
                                 continue
-                            g = _margin(ev, f, gap_law, gain, el, p, xn, t + h, ue, mode, w, z)
+                            if ev < n and mode[0, ev] != 0:
+                                g = mode[0, ev] * xn[1, ev]  # here, as a call passes every array
+                            else:
+                                g = _margin(ev, bodies, f, gap_law, gain, el, p, xn, t + h, ue, mode, w, z)
                             hi = h
                             smooth = True
                             s0 = 0.0
@@ -633,22 +659,22 @@ def integrate(
                                 hi = _dips(g0, s0, g, s1, h)
                                 if hi < 0.0:
                                     continue
-                                _step(f, gap_law, gain, el, p, x, xt, hi, t, uk, lag, tau, n_s, mode, w, wk, z)
+                                _step(bodies, f, gap_law, gain, el, p, x, xt, hi, t, uk, lag, tau, n_s, mode, w, wk, z)
                                 um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-hi / tau)
-                                g = _margin(ev, f, gap_law, gain, el, p, xt, t + hi, um, mode, w, z)
+                                g = _margin(ev, bodies, f, gap_law, gain, el, p, xt, t + hi, um, mode, w, z)
                                 if g >= 0.0:
                                     continue
                                 smooth = False
                             # bracket [lo, hi]: holds at lo, violated at hi
                             lo, ghi = 0.0, g
-                            glo = _margin(ev, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, w, z)
+                            glo = _margin(ev, bodies, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, w, z)
                             if glo <= 0.0:
                                 # the mode was entered at this very instant: look for a moment at which it holds
                                 probe = 0.5 * h
                                 while probe > 1e-6 * dt:
-                                    _step(f, gap_law, gain, el, p, x, xt, probe, t, uk, lag, tau, n_s, mode, w, wk, z)
+                                    _step(bodies, f, gap_law, gain, el, p, x, xt, probe, t, uk, lag, tau, n_s, mode, w, wk, z)
                                     up = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-probe / tau)
-                                    gp = _margin(ev, f, gap_law, gain, el, p, xt, t + probe, up, mode, w, z)
+                                    gp = _margin(ev, bodies, f, gap_law, gain, el, p, xt, t + probe, up, mode, w, z)
                                     if gp > 0.0:
                                         lo, glo = probe, gp
                                         break
@@ -664,9 +690,9 @@ def integrate(
                                 for it in range(60):
                                     if not (mid > lo and mid < hi):
                                         mid = 0.5 * (lo + hi)
-                                    _step(f, gap_law, gain, el, p, x, xt, mid, t, uk, lag, tau, n_s, mode, w, wk, z)
+                                    _step(bodies, f, gap_law, gain, el, p, x, xt, mid, t, uk, lag, tau, n_s, mode, w, wk, z)
                                     um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-mid / tau)
-                                    gm = _margin(ev, f, gap_law, gain, el, p, xt, t + mid, um, mode, w, z)
+                                    gm = _margin(ev, bodies, f, gap_law, gain, el, p, xt, t + mid, um, mode, w, z)
                                     if it > 0 and mid != before_t:
                                         slope = (gm - before_g) / (mid - before_t)
                                     before_t, before_g = mid, gm
@@ -684,7 +710,7 @@ def integrate(
                                     mid = mid + move if it < 12 else 0.5 * (lo + hi)
                             h = hi
                             hit = ev
-                            _step(f, gap_law, gain, el, p, x, xn, h, t, uk, lag, tau, n_s, mode, w, wk, z)
+                            _step(bodies, f, gap_law, gain, el, p, x, xn, h, t, uk, lag, tau, n_s, mode, w, wk, z)
                             ue = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-h / tau)
                     for i in range(n):
                         x[0, i] = xn[0, i]
@@ -703,27 +729,27 @@ def integrate(
                                 x[1, hit] = 0.0
                                 mode[0, hit] = 0
                             else:
-                                _rates(f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+                                _rates(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
                                 mode[0, hit] = 1 if w[1, hit] > 0.5 * (w[2, hit] - w[3, hit]) else -1
                         else:
                             j = hit - n
                             if mode[1, j] != 0:
                                 mode[1, j] = 0
                             else:
-                                _rates(f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+                                _rates(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
                                 mode[1, j] = 1 if w[12, j] > 0 else -1
-                        _settle(f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+                        _settle(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
     return 0, total
 
 
-@njit(cache=True, nogil=True)
-def drive(f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
+@njit(cache=True, nogil=True, error_model="numpy")
+def drive(bodies, f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
     """Inverse dynamics: body 0 is moved as measured (q0, v0, a0, each (N)); out (N) receives the input torque that this needs.
 
     Bodies behind it run free from the deflections ``rest`` (2, n) relative to a rigid chain. Friction of body 0 takes the
     direction of v0; the other bodies' friction acts by direction too. Returns (status, sample).
     """
-    n = f.shape[1]
+    n = len(bodies)
     n_s = 0
     for e in range(el.shape[0]):
         if el[e, 4] >= 0:
@@ -752,7 +778,7 @@ def drive(f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
             if f[5, j] > 0.0:
                 d = f[2, j] * x[0, j] - x[0, j + 1]
                 mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
-        _rates(f, gap_law, gain, el, p, x, t, 0.0, mode, w, z)
+        _rates(bodies, f, gap_law, gain, el, p, x, t, 0.0, mode, w, z)
         out[k] = (w[11, 0] * a0[k] - w[1, 0] + w[10, 0]) / gain
         if not np.isfinite(out[k]):
             return 1, k
@@ -792,7 +818,7 @@ def drive(f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
                     if f[5, j] > 0.0:
                         d = f[2, j] * xn[0, j] - xn[0, j + 1]
                         mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
-                _rates(f, gap_law, gain, el, p, xn, t + g * dt, 0.0, mode, w, z)
+                _rates(bodies, f, gap_law, gain, el, p, xn, t + g * dt, 0.0, mode, w, z)
                 for i in range(n):
                     wk[3 * stage, i] = xn[1, i]
                     wk[3 * stage + 1, i] = w[0, i]

@@ -97,7 +97,7 @@ def simulate(
         raise DivergedError(f"the model is too stiff: it needs {n_sub} steps a sample, {most_substeps} are allowed")
     out = np.empty((count, 2 * n + s.n_states + n - 1))
     status, at = kernel.integrate(
-        s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
+        (0,) * n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
         float(before), s.input_lag, n_sub, s.affine, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     if status:
@@ -193,7 +193,7 @@ def inverse(
     speed = float(np.max(np.abs(velocity))) if len(velocity) else 0.0
     out = np.empty(len(angle))
     status, at = kernel.drive(
-        s.f, s.gap_law, s.chain.gain, s.elements, s.parameters,
+        (0,) * s.n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters,
         _own(angle), _own(velocity), _own(acceleration),
         dt, s.substeps(dt, speed), t0, np.zeros((2, s.n)) if rest is None else _own(rest), out,
     )  # fmt: skip

@@ -62,8 +62,7 @@ class Hysteresis(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        t = scales.stiffness * scales.deflection
         return [
-            {"torque_Nm": 0.05 * t, "stiffness_Nm_rad": 0.3 * scales.stiffness},
-            {"torque_Nm": 0.1 * t, "stiffness_Nm_rad": 2.0 * scales.stiffness},
-        ]
+            {"torque_Nm": part * stiffness * scales.deflection, "stiffness_Nm_rad": stiffness}
+            for stiffness in (0.3 * scales.stiffness, 2.0 * scales.stiffness) for part in (0.2, 1.0)
+        ]  # fmt: skip
