@@ -32,6 +32,7 @@ from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdi
 from diagnose.search import Search, SearchOptions
 from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
+from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View
 from diagnose.whiten import effective_share, whitening_filter, worth
 from mjsim.axis import Axis
@@ -185,6 +186,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     found = _findings(search, best, options)
     motion = motion_error(fitter, base), motion_error(fitter, best)
     verdict = _verdict(search, base, best, structure, motion, options)
+    mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     notes = list(unphysical(fitter.nominal))
     if motion[1] is not None and verdict is Verdict.UNEXPLAINED:
         notes.append(
@@ -196,6 +198,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
             f"Structure remains that no known effect accounts for: the recorded input and motion predict "
             f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
         )
+    if verdict is Verdict.UNEXPLAINED and mapped is None:
+        notes.append("No torque map over one or two state variables lowers the held-out error for sure: none is given.")
     notes += _steps(search, best, _unit(fitter))
     second = judge_second_encoder(fitter.nominal.chain, fitter.experiments, fitter.held_out)
     notes += [second.sentence()] if second is not None else []
@@ -209,6 +213,9 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
             "it is reported as changed parameters."
         )
     fits, gap = _figures(fitter, search, base, best)
+    if mapped is not None:
+        h, x = mapped.fitted.hypothesis, mapped.fitted.fit.x
+        fits["mapped"] = _error_figures(fitter, lambda i: h.axis(x, i), mapped.fitted, mapped.held_out)
     experiment = fitter.experiments[0]
     unit = _unit(fitter)
     return Diagnosis(
@@ -228,7 +235,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
         channel=fitter.view.channel,
         unit=unit,
         view="motion (free run)" if fitter.view.channel == "velocity" else "force (inverse dynamics)",
-        traces=_traces(fitter, base, best),
+        traces=_traces(fitter, base, best, mapped.fitted if mapped is not None else None),
         recordings=tuple(
             {"file": e.recording.source, "sha256": e.recording.sha256, "role": role}
             for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)) for e in group
@@ -236,6 +243,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
         seed=options.seed,
         seconds=time.monotonic() - began,
         versions=_versions(),
+        map=mapped.result if mapped is not None else None,
     )  # fmt: skip
 
 
@@ -398,12 +406,12 @@ def _rms(fitter: Fitter, fitted: Fitted) -> float:
     return _error_figures(fitter, lambda i: fitted.hypothesis.axis(fitted.fit.x, i), fitted, None).rms
 
 
-def _traces(fitter: Fitter, base: Fitted, best: Fitted) -> tuple[Traces, ...]:
+def _traces(fitter: Fitter, base: Fitted, best: Fitted, mapped: Fitted | None = None) -> tuple[Traces, ...]:
     out = []
     for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)):
         for i, experiment in enumerate(group):
             signals = []
-            for f in (None, base, best):
+            for f in (None, base, best, *([] if mapped is None else [mapped])):
                 if f is None:
                     signals.append(fitter.view.signals(fitter.nominal, experiment, None))
                     continue
@@ -413,13 +421,13 @@ def _traces(fitter: Fitter, base: Fitted, best: Fitted) -> tuple[Traces, ...]:
                     solved = fitter.own_values(f.hypothesis, f, experiment)
                     axis, initial = solved if solved is not None else (f.axis, None)
                 signals.append(fitter.view.signals(axis, experiment, initial))
-            given, refitted, corrected = signals
+            given, refitted, corrected, *more = signals
             if refitted is None or corrected is None:
                 continue
             out.append(
                 Traces(experiment.recording.source, role, refitted.time, refitted.measured, given.predicted if given else None,
                        refitted.predicted, corrected.predicted, fitter.counted(experiment),
-                       experiment.sigma if fitter.noise_known else math.nan)
+                       experiment.sigma if fitter.noise_known else math.nan, more[0].predicted if more and more[0] else None)
             )  # fmt: skip
     return tuple(out)
 

@@ -12,11 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from mjsim.effects import Effect
+from mjsim.torque_map import TorqueMap
+
 __all__ = [
     "Diagnosis",
     "Estimate",
     "Finding",
     "FitFigures",
+    "MapResult",
+    "MapVariable",
     "Mismatch",
     "Place",
     "Rival",
@@ -152,6 +157,63 @@ class FitFigures:
         return {"rms": self.rms, "nrmse": self.nrmse, "held_out_rms": self.held_out_rms, "held_out_nrmse": self.held_out_nrmse}
 
 
+@dataclass(frozen=True, eq=False)
+class MapVariable:
+    """A variable of a torque map: its name, unit and the values (n,) at which the map is given."""
+
+    name: str
+    unit: str
+    grid: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class MapResult:
+    """What is left, as a torque over one or two variables: a map and not a cause.
+
+    effect: the map as it runs; values, low, high (n,) or (n, m): the map on the grid of its variables and its 95 % bands, in
+    unit; seen: whether the estimation recordings come by there (the rest is extrapolated); held_out_error_before / _after: rms
+    without and with it, in the view's unit; p_value: of that gain, one-sided, over the maps that were tried; linear, effects: the
+    model's own numbers and the named effects that it needs, as fitted beside the map.
+    """
+
+    effect: TorqueMap
+    element: str
+    sentence: str
+    variables: tuple[MapVariable, ...]
+    unit: str
+    values: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    seen: np.ndarray
+    held_out_error_before: float
+    held_out_error_after: float
+    p_value: float
+    linear: Mapping[str, float]
+    effects: tuple[Effect, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the JSON; ``law`` is what ``corrected.xml`` carries."""
+        return {
+            "place": self.effect.place,
+            "element": self.element,
+            "acts": "in the coupling" if self.effect.coupling else "on the body",
+            "sentence": self.sentence,
+            "variables": [{"name": v.name, "unit": v.unit, "grid": v.grid.tolist()} for v in self.variables],
+            "unit": self.unit,
+            "values": self.values.tolist(),
+            "ci95": [self.low.tolist(), self.high.tolist()],
+            "seen": self.seen.tolist(),
+            "held_out_error_before": self.held_out_error_before,
+            "held_out_error_after": self.held_out_error_after,
+            "p_value": self.p_value,
+            "beside": {
+                "linear_parameters": dict(self.linear),
+                "effects": [{"effect": e.id, "place": e.place, "parameters": e.values} for e in self.effects],
+            },
+            "law": self.effect.as_dict(),
+        }
+
+
 @dataclass(frozen=True)
 class Rival:
     """A structure that was fitted: its effects, parameters, estimation and held-out error, how its fit ended."""
@@ -166,7 +228,10 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """Signals of one recording for the pictures (M samples): measured and the three predictions, in the view's unit."""
+    """Signals of one recording for the pictures (M samples): measured and the predictions, in the view's unit.
+
+    mapped: with the torque map, when there is one.
+    """
 
     source: str
     role: str
@@ -177,6 +242,7 @@ class Traces:
     corrected: np.ndarray
     counted: np.ndarray
     sigma: float
+    mapped: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +274,7 @@ class Diagnosis:
     seconds: float
     versions: Mapping[str, str] = field(default_factory=dict)
     false_alarm: Mapping[str, float] = field(default_factory=dict)
+    map: MapResult | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The contract's JSON, with a few fields more."""
@@ -227,6 +294,7 @@ class Diagnosis:
             "nominal_parameters": dict(self.nominal_parameters),
             "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": self.noise_floor}},
             "gap_closed": self.gap_closed,
+            "map": self.map.as_dict() if self.map is not None else None,
             "judged_on": {"channel": self.channel, "unit": self.unit, "view": self.view},
             "rivals": [
                 {"effects": list(r.effects), "parameters": r.n_parameters, "rms": r.rms, "held_out_rms": r.held_out_rms,

@@ -194,7 +194,7 @@ def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque
         for e in range(el.shape[0]):
             if el[e, 0] == KIND_COUPLING and el[e, 1] == j:
                 si = el[e, 4]
-                z[0], z[1], z[2] = t, bent if joined else 0.0, bent_rate if joined else 0.0
+                z[0], z[1], z[2], z[5] = t, bent if joined else 0.0, bent_rate if joined else 0.0, x[0, j]
                 z[7] = x[2, si] if si >= 0 else 0.0
                 _call(el[e, 2], za, pa + 8 * el[e, 3], oa)
                 if joined:

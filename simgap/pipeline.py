@@ -1,4 +1,4 @@
-"""From files to a folder with a diagnosis: diagnosis.json, corrected.xml, report.html."""
+"""From files to a folder with a diagnosis: diagnosis.json, corrected.xml, report.html, and mapped.xml where a map is given."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.recording import load
 
-__all__ = ["corrected_axis", "diagnose_files", "model_diff"]
+__all__ = ["corrected_axis", "diagnose_files", "mapped_axis", "model_diff"]
+
+MAP_COMMENT = "This file holds a torque map: fitted, not derived. It predicts better and explains nothing."
 
 
 def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
@@ -26,6 +28,17 @@ def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
     axis = nominal.with_linear({k: v.value for k, v in diagnosis.linear_parameters.items()})
     for f in diagnosis.findings:
         axis = axis + effect_class(f.effect)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
+    return axis
+
+
+def mapped_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis | None:
+    """The nominal axis with the torque map and what was fitted beside it; None when no map is given."""
+    found = diagnosis.map
+    if found is None:
+        return None
+    axis = nominal.with_linear(found.linear)
+    for effect in (*found.effects, found.effect):
+        axis = axis + effect
     return axis
 
 
@@ -57,6 +70,11 @@ def diagnose_files(
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     write_corrected(model, corrected_axis(nominal, result), corrected)
+    mapped, with_map = out / "mapped.xml", mapped_axis(nominal, result)
+    if with_map is None:
+        mapped.unlink(missing_ok=True)
+    else:
+        write_corrected(model, with_map, mapped, MAP_COMMENT)
     from diagnose.report import write_report
 
     write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth)

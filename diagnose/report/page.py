@@ -66,6 +66,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         where=where(d),
         drawn=_drawn(d),
         findings=[_finding(f, d.unit) for f in d.findings],
+        map=_map(d),
         linear=_linear(d),
         fits=_fits(d),
         rivals=shown,
@@ -174,6 +175,31 @@ def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:
     }
 
 
+def _map(d: Diagnosis) -> dict[str, Any] | None:
+    """The torque map: where, its picture, what it gains and what is fitted beside it."""
+    from markupsafe import Markup
+
+    m = d.map
+    if m is None:
+        return None
+    u = unit(d.unit)
+    kept = ", ".join(f"{effect_name(e.id)} ({e.place})" for e in m.effects)
+    dropped = [f for f in d.findings if (f.effect, f.place) not in {(e.id, e.place) for e in m.effects}]
+    beside = f"Fitted beside it: {kept}." if kept else "Fitted beside it: the nominal model's own numbers only."
+    if dropped:
+        beside += " It does without " + ", ".join(f"{effect_name(f.effect)} ({f.place})" for f in dropped)
+        beside += ", which may have stood in for what is mapped."
+    return {
+        "where": f"{'in' if m.effect.coupling else 'at'} the {m.effect.place}",
+        "element": m.element,
+        "sentence": m.sentence,
+        "svg": Markup(pictures.torque_map(m, "map")),
+        "gain": f"With it the held-out error is {number(m.held_out_error_after)} {u} rms instead of "
+        f"{number(m.held_out_error_before)} {u} (p {_equals(m.p_value)}, over the maps that were tried). mapped.xml carries it.",
+        "beside": beside,
+    }
+
+
 def _equals(p: float) -> str:
     text = p_value(p)
     return text if text.startswith("<") else f"= {text}"
@@ -231,7 +257,12 @@ def _linear(d: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-_FIT_WORDS = {"nominal": "nominal, as given", "refitted": "nominal, refitted", "corrected": "corrected"}
+_FIT_WORDS = {
+    "nominal": "nominal, as given",
+    "refitted": "nominal, refitted",
+    "corrected": "corrected",
+    "mapped": "with the torque map",
+}
 
 
 def _fits(d: Diagnosis) -> list[dict[str, Any]]:
@@ -351,4 +382,5 @@ def _commands(d: Diagnosis) -> list[str]:
     names = [PurePath(r.get("file", "")).name for r in d.recordings]
     if not names:
         return []
-    return [f"simgap replay corrected.xml {names[-1]} --out prediction.csv"]
+    models = ["corrected.xml", *(["mapped.xml"] if d.map is not None else [])]
+    return [f"simgap replay {model} {names[-1]} --out prediction.csv" for model in models]

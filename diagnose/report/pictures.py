@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diagnose.report.curves import blank, envelope, psd, worst_stretch
-from diagnose.report.figures import percent, power, unit
-from diagnose.result import Mismatch, Share, StateShare, Traces
+from diagnose.report.figures import number, percent, power, unit
+from diagnose.result import MapResult, MapVariable, Mismatch, Share, StateShare, Traces
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["spectrum", "states", "time"]
+__all__ = ["spectrum", "states", "time", "torque_map"]
 
 # drawn colour -> the variable that replaces it; the drawn values only have to differ
 INK, MUTED, GRID, PAPER = "#010101", "#020202", "#030303", "#040404"
-MEASURED, NOMINAL, REFITTED, CORRECTED, BAND = "#050505", "#060606", "#070707", "#080808", "#090909"
+MEASURED, NOMINAL, REFITTED, CORRECTED, BAND, MAPPED = "#050505", "#060606", "#070707", "#080808", "#090909", "#0a0a0a"
 _VARIABLES = {
     INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper", MEASURED: "measured",
-    NOMINAL: "nominal", REFITTED: "refitted", CORRECTED: "corrected", BAND: "band",
+    NOMINAL: "nominal", REFITTED: "refitted", CORRECTED: "corrected", BAND: "band", MAPPED: "mapped",
 }  # fmt: skip
 _WIDTH = 10.6
 _WORTH = 0.01
@@ -60,7 +60,7 @@ def _svg(figure: Figure, name: str, alt: str) -> str:
     text = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{name}-", text)
     text = re.sub(r' d="([^"]*)"', lambda m: f' d="{_short(m[1])}"', text)
     text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
-    text = re.sub(r"#(0[1-9])\1\1", lambda m: f"var(--{_VARIABLES[m[0]]})", text)
+    text = re.sub(r"#(0[1-9a])\1\1", lambda m: f"var(--{_VARIABLES[m[0]]})", text)
     label = alt.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     box = re.search(r'viewBox="[^"]*"', text)
     assert box is not None
@@ -128,10 +128,14 @@ def time(t: Traces, channel: str, channel_unit: str, found: bool, noise: bool, n
             )
             if found:
                 axes.plot(*envelope(x, t.corrected[part], columns), color=CORRECTED, linewidth=1.0, label="corrected")
+            if t.mapped is not None:
+                axes.plot(*envelope(x, t.mapped[part], columns), color=MAPPED, linewidth=1.0, label="with the map")
             _limits(axes, (t.measured[part], t.refitted[part]))
         errors = [(blank(t.measured - t.refitted, t.counted), REFITTED)]
         if found:
             errors.append((blank(t.measured - t.corrected, t.counted), CORRECTED))
+        if t.mapped is not None:
+            errors.append((blank(t.measured - t.mapped, t.counted), MAPPED))
         for axes, part, columns in ((bottom, everything, 550), (bottom_zoom, zoom, 500)):
             if noise and np.isfinite(t.sigma) and t.sigma > 0:
                 for edge in (-2 * t.sigma, 2 * t.sigma):
@@ -262,7 +266,7 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
         for i, s in enumerate(drawn):
             axes = figure.add_subplot(grid[0, i])
             axes.axhline(0, color=MUTED, linewidth=0.8)
-            x, x_unit = _scaled(s)
+            x, x_unit = _scaled(s.x, s.unit)
             axes.fill_between(x, s.y - 2 * s.error, s.y + 2 * s.error, color=BAND, linewidth=0)
             axes.plot(x, s.y, "o-", color=REFITTED, linewidth=1.4, markersize=3.6, markeredgewidth=0)
             axes.set_title(f"explains {percent(s.share)}")
@@ -277,7 +281,51 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
         return _svg(figure, name, alt)
 
 
-def _scaled(s: StateShare) -> tuple[np.ndarray, str]:
-    """The state in thousandths of its unit when it is that small: mrad, mm."""
-    small = s.unit in ("rad", "m") and float(np.max(np.abs(s.x))) < 0.05
-    return (1e3 * s.x, f"m{s.unit}") if small else (s.x, unit(s.unit))
+def _scaled(x: np.ndarray, unit_text: str) -> tuple[np.ndarray, str]:
+    """A state in thousandths of its unit when it is that small: mrad, mm."""
+    small = unit_text in ("rad", "m") and float(np.max(np.abs(x))) < 0.05
+    return (1e3 * x, f"m{unit_text}") if small else (x, unit(unit_text))
+
+
+def torque_map(m: MapResult, name: str) -> str:
+    """The map with its 95 % bands over its first variable, where data come by; of two, at three values of the second."""
+    u = unit(m.unit)
+    first = m.variables[0]
+    two = len(m.variables) == 2
+    count = len(m.variables[1].grid) if two else 1
+    cuts = [round(q * (count - 1)) for q in (0.15, 0.5, 0.85)] if two else [0]
+    seen = m.seen.reshape(len(first.grid), -1)
+    if two:  # three values that the data reach
+        reached = np.flatnonzero(seen.sum(axis=0) > 2)
+        cuts = [int(reached[round(q * (len(reached) - 1))]) for q in (0.15, 0.5, 0.85)] if len(reached) else cuts
+    drawn = [np.where(seen, a.reshape(seen.shape), np.nan) for a in (m.low, m.values, m.high)]
+    low, high = float(np.nanmin(drawn[0][:, cuts])), float(np.nanmax(drawn[2][:, cuts]))
+    margin = 0.08 * (high - low) or 1.0
+    over = " and ".join(v.name for v in m.variables)
+    with _style():
+        figure = _figure(3.1)
+        grid = figure.add_gridspec(1, max(2, len(cuts)), left=0.075, right=0.985, bottom=0.17, top=0.89, wspace=0.1)
+        for i, cut in enumerate(cuts):
+            axes = figure.add_subplot(grid[0, i])
+            axes.axhline(0, color=MUTED, linewidth=0.8)
+            x, x_unit = _scaled(first.grid, first.unit)
+            below, middle, above = (a[:, cut] for a in drawn)
+            axes.fill_between(x, below, above, color=BAND, linewidth=0)
+            axes.plot(x, middle, color=MAPPED, linewidth=1.6)
+            if two:
+                axes.set_title(_cut(m.variables[1], cut))
+            axes.set_xlabel(f"{first.name} [{x_unit}]" if x_unit else first.name)
+            axes.set_xlim(x[0], x[-1])
+            axes.set_ylim(low - margin, high + margin)
+            axes.xaxis.set_major_locator(_ticks(5))
+            axes.yaxis.set_major_locator(_ticks(6))
+            if i:
+                axes.tick_params(labelleft=False)
+            else:
+                axes.set_ylabel(f"map [{u}]")
+        return _svg(figure, name, f"Torque map over {over}, with its 95 % bands")
+
+
+def _cut(variable: MapVariable, index: int) -> str:
+    x, u = _scaled(variable.grid, variable.unit)
+    return f"at {variable.name} {number(float(x[index]), 3)} {u}".rstrip()

@@ -9,6 +9,7 @@ from xml.sax.saxutils import escape
 
 from mjsim.effects import BacklashLaw, Effect, effect_class
 from mjsim.errors import InputError
+from mjsim.torque_map import TorqueMap
 
 __all__ = ["NAME", "VERSION", "Carried", "Edit", "element", "unpack"]
 
@@ -39,11 +40,13 @@ class Carried:
 
 def element(carried: Carried) -> list[str]:
     """The <text> element, one line for each effect; numbers keep every digit."""
-    effects = [{"id": e.id, "place": e.place, "parameters": e.values} for e in carried.effects]
+    effects = [{"id": e.id, "place": e.place, "parameters": e.values} for e in carried.effects if not isinstance(e, TorqueMap)]
+    maps = [e.as_dict() for e in carried.effects if isinstance(e, TorqueMap)]
     rows = [
         f'"version": {VERSION}',
         f'"backlash_law": {json.dumps(carried.law.name.lower())}',
         '"effects": [' + ",\n  ".join(map(json.dumps, effects)) + "]",
+        *(['"maps": [' + ",\n  ".join(map(json.dumps, maps)) + "]"] if maps else []),
         '"lacks": [' + ",\n  ".join(map(json.dumps, carried.lacks)) + "]",
         f'"ignored": {json.dumps(carried.ignored)}',
         f'"bound": {json.dumps(dict(carried.bound))}',
@@ -70,7 +73,10 @@ def unpack(text: str, source: object) -> Carried:
         raise InputError(where, f"version {version!r}", f"version {VERSION}", "write the file anew with this version of simgap")
     try:
         return Carried(
-            tuple(effect_class(e["id"])(place=e["place"], **e["parameters"]) for e in table["effects"]),
+            (
+                *(effect_class(e["id"])(place=e["place"], **e["parameters"]) for e in table["effects"]),
+                *(TorqueMap.from_dict(m) for m in table.get("maps", [])),
+            ),
             BacklashLaw[str(table["backlash_law"]).upper()],
             tuple(map(str, table.get("ignored", []))),
             tuple((str(k), str(v)) for k, v in table.get("bound", {}).items()),

@@ -1,0 +1,478 @@
+"""What nobody has named, as a map: a smooth torque over one or two state variables, with which the model follows held-out data.
+
+Where the verdict is ``unexplained``, maps at every place of the chain and over every one and two of its variables are screened:
+the response of the judged channel to each spline, through the fitted linear axis, and a penalised regression of the residual on
+them. The best few are fitted in the model itself, by Gauss-Newton, together with all its numbers:
+
+    minimise |r(x, c)|^2 + lambda |S c|^2,        S: second differences of the coefficients along each variable
+
+lambda and the choice of the map are made by cross-validation over stretches of the estimation data. What the model's own numbers
+could say as well (viscous friction, stiffness, an offset that was found) is taken out of the map and left to them, since only
+their sum is determined. The one that is best there must then pay on held-out data, or none is given. Its bands are those of a
+smoothing spline (G. Wahba, J. R. Stat. Soc. B 45 (1983) 133), widened by the correlation of what is left.
+See docs/decisions/torque-map.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.experiment import Experiment, measured_velocity
+from diagnose.fitter import Fitted, Fitter, HeldOut
+from diagnose.hypothesis import Hypothesis
+from diagnose.least_squares import Fit, Status, jacobian, levenberg_marquardt
+from diagnose.orders import torque_to_velocity
+from diagnose.result import MapResult, MapVariable
+from diagnose.search import compare
+from diagnose.whiten import effective_share
+from mjsim.axis import Axis
+from mjsim.ode import DivergedError, apply_input, simulate
+from mjsim.quantity import Quantity
+from mjsim.system import assemble
+from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
+
+__all__ = ["Mapped", "fit_map"]
+
+INTERVALS = (12, 5)  # of a map of one variable, and of each of two
+LAMBDAS = np.geomspace(1e-4, 1e8, 25)  # times the mean diagonal of the regression
+FOLDS = 5
+STRETCHES = 20  # per recording, dealt to the folds in turn
+MIMIC = 2e-3  # a direction of which the model's own numbers leave less than this is theirs
+RICHER = 0.05  # a second variable must lower the cross-validated cost of the first by so much
+TRIED = 3  # maps fitted in the model
+FAR = 1.25  # one whose screened cost is so many times that of the best fitted one is not
+MATERIAL = 0.02  # least relative gain of held-out squared error
+P_MAP = 0.01  # largest one-sided p-value of that gain, over the maps tried
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A map that pays: the model with it, fitted, and what is told of it."""
+
+    fitted: Fitted
+    held_out: HeldOut
+    result: MapResult
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The regression at a map: residual r (N,) at coefficients c (k,), own sensitivities J (N, p), responses D (N, k) of the
+    coefficients, roughness S (m, k), fold of each row (-1: in all of them, never judged)."""
+
+    r: np.ndarray
+    c: np.ndarray
+    J: np.ndarray
+    D: np.ndarray
+    S: np.ndarray
+    fold: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """lambda, cross-validated cost over that without a map, directions V (k, l) of the coefficients, coefficients c (k,)."""
+
+    penalty: float
+    cost: float
+    V: np.ndarray
+    c: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A map without numbers, the model that it is laid on, and what the screen says of it; cost: cross-validated chi-square."""
+
+    start: Fitted
+    shape: TorqueMap
+    solution: _Solution
+
+    @property
+    def cost(self) -> float:
+        return self.solution.cost * self.start.chi2
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A map fitted in the model; problem: the regression at it; cost: cross-validated chi-square there."""
+
+    fitted: Fitted
+    shape: TorqueMap
+    solution: _Solution
+    problem: _Problem
+    cost: float
+
+
+def fit_map(
+    fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, progress: Callable[[str], None] = lambda _: None
+) -> Mapped | None:
+    """The map that pays on held-out data, or None.
+
+    ``starts``: models that it may be laid on, the refitted nominal one and the best that was found (named effects may have stood
+    in for what is mapped); ``before``: what it must beat.
+    """
+    if before is None or any(isinstance(e, TorqueMap) for e in fitter.nominal.effects):
+        return None
+    progress("unexplained: looking for a torque map")
+    ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
+    tried: list[_Refined] = []
+    for candidate in ranked[:TRIED]:
+        if tried and candidate.cost > FAR * min(t.cost for t in tried):
+            break
+        progress(f"unexplained: fitting a torque map {_words(candidate.shape)}")
+        refined = _refine(fitter, candidate)
+        if refined is not None:
+            tried.append(refined)
+    for t in sorted(tried, key=lambda t: t.cost):
+        after = fitter.validate(t.fitted)
+        gain = compare(before, after)
+        p_value = min(1.0, gain.p_value * len(tried))
+        if after is not None and gain.relative_gain > MATERIAL and p_value < P_MAP:
+            return Mapped(t.fitted, after, _result(fitter, t, before, after, p_value))
+    return None
+
+
+def _words(shape: TorqueMap) -> str:
+    return f"{'in' if shape.coupling else 'at'} the {shape.place} over {' and '.join(a.variable for a in shape.axes)}"
+
+
+# what a map may depend on
+
+
+def _variables(fitter: Fitter, fitted: Fitted) -> list[dict[tuple[str, bool, str], np.ndarray]] | None:
+    """For each experiment (place, coupling, variable) -> values at every recorded sample; None when the model cannot be run."""
+    chain = fitted.axis.chain
+    places = [(p, i) for p in TorqueMap.places if (i := chain.body(p)) is not None and (i > 0 or p == "motor")]
+    joints = [(p, j) for p in TorqueMap.places if (j := chain.coupling(p)) is not None]
+    if len(chain.bodies) == 1:
+        places = places[:1]
+    out = []
+    for r, experiment in enumerate(fitter.experiments):
+        recording = experiment.recording
+        axis = fitted.hypothesis.axis(fitted.fit.x, r)
+        own: dict[tuple[str, bool, str], np.ndarray] = {}
+        if fitter.view.channel == "torque":
+            v, q = measured_velocity(recording), recording.angle
+            own[("motor", False, "velocity")] = _smooth(v, recording.dt)
+            own[("motor", False, "time")] = recording.time
+            if q is not None:
+                own[("motor", False, "angle")] = q
+            out.append(own)
+            continue
+        try:
+            y = simulate(
+                axis, recording.torque, recording.dt, initial=fitted.hypothesis.initial(fitted.fit.x, r), angle=recording.angle,
+                before=experiment.before,
+            )  # fmt: skip
+        except (DivergedError, ValueError):
+            return None
+        command = apply_input(assemble(axis), recording.torque)
+        shift = recording.angle - y.q[:, 0] if recording.angle is not None else np.zeros(len(recording))
+        for place, i in places:
+            # the model errs, hence is here: the motor's speed as measured
+            own[(place, False, "velocity")] = _smooth(measured_velocity(recording), recording.dt) if i == 0 else y.v[:, i]
+            own[(place, False, "angle")] = y.q[:, i] + chain.total_ratio(i) * shift
+            if i == 0:
+                own[(place, False, "torque command")] = command
+                own[(place, False, "time")] = recording.time - recording.time[0]
+            if len(chain.bodies) > 1:
+                own[(place, False, "load")] = (
+                    chain.couplings[0].ratio * y.coupling_torque[:, 0] if i == 0 else y.coupling_torque[:, i - 1]
+                )
+        for place, j in joints:
+            ratio = chain.couplings[j].ratio
+            own[(place, True, "deflection")] = ratio * y.q[:, j] - y.q[:, j + 1]
+            own[(place, True, "deflection rate")] = ratio * y.v[:, j] - y.v[:, j + 1]
+            own[(place, True, "angle")] = y.q[:, j] + chain.total_ratio(j) * shift
+        out.append(own)
+    return out
+
+
+def _smooth(v: np.ndarray, dt: float) -> np.ndarray:
+    width = max(3, int(0.002 / dt))
+    kernel = np.hanning(width + 2)[1:-1]
+    return np.convolve(v, kernel / kernel.sum(), mode="same")
+
+
+def _axis(variable: str, x: Sequence[np.ndarray], intervals: int) -> MapAxis | None:
+    """A variable's range over all experiments; speeds with more knots where they are small."""
+    every = np.concatenate(x)
+    low, high = (float(a) for a in np.quantile(every, (0.0005, 0.9995)))
+    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
+        return None
+    bend = 0.1 * max(abs(low), abs(high)) if VARIABLES[variable][1] is Quantity.VELOCITY and low < 0 < high else 0.0
+    return MapAxis(variable, low, high, intervals, bend)
+
+
+def _shapes(known: list[dict[tuple[str, bool, str], np.ndarray]]) -> list[TorqueMap]:
+    """Every map over one and over two variables of one place."""
+    keys = list(known[0])
+    out = []
+    for place, coupling in dict.fromkeys((p, c) for p, c, _ in keys):
+        names = [v for p, c, v in keys if (p, c) == (place, coupling)]
+        for chosen in [(v,) for v in names] + list(itertools.combinations(names, 2)):
+            intervals = INTERVALS[len(chosen) - 1]
+            axes = [_axis(v, [k[(place, coupling, v)] for k in known], intervals) for v in chosen]
+            found = tuple(a for a in axes if a is not None)
+            if len(found) == len(axes):
+                out.append(TorqueMap(place=place, axes=found, coefficients=(0.0,) * TorqueMap.count(found), coupling=coupling))
+    return out
+
+
+# the regression
+
+
+def _roughness(shape: TorqueMap) -> np.ndarray:
+    """Second differences of the coefficients along each variable (m, k)."""
+    counts = [a.count for a in shape.axes]
+    differences = [np.diff(np.eye(n), 2, axis=0) for n in counts]
+    if len(counts) == 1:
+        return differences[0]
+    return np.vstack([np.kron(differences[0], np.eye(counts[1])), np.kron(np.eye(counts[0]), differences[1])])
+
+
+def _solve(p: _Problem, without: float) -> _Solution:
+    """Penalty by cross-validation, and the coefficients on all data; ``without``: cost without a map."""
+    q, _ = np.linalg.qr(p.J / (np.linalg.norm(p.J, axis=0) + 1e-300))
+    # directions of the map that the model's own numbers can mimic are left to them
+    gram = p.D.T @ p.D
+    rest = gram - (q.T @ p.D).T @ (q.T @ p.D)
+    gram = gram + 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram))
+    low = np.linalg.cholesky(gram)
+    inverse = np.linalg.inv(low)
+    share, u = np.linalg.eigh(inverse @ rest @ inverse.T)
+    V = inverse.T @ u[:, share > MIMIC]
+    X = np.column_stack([p.J, p.D @ V])
+    size = np.linalg.norm(X, axis=0) + 1e-300
+    X = X / size
+    k = p.J.shape[1]
+    rough, bent = np.zeros((X.shape[1], X.shape[1])), np.zeros(X.shape[1])
+    SV = p.S @ V / size[k:]
+    rough[k:, k:], bent[k:] = SV.T @ SV, SV.T @ (p.S @ p.c)
+    scale = 1.0 / max(float(np.trace(rough)) / max(X.shape[1] - k, 1), 1e-300)
+    ridge = 1e-9 * np.eye(X.shape[1])
+    grams = [X[p.fold == f].T @ X[p.fold == f] for f in range(-1, FOLDS)]
+    slopes = [X[p.fold == f].T @ p.r[p.fold == f] for f in range(-1, FOLDS)]
+    squares = [float(p.r[p.fold == f] @ p.r[p.fold == f]) for f in range(FOLDS)]
+    total_gram, total_slope = sum(grams), sum(slopes)
+    costs = np.zeros(len(LAMBDAS))
+    for i, penalty in enumerate(LAMBDAS):
+        for f in range(FOLDS):
+            A = total_gram - grams[f + 1] + penalty * scale * rough + ridge
+            b = -np.linalg.solve(A, total_slope - slopes[f + 1] + penalty * scale * bent)
+            costs[i] += squares[f] + 2 * float(slopes[f + 1] @ b) + float(b @ grams[f + 1] @ b)
+    best = int(np.argmin(costs))
+    penalty = float(LAMBDAS[best] * scale)
+    b = -np.linalg.solve(total_gram + penalty * rough + ridge, total_slope + penalty * bent)
+    return _Solution(penalty, float(costs[best] / max(without, 1e-300)), V, p.c + V @ (b[k:] / size[k:]))
+
+
+def _folds(fitter: Fitter, size: int) -> np.ndarray:
+    """Fold of each row of a residual vector: stretches of the recordings in turn; the prior's rows belong to none."""
+    parts = []
+    for experiment in fitter.experiments:
+        _, keep = fitter.whitened(np.zeros(len(fitter.counted(experiment))), experiment)
+        at = np.arange(len(keep)) * STRETCHES // len(keep) % FOLDS
+        parts.append(at[keep])
+    fold = np.concatenate(parts)
+    return np.concatenate([fold, np.full(size - len(fold), -1)])
+
+
+def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
+    """All maps by their cross-validated cost on the linearised model, the simpler ones before what gains little on them."""
+    known = _variables(fitter, best)
+    if known is None:
+        return []
+    fold = _folds(fitter, len(best.fit.residual))
+    respond = _Responses(fitter, best)
+
+    def judged(shape: TorqueMap) -> _Candidate:
+        D = respond.of(shape, known)
+        problem = _Problem(best.fit.residual, np.zeros(D.shape[1]), best.fit.J, D, _roughness(shape), fold)
+        return _Candidate(best, shape, _solve(problem, best.chi2))
+
+    found = [judged(shape) for shape in _shapes(known)]
+    found.sort(key=lambda c: c.solution.cost)
+    found = [c for c in found if c.solution.cost < 1 - MATERIAL]
+    single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)
+    return [c for c in found if len(c.shape.axes) == 1 or c.solution.cost < (1 - RICHER) * single]
+
+
+class _Responses:
+    """Responses of the residual vector to the splines of a map, through the fitted linear axis."""
+
+    def __init__(self, fitter: Fitter, best: Fitted) -> None:
+        self.fitter, self.best = fitter, best
+        self.filters: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+    def _through(self, axis: Axis, r: int, experiment: Experiment, body: int, torque: np.ndarray) -> np.ndarray:
+        """Velocity of body 0 (N, k) that torques (N, k) on a body make."""
+        from scipy.signal import lfilter
+
+        if (r, body) not in self.filters:
+            self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body)
+        return np.asarray(lfilter(*self.filters[(r, body)], torque, axis=0))
+
+    def of(self, shape: TorqueMap, known: list[dict[tuple[str, bool, str], np.ndarray]]) -> np.ndarray:
+        """(N, k), in the residual's units and rows."""
+        fitter, chain = self.fitter, self.fitter.nominal.chain
+        parts = []
+        for r, experiment in enumerate(fitter.experiments):
+            axis = self.best.hypothesis.axis(self.best.fit.x, r)
+            torque = shape.row(*(known[r][(shape.place, shape.coupling, a.variable)] for a in shape.axes))
+            if fitter.view.channel == "torque":
+                e = torque[:: fitter.view.decimate] / chain.gain
+            elif shape.coupling:
+                j = chain.coupling(shape.place)
+                assert j is not None
+                ahead = self._through(axis, r, experiment, j, torque)
+                e = chain.couplings[j].ratio * ahead - self._through(axis, r, experiment, j + 1, torque)
+            else:
+                i = chain.body(shape.place)
+                assert i is not None
+                e = -self._through(axis, r, experiment, i, torque)
+            parts.append(_weighted(fitter, experiment, e))
+        own = len(self.best.fit.residual) - sum(len(p) for p in parts)
+        return np.concatenate([*parts, np.zeros((own, parts[0].shape[1]))])
+
+
+def _weighted(fitter: Fitter, experiment: Experiment, e: np.ndarray) -> np.ndarray:
+    columns = [fitter.whitened(e[:, i], experiment) for i in range(e.shape[1])]
+    return np.column_stack([w[keep] for w, keep in columns])
+
+
+# the fit in the model
+
+
+def _with(h: Hypothesis, shape: TorqueMap) -> Hypothesis:
+    """The hypothesis about an axis that has the map already; its vector stays the same."""
+    nominal = h.nominal
+    return dataclasses.replace(h, nominal=dataclasses.replace(nominal, effects=(*nominal.effects, shape)))
+
+
+def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 3) -> _Refined | None:
+    """Gauss-Newton in the model over its numbers and the coefficients, the penalty chosen anew at each linearisation."""
+    best = candidate.start
+    h = best.hypothesis
+    k = len(h.entries)
+    S = _roughness(candidate.shape)
+    fold = _folds(fitter, len(best.fit.residual))
+    solution = candidate.solution
+    x, c = best.fit.x, np.zeros(S.shape[1])
+    lower, upper = h.bounds
+    outcome: _Refined | None = None
+    for turn in range(rounds):
+        V, root = solution.V, math.sqrt(solution.penalty)
+        amplitude = max(float(np.std(solution.c)), 1e-12)
+        unit = V / (np.max(np.abs(V), axis=0) + 1e-300) * amplitude
+
+        def residual(z: np.ndarray, c: np.ndarray = c, unit: np.ndarray = unit, root: float = root) -> np.ndarray | None:
+            coefficients = c + unit @ z[k:]
+            part = fitter.residual(_with(h, candidate.shape.with_coefficients(coefficients)))(z[:k])
+            return None if part is None else np.concatenate([part, root * (S @ coefficients)])
+
+        free = np.full(unit.shape[1], np.inf)
+        bounds = np.concatenate([lower, -free]), np.concatenate([upper, free])
+        step = np.concatenate([np.full(k, 1e-3), np.full(unit.shape[1], 1e-2)])
+        start = np.concatenate([x, np.zeros(unit.shape[1])])
+        fit = levenberg_marquardt(residual, start, bounds, step=step, run=fitter.run, max_iterations=4, tolerance=1e-3)
+        if fit.status is Status.FAILED:
+            break
+        x, c = fit.x[:k], c + unit @ fit.x[k:]
+        shape = candidate.shape.with_coefficients(c)
+        problem = _linearised(fitter, h, shape, x, S, fold)
+        if problem is None:
+            break
+        solution = _solve(problem, best.chi2)
+        own = Fit(x, float(problem.r @ problem.r), problem.r, problem.J, fit.status, fit.iterations, fit.predicted_gain)
+        outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, solution, problem, solution.cost * best.chi2)
+        near = abs(math.log(max(solution.penalty, 1e-300) / max(root**2, 1e-300))) < math.log(10)
+        if turn and near and fit.status is Status.CONVERGED:
+            break
+    return outcome
+
+
+def _linearised(
+    fitter: Fitter, h: Hypothesis, shape: TorqueMap, x: np.ndarray, S: np.ndarray, fold: np.ndarray
+) -> _Problem | None:
+    """Residual and sensitivities in the model at a map."""
+    k, n = len(x), len(shape.coefficients)
+    amplitude = max(float(np.max(np.abs(shape.coefficients))), 1e-12)
+    c = np.array(shape.coefficients)
+
+    def residual(z: np.ndarray) -> np.ndarray | None:
+        return fitter.residual(_with(h, shape.with_coefficients(c + amplitude * z[k:])))(z[:k])
+
+    z = np.concatenate([x, np.zeros(n)])
+    r = residual(z)
+    lower, upper = h.bounds
+    free = np.full(n, np.inf)
+    step = np.concatenate([np.full(k, 1e-3), np.full(n, 1e-2)])
+    if r is None:
+        return None
+    J = jacobian(residual, z, r, step, np.concatenate([lower, -free]), np.concatenate([upper, free]), fitter.run)
+    return None if J is None else _Problem(r, c, J[:, :k], J[:, k:] / amplitude, S, fold)
+
+
+# what is told of it
+
+
+def _result(fitter: Fitter, refined: _Refined, before: HeldOut, after: HeldOut, p_value: float) -> MapResult:
+    """Grid, values and bands."""
+    fitted, shape, solution, problem = refined.fitted, refined.shape, refined.solution, refined.problem
+    X = np.column_stack([problem.J, problem.D @ solution.V])
+    size = np.linalg.norm(X, axis=0) + 1e-300
+    rough = np.zeros((X.shape[1], X.shape[1]))
+    k = problem.J.shape[1]
+    scaled = problem.S @ solution.V / size[k:]
+    rough[k:, k:] = solution.penalty * scaled.T @ scaled
+    gram = (X / size).T @ (X / size)
+    variance = fitted.chi2 / max(fitted.n, 1) / max(effective_share(fitter, fitted), 1e-3)
+    covariance = variance * np.linalg.pinv(gram + rough, hermitian=True)[k:, k:]
+    W = solution.V / size[k:]
+    count = 41 if len(shape.axes) == 1 else 21
+    points = [a.points(count) for a in shape.axes]
+    rows = shape.row(*(g.ravel() for g in np.meshgrid(*points, indexing="ij")))
+    values = rows @ np.array(shape.coefficients)
+    half = 1.96 * np.sqrt(np.maximum(np.sum((rows @ W @ covariance) * (rows @ W), axis=1), 0.0))
+    motion = fitter.nominal.chain.motion
+    form = (count,) * len(points)
+    rms, seen = _visited(fitter, fitted, shape, points)
+    unit = Quantity.TORQUE.unit(motion)
+    nominal = len(fitter.nominal.effects) + 1
+    return MapResult(
+        effect=shape,
+        element=fitter.nominal.chain.element(shape.place, coupling=shape.coupling),
+        sentence=f"{shape.describe(motion).removesuffix('.')}. On these recordings it is {rms:.3g} {unit} rms.",
+        variables=tuple(
+            MapVariable(a.variable, VARIABLES[a.variable][1].unit(motion), g) for a, g in zip(shape.axes, points, strict=True)
+        ),
+        unit=unit,
+        seen=seen,
+        values=values.reshape(form),
+        low=(values - half).reshape(form),
+        high=(values + half).reshape(form),
+        held_out_error_before=before.rms,
+        held_out_error_after=after.rms,
+        p_value=p_value,
+        linear=fitted.linear,
+        effects=fitted.axis.effects[nominal:],
+    )
+
+
+def _visited(fitter: Fitter, fitted: Fitted, shape: TorqueMap, points: list[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Rms of the map on the estimation recordings, and which points of its grid they come by."""
+    from scipy.ndimage import binary_dilation
+
+    seen = np.zeros(tuple(len(p) for p in points), bool)
+    edges = [0.5 * (p[1:] + p[:-1]) for p in points]
+    squares: list[float] = []
+    for own in _variables(fitter, fitted) or []:
+        x = [own[(shape.place, shape.coupling, a.variable)] for a in shape.axes]
+        seen[tuple(np.searchsorted(e, v) for e, v in zip(edges, x, strict=True))] = True
+        squares.append(float(np.mean(shape.torque(*x) ** 2)))
+    return float(np.sqrt(np.mean(squares))) if squares else math.nan, binary_dilation(seen)
