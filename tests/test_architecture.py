@@ -68,9 +68,22 @@ def test_the_sealed_plant_shares_no_physics_with_what_it_tests():
     wrong = [
         f"{relative(path)}:{line} imports {module}"
         for path in SOURCES
-        if relative(path).startswith("simgap/benchmark/")
+        if relative(path).startswith("simgap/benchmark/") and not relative(path).startswith("simgap/benchmark/arms/")
         for line, module in imported(path)
-        if any(module == b or module.startswith(f"{b}.") for b in barred)
+        if any(module == b or module.startswith(f"{b}.") for b in (*barred, "simgap.benchmark.arms"))
+    ]
+    assert not wrong
+
+
+def test_a_rival_arm_knows_nothing_of_the_sealed_plant():
+    """Arms are on the fitting side: they may use the fitter, and see no more of the generator than the recordings."""
+    own = ("simgap.benchmark.arms",)
+    wrong = [
+        f"{relative(path)}:{line} imports {module}"
+        for path in SOURCES
+        if relative(path).startswith("simgap/benchmark/arms/")
+        for line, module in imported(path)
+        if module.startswith("simgap.benchmark.") and not any(module == b or module.startswith(f"{b}.") for b in own)
     ]
     assert not wrong
 

@@ -8,15 +8,9 @@ from typing import Any
 
 from simgap.benchmark.score import WITHOUT, CaseScore, score_case
 
-__all__ = ["ARMS_MISSING", "Arm", "bic_result", "refitted_result", "score_arms"]
+__all__ = ["Arm", "bic_result", "refitted_result", "score_arms"]
 
 Arm = tuple[str, str, list[CaseScore]]  # identifier, what it is, its scores
-
-ARMS_MISSING = (
-    "mujoco.sysid on the nominal structure",
-    "a black-box ceiling: Box-Jenkins, and a sparse-regression residual model (pysindy)",
-    "a stepwise search of BIC's own: its arm chooses among the structures that the diagnosis fitted",
-)
 
 
 def refitted_result(result: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from simgap.benchmark.catalogue import CATALOGUE
 from simgap.benchmark.grade import LIBRARY, SINGLE, bars, fraction
 from simgap.benchmark.power import PowerCurve, power_curve
 from simgap.benchmark.score import NULLS, CaseScore, Outcome, ParameterScore, score_case
-from simgap.benchmark.score_arms import ARMS_MISSING, Arm, score_arms
+from simgap.benchmark.score_arms import Arm, score_arms
 
 __all__ = ["summarise"]
 
@@ -171,7 +171,8 @@ def summarise(truths: Mapping[str, Mapping[str, Any]], results: Mapping[str, Map
         "equivalents_declared": {"findings": len(declared), "with_any": sum(d > 0 for d in declared),
                                  "mean": float(np.mean(declared)) if declared else 0.0},
         "arms": [_arm(*a) for a in arms],
-        "arms_missing": list(ARMS_MISSING),
+        "rivals": None,
+        "arms_missing": [],
         "seconds": {"median": _median([c.seconds for c in cases]), "worst": max((c.seconds for c in cases), default=0.0),
                     "sum": float(np.nansum([c.seconds for c in cases])) if cases else 0.0},
         "errors": {c.name: c.error for c in cases if c.error},

@@ -16,7 +16,7 @@ from mjsim.errors import InputError
 from simgap.benchmark.cases import LEVELS, Case, effects_of, make_case
 from simgap.benchmark.plant import Motion
 
-__all__ = ["envelope_hash", "open_envelope", "write_cases"]
+__all__ = ["envelope_hash", "open_envelope", "write_cases", "write_motion"]
 
 VERSION = 4  # of the generator: raise it when the same seed gives other recordings
 
@@ -39,6 +39,13 @@ def _csv(motion: Motion) -> bytes:
         for t, u, v, a in zip(motion.time, motion.torque, motion.velocity, motion.angle, strict=True)
     ]
     return ("\n".join(rows) + "\n").encode()
+
+
+def write_motion(path: Path, motion: Motion) -> str:
+    """Write a recording as CSV; the SHA-256 of the file."""
+    data = _csv(motion)
+    _write(path, data)
+    return _digest(data)
 
 
 def envelope_hash(path: Path) -> str:
@@ -88,9 +95,7 @@ def write_cases(
         case: Case = make_case(level, np.random.default_rng([seed, which, k]), first)
         name = f"{number + 1:03d}"
         for motion, part in ((case.estimation, "estimation"), (case.held_out, "held_out")):
-            data = _csv(motion)
-            _write(out / f"{name}_{part}.csv", data)
-            digests[f"{name}_{part}.csv"] = _digest(data)
+            digests[f"{name}_{part}.csv"] = write_motion(out / f"{name}_{part}.csv", motion)
         truths[name] = {**case.truth, "seed": [seed, which, k]}
         if say:
             click.echo(f"{number + 1}/{len(jobs)} sealed in {time.perf_counter() - began:.1f} s", err=True)

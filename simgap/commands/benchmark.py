@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-__all__ = ["command", "diagnose_all", "diagnose_case", "seal"]
+if TYPE_CHECKING:
+    from simgap.benchmark.arms import Arm
+
+__all__ = ["command", "diagnose_all", "diagnose_case", "run_arm", "run_arms", "seal"]
 
 
 Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, seconds) -> diagnosis.json
@@ -27,33 +29,64 @@ Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, second
     type=click.FloatRange(0),
     help="Seconds a case may search, 0: no limit (default: 120 for quick, no limit for full).",
 )
+@click.option(
+    "--arms",
+    "arm_list",
+    default="none",
+    show_default=True,
+    help="Rivals to run on the same recordings: all, none, or some of refitted, sysid, box_jenkins, sparse, stepwise_bic.",
+)
+@click.option(
+    "--arm-cases", default=3, show_default=True, type=click.IntRange(1), help="First so many cases of each level for them."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print benchmark.json on standard output.")
-def command(out: Path, grade: str, seed: int, jobs: int | None, levels: str | None, budget: float | None, as_json: bool) -> None:
+def command(
+    out: Path,
+    grade: str,
+    seed: int,
+    jobs: int | None,
+    levels: str | None,
+    budget: float | None,
+    arm_list: str,
+    arm_cases: int,
+    as_json: bool,
+) -> None:
     """Measure how often the diagnosis is right, how small an effect it sees, and how often it cries wolf.
 
     A generator with its own laws and solver writes recordings; the truth goes into an envelope whose SHA-256 is printed before
     any diagnosis begins. Each case is diagnosed from its CSV files and the nominal model alone. Then the envelope is
     opened and the findings are scored. A run that was broken off goes on where it stopped. A case whose budget is spent tries no
     further structure: on a slow machine a budget can change the answer, so the full grade has none.
+
+    Rivals are optional, since `mujoco.sysid` alone takes half a minute a case. They run on the first cases of each level, by
+    number, from the same files as the diagnosis, and are kept in the same way.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     import json
     import math
 
     from ident.serial import write_atomic
+    from simgap.benchmark.arms import ARMS, parse_arms
     from simgap.benchmark.grade import BUDGETS, parse_levels
+    from simgap.benchmark.resume import plain
+    from simgap.benchmark.score_rivals import first_cases, score_rivals
     from simgap.benchmark.score_table import summarise
     from simgap.benchmark.seal import open_envelope
 
-    counts = parse_levels(levels, grade)
+    counts, arms = parse_levels(levels, grade), parse_arms(arm_list)
     digest = seal(out, counts, seed)
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
     seconds = BUDGETS[grade] if budget is None else budget or math.inf
-    results = diagnose_all(out, jobs or min(2, os.cpu_count() or 1), seconds)
+    processes = jobs or min(2, os.cpu_count() or 1)
+    results = diagnose_all(out, processes, seconds)
     truths = open_envelope(out / "recordings", out / "envelope" / "truth.json")
     versions: dict[str, str] = next((r["versions"] for r in results.values() if "versions" in r), {})
     about = {"grade": grade, "seed": seed, "counts": counts, "envelope_sha256": digest, "versions": versions, "budget_s": seconds}
-    summary = _plain({**about, **summarise(truths, results)})
+    names = first_cases(truths, arm_cases)
+    ran = run_arms(out, arms, names, results, processes)
+    rivals = score_rivals(truths, results, names, ran) if ran else None
+    missing = [a.what for a in ARMS.values() if a not in arms]
+    summary = plain({**about, **summarise(truths, results), "rivals": rivals, "arms_missing": missing})
     _page(out, summary)
     write_atomic(out / "benchmark.json", json.dumps(summary, indent=1) + "\n")
     if as_json:
@@ -85,23 +118,30 @@ def seal(out: Path, counts: dict[str, int], seed: int) -> str:
         raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None
 
 
-def stamp() -> str:
-    """Hash of what a diagnosis follows from besides the recordings: the model, the code, the libraries."""
+def stamp(*, arms: bool = False) -> str:
+    """Hash of what a diagnosis, or an arm, follows from besides the recordings: the model, the code, the libraries."""
     import hashlib
     import platform
-    from importlib.metadata import version
+    from importlib.metadata import PackageNotFoundError, version
 
     import diagnose
+    import ident
     import mjsim
     from mjsim.models import shipped_model
+    from simgap.benchmark import arms as rivals
+    from simgap.study import pipeline
 
     digest = hashlib.sha256(shipped_model("robot_axis1").read_bytes())
-    for package in (mjsim, diagnose):
-        root = Path(str(package.__file__)).parent
-        for path in sorted(p for p in root.rglob("*.py") if "report" not in p.parts):
+    files = [Path(str(package.__file__)).parent for package in ((mjsim, diagnose, ident, rivals) if arms else (mjsim, diagnose))]
+    for root in (*files, *((Path(pipeline.__file__),) if arms else ())):
+        for path in [root] if root.is_file() else sorted(p for p in root.rglob("*.py") if "report" not in p.parts):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    for text in (platform.python_version(), *(version(n) for n in ("numpy", "scipy", "numba", "mujoco"))):
-        digest.update(text.encode())
+    for name in ("numpy", "scipy", "numba", "mujoco", *(("pysindy",) if arms else ())):
+        try:
+            digest.update(version(name).encode())
+        except PackageNotFoundError:
+            digest.update(b"none")
+    digest.update(platform.python_version().encode())
     return digest.hexdigest()
 
 
@@ -123,88 +163,43 @@ def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) ->
 
 def diagnose_all(out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case) -> dict[str, dict]:
     """Results of all cases by name; those that stand in ``out/diagnoses``, by this code and budget, are not computed again."""
-    import json
+    from simgap.benchmark.resume import Job, Shelf, sealed_hashes
 
-    from ident.serial import write_atomic
-
-    recordings, folder, mark = out / "recordings", out / "diagnoses", f"{stamp()} {seconds:g} s"
-    manifest = json.loads((recordings / "manifest.json").read_text(encoding="utf-8"))
-    sealed = {n: {k: v for k, v in manifest["recordings"].items() if k.startswith(f"{n}_")} for n in manifest["cases"]}
-    done: dict[str, dict] = {}
-    other = 0
-    for name in sealed:
-        try:
-            kept = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-            if kept["stamp"] == mark and kept["sealed"] == sealed[name]:
-                done[name] = kept["result"]
-            else:
-                other += 1
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
-    if done:
-        click.echo(f"{len(done)} of {len(sealed)} cases were diagnosed before", err=True)
-    if other:
-        click.echo(f"{other} results are of other code or another budget and are computed again", err=True)
-
-    def keep(name: str, result: dict[str, Any]) -> None:
-        done[name] = _plain(result)
-        kept = {"case": name, "stamp": mark, "sealed": sealed[name], "result": done[name]}
-        write_atomic(folder / f"{name}.json", json.dumps(kept, indent=1) + "\n")
-
-    left = [n for n in sealed if n not in done]
-    with _bar(len(sealed), len(done)) as tick:
-        for name, result in _each(recordings, left, jobs, seconds, work):
-            keep(name, result)
-            tick(f"case {name}: {result.get('verdict', 'error')}")
-    return {n: done[n] for n in sealed}
+    recordings = out / "recordings"
+    sealed = sealed_hashes(recordings)
+    shelf = Shelf(out / "diagnoses", f"{stamp()} {seconds:g} s", sealed)
+    return shelf.results([Job(n, work, (recordings, n, seconds)) for n in sealed], jobs)
 
 
-def _each(recordings: Path, names: list[str], jobs: int, seconds: float, work: Work) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Results as they come, ``jobs`` processes side by side."""
-    if jobs <= 1 or len(names) < 2:
-        for name in names:
-            yield name, work(recordings, name, seconds)
-        return
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
+def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, Any]) -> dict[str, Any]:
+    """One rival on one case, from its two CSV files and the shipped nominal model; a failure is a result with ``error``."""
+    from mjsim.mjcf import load_axis
+    from mjsim.models import shipped_model
+    from mjsim.recording import load
+    from simgap.benchmark.arms import ARMS, Task
 
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before the workers import numpy
-        os.environ.setdefault(variable, "1")
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(work, recordings, n, seconds): n for n in names}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    model = shipped_model("robot_axis1")
+    estimation, held_out = (load(recordings / f"{name}_{part}.csv", model=model) for part in ("estimation", "held_out"))
+    return ARMS[identifier].run(Task(model, load_axis(model), estimation, held_out, diagnosis))
 
 
-@contextmanager
-def _bar(total: int, done: int) -> Iterator[Callable[[str], None]]:
-    """Progress on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+def run_arms(out: Path, arms: Sequence[Arm], names: Sequence[str], results: dict[str, dict], jobs: int = 1) -> list[dict]:
+    """Each arm on the cases ``names``, kept in ``out/arms``: plain values for the scorer, and why one was skipped."""
+    from simgap.benchmark.resume import Job, Shelf, sealed_hashes
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("diagnosing", total=total, completed=done)
-        yield lambda text: bar.update(task, description=text, advance=1)
-
-
-def _plain(value: Any) -> Any:
-    """JSON has no numpy numbers and no numbers that are not finite."""
-    import math
-
-    import numpy as np
-
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    recordings, ran = out / "recordings", []
+    sealed = sealed_hashes(recordings)
+    for arm in arms:
+        about = {"id": arm.id, "what": arm.what, "names": arm.names, "skipped": "", "answers": {}}
+        if arm.lacks():
+            about["skipped"] = f"{', '.join(arm.lacks())} not installed (pip install 'simgap[bench]')"
+            click.echo(f"Arm {arm.id} skipped: {about['skipped']}", err=True)
+        else:
+            shelf = Shelf(out / "arms" / arm.id, stamp(arms=True), sealed, f"arm {arm.id}", f"done by {arm.id}")
+            todo = [Job(n, run_arm, (arm.id, recordings, n, {"fit": results[n].get("fit", {})})) for n in names]
+            about["answers"] = shelf.results(todo, jobs)
+        ran.append(about)
+    return ran
 
 
 def _page(out: Path, summary: dict[str, Any]) -> None:
