@@ -99,8 +99,9 @@ class Fitted:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Weighted squared errors on held-out samples, in blocks: sse (B,), n (B,); rms and nrmse in the view's unit."""
+    """Weighted errors on held-out samples, in blocks: errors (N,), sse (B,), n (B,); rms and nrmse in the view's unit."""
 
+    errors: np.ndarray
     sse: np.ndarray
     n: np.ndarray
     rms: float
@@ -310,6 +311,26 @@ class Fitter:
                 J[:, i] = column if e.log else column * (e.scale / scale)
         return J
 
+    def pooled(self, fitted: Fitted) -> Fitted:
+        """The same structure with its shared parameters fitted to the estimation and the held-out recordings together.
+
+        For the question whether a structure can explain all recordings at all: what one of them leaves open (a stiffness that
+        its excitation does not reach) another one may settle, and is no missing physics.
+        """
+        everything = (*self.experiments, *self.held_out)
+        wider = Fitter(self.nominal, self.view, everything, self.held_out, self.jobs, self.varies, self.orders, self.whitening)
+        try:
+            wider._sigma = {id(e): self.sigma(e) for e in everything}
+            joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
+        finally:
+            wider.close()
+        self.runs += wider.runs
+        if not joint.ok:
+            return fitted
+        own = {k: v for k, v in joint.own.items() if k[2] < len(self.experiments)}
+        h = self.hypothesis(joint.effects, joint.linear, own)
+        return dataclasses.replace(fitted, hypothesis=h, fit=dataclasses.replace(fitted.fit, x=h.start))
+
     def refined(self, fitted: Fitted, step: float = 2e-4) -> Fitted:
         """The same fit with a two-sided Jacobian at its solution, for covariances."""
         h, f = fitted.hypothesis, fitted.fit
@@ -330,6 +351,7 @@ class Fitter:
         h = fitted.hypothesis
         axis = fitted.axis
         sse, count, squares, total, spread = [], [], 0.0, 0, 0.0
+        errors = []
         for experiment in self.held_out:
             solved = self.own_values(h, fitted, experiment)
             if solved is None:
@@ -341,6 +363,7 @@ class Fitter:
             keep = self.counted(experiment)
             w, valid = self.whitened(e, experiment)
             w2 = w**2
+            errors.append(w[valid])
             for part in np.array_split(np.flatnonzero(valid), blocks):
                 sse.append(float(np.sum(w2[part])))
                 count.append(len(part))
@@ -350,7 +373,9 @@ class Fitter:
             if s is not None:
                 m = s.measured[keep]
                 spread += float(np.sum((m - m.mean()) ** 2))
-        return HeldOut(np.array(sse), np.array(count), float(np.sqrt(squares / total)), float(np.sqrt(squares / spread)))
+        return HeldOut(
+            np.concatenate(errors), np.array(sse), np.array(count), math.sqrt(squares / total), math.sqrt(squares / spread)
+        )  # fmt: skip
 
     def own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
         """The fitted axis with this experiment's own phases and initial speed, estimated on it; remembered."""
@@ -361,9 +386,10 @@ class Fitter:
 
     def _own_values(self, h: Hypothesis, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
         moving = experiment.moving and self.view.channel == "velocity"
+        at = self.experiments.index(experiment) if experiment in self.experiments else 0
         alone = Hypothesis.build(
             h.nominal, fitted.effects, self.scales, 1, (moving,), fitted.linear,
-            {(o, n, 0): v for (o, n, r), v in fitted.own.items() if r == 0}, self.varies,
+            {(o, n, 0): v for (o, n, r), v in fitted.own.items() if r == at}, self.varies,
         )  # fmt: skip
         free = np.array([e.recording >= 0 for e in alone.entries])
         x = alone.start.copy()

@@ -169,6 +169,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     search, best = _search(fitter, options, progress, began)
     # a residual is coloured by its noise or by motion that the model misses; only noise may be whitened away
     missed = motion_error(fitter, best)
+    if missed is not None and missed >= options.missed:
+        missed = motion_error(fitter, fitter.pooled(best))
     noise_only = fitter.noise_known and (missed is None or missed < options.missed)
     filter_ = whitening_filter(fitter, best) if noise_only else None
     if filter_ is not None:
@@ -185,7 +187,15 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     mismatch = locate(fitter, base)
     found = _findings(search, best, options)
     motion = motion_error(fitter, base), motion_error(fitter, best)
-    verdict = _verdict(search, base, best, structure, motion, options)
+    remains = _is_unexplained(search, base, search.held_out(best), structure, motion, options)
+    settled = False
+    if remains:
+        # what the estimation recordings leave open is no missing physics: every recording may settle the parameters
+        pooled = fitter.pooled(best)
+        structure, motion = remaining_structure(fitter, pooled), (motion[0], motion_error(fitter, pooled))
+        remains = _is_unexplained(search, base, fitter.validate(pooled), structure, motion, options)
+        settled = not remains
+    verdict = _verdict(search, base, best, remains)
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     notes = list(unphysical(fitter.nominal))
     if motion[1] is not None and verdict is Verdict.UNEXPLAINED:
@@ -200,6 +210,11 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
         )
     if verdict is Verdict.UNEXPLAINED and mapped is None:
         notes.append("No torque map over one or two state variables lowers the held-out error for sure: none is given.")
+    if settled:
+        notes.append(
+            "The estimation recordings leave parameters open that the held-out ones need: fitted to both together, the same "
+            "structure leaves nothing material. Record more of what the held-out ones contain before trusting the parameters."
+        )
     notes += _steps(search, best, _unit(fitter))
     second = judge_second_encoder(fitter.nominal.chain, fitter.experiments, fitter.held_out)
     notes += [second.sentence()] if second is not None else []
@@ -312,13 +327,14 @@ def _steps(search: Search, best: Fitted, unit: str) -> list[str]:
 
 
 def _is_unexplained(
-    search: Search, base: Fitted, best: Fitted, structure: Structure, motion: tuple[float | None, float | None], options: Options
-) -> bool:
+    search: Search, base: Fitted, after: HeldOut | None, structure: Structure, motion: tuple[float | None, float | None],
+    options: Options,
+) -> bool:  # fmt: skip
     """Whether what is left is material against the noise, and against the mismatch that there was.
 
     Two witnesses: the part of the held-out error that the input and the motion predict, and the motion that the angle confirms.
     """
-    before, after = search.held_out(base), search.held_out(best)
+    before = search.held_out(base)
     if before is None or after is None:
         return False
     mismatch = before.rms**2 - (search.fitter.experiments[0].sigma ** 2 if search.fitter.noise_known else 0.0)
@@ -335,11 +351,9 @@ def _is_unexplained(
     return missed_after > options.missed and missed_after > options.left * missed_before
 
 
-def _verdict(
-    search: Search, base: Fitted, best: Fitted, structure: Structure, motion: tuple[float | None, float | None], options: Options
-) -> Verdict:
+def _verdict(search: Search, base: Fitted, best: Fitted, remains: bool) -> Verdict:
     """Unexplained when a material part of the held-out residual is predictable; else by what was found."""
-    if _is_unexplained(search, base, best, structure, motion, options):
+    if remains:
         return Verdict.UNEXPLAINED
     if best.effects:
         return Verdict.MISSING_PHYSICS

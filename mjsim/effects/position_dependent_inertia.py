@@ -57,4 +57,4 @@ class PositionDependentInertia(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0} for n in (1.0, 2.0, *scales.orders[:3])]
+        return [{"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0} for n in (1.0, 2.0, 3.0, 4.0, *scales.orders[:3])]
