@@ -27,6 +27,7 @@ from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.force_orders import force_orders
 from diagnose.least_squares import Fit
 from diagnose.locate import locate
+from diagnose.memory import Memory
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
 from diagnose.search import Search, SearchOptions
@@ -114,16 +115,18 @@ def diagnose(
     held_out: Sequence[Recording] = (),
     options: Options | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    memory: Memory | None = None,
 ) -> Diagnosis:
     """Diagnose recordings of one axis against its nominal model.
 
-    Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
+    ``memory``: where fits are written down as they are found, and looked up before they are made. Raises InputError for
+    recordings that cannot be used or a nominal model that cannot be run on them.
     """
     options = options or Options()
     began = time.monotonic()
     view = choose_view(recordings, options.judge)
     estimation, held = _experiments(recordings, held_out)
-    fitter = Fitter(nominal, view, estimation, held, options.jobs, _varies(nominal, recordings[0]))
+    fitter = Fitter(nominal, view, estimation, held, options.jobs, _varies(nominal, recordings[0]), memory=memory)
     try:
         with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
             return _diagnose(fitter, options, progress, began)

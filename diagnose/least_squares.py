@@ -5,10 +5,11 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-__all__ = ["Fit", "Status", "jacobian", "levenberg_marquardt"]
+__all__ = ["Fit", "Linearised", "Status", "jacobian", "levenberg_marquardt"]
 
 
 class Status(enum.Enum):
@@ -20,17 +21,50 @@ class Status(enum.Enum):
     FAILED = "the model could not be run at the start values"
 
 
-@dataclass(frozen=True)
+class Linearised:
+    """A residual (N,) and its Jacobian J (N, p): known, or computed when first asked for.
+
+    ``mark``: what they follow from, for who remembers fits; empty where nobody does.
+    """
+
+    def __init__(self, compute: Callable[[], tuple[np.ndarray, np.ndarray]], mark: str = "") -> None:
+        self._compute, self.mark = compute, mark
+
+    @cached_property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and J."""
+        return self._compute()
+
+    def marked(self, mark: str) -> Linearised:
+        """The same under a mark."""
+        return Linearised(lambda: self.arrays, mark)
+
+    @classmethod
+    def known(cls, residual: np.ndarray, J: np.ndarray) -> Linearised:
+        """Of arrays that are there."""
+        return cls(lambda: (residual, J))
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
-    """Outcome: x (p,), cost = sum of squares, residual (N,), J (N, p) at the last linearisation, gradient measure, status."""
+    """Outcome: x (p,), cost = sum of squares, residual (N,) and J (N, p) at the last linearisation, status, gradient measure."""
 
     x: np.ndarray
     cost: float
-    residual: np.ndarray
-    J: np.ndarray
+    linear: Linearised
     status: Status
     iterations: int
     predicted_gain: float
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Residual (N,) at x."""
+        return self.linear.arrays[0]
+
+    @property
+    def J(self) -> np.ndarray:
+        """Jacobian (N, p) at the last linearisation."""
+        return self.linear.arrays[1]
 
 
 Residual = Callable[[np.ndarray], np.ndarray | None]
@@ -105,10 +139,10 @@ def levenberg_marquardt(
     r = residual(x)
     n_x = len(x)
     if r is None:
-        return Fit(x, np.inf, np.empty(0), np.empty((0, n_x)), Status.FAILED, 0, 0.0)
+        return Fit(x, np.inf, Linearised.known(np.empty(0), np.empty((0, n_x))), Status.FAILED, 0, 0.0)
     cost = float(r @ r)
     if cost == 0.0:
-        return Fit(x, 0.0, r, np.zeros((len(r), n_x)), Status.CONVERGED, 0, 0.0)
+        return Fit(x, 0.0, Linearised.known(r, np.zeros((len(r), n_x))), Status.CONVERGED, 0, 0.0)
     mu = damping
     r_old, d = r, np.zeros(n_x)
     J = np.empty((len(r), n_x))
@@ -157,4 +191,4 @@ def levenberg_marquardt(
         if actual < tolerance or cost == 0.0:
             status = Status.CONVERGED
             break
-    return Fit(x, cost, r, J, status, iteration, float(gain))
+    return Fit(x, cost, Linearised.known(r, J), status, iteration, float(gain))

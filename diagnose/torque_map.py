@@ -26,7 +26,7 @@ import numpy as np
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Status, jacobian, levenberg_marquardt
+from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
 from diagnose.orders import torque_to_velocity
 from diagnose.result import MapResult, MapVariable
 from diagnose.search import compare
@@ -388,7 +388,8 @@ def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 3) -> _Refined 
         if problem is None:
             break
         solution = _solve(problem, best.chi2)
-        own = Fit(x, float(problem.r @ problem.r), problem.r, problem.J, fit.status, fit.iterations, fit.predicted_gain)
+        at = Linearised.known(problem.r, problem.J)
+        own = Fit(x, float(problem.r @ problem.r), at, fit.status, fit.iterations, fit.predicted_gain)
         outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, solution, problem, solution.cost * best.chi2)
         near = abs(math.log(max(solution.penalty, 1e-300) / max(root**2, 1e-300))) < math.log(10)
         if turn and near and fit.status is Status.CONVERGED:

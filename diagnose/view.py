@@ -138,17 +138,19 @@ class ForceView:
         q, v, a, commanded = self._filtered(experiment)
         try:
             s = assemble(axis)
-            if s.output_delay > 0 or s.output_lag > 0:
-                lead = s.output_delay + s.output_lag
-                q, v, a = (_shift(x, lead, r.dt) for x in (q, v, a))
+            if s.output_delay > 0:
+                q, v, a = (_shift(x, s.output_delay, r.dt) for x in (q, v, a))
+            if s.output_lag > 0:  # what a lag of the sensor T shows is y with y + T y' = x
+                T = s.output_lag
+                q, v, a = q + T * v, v + T * a, a + T * np.gradient(a, r.dt)
             offset = sum(m.c for m in s.output_maps if m.map.name == "ADD")
             needed = inverse(s, q, v - offset, a, r.dt)
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         sos = self._sos(r.dt)
-        late = s.input_delay + s.input_lag
-        if s.input_maps or late > 0:
-            commanded = sosfiltfilt(sos, _shift(apply_input(s, r.torque), -0.5 * r.dt - late, r.dt))
+        if s.input_maps or s.input_delay > 0 or s.input_lag > 0:
+            acting = _shift(_lagged(apply_input(s, r.torque), s.input_lag, r.dt), -0.5 * r.dt - s.input_delay, r.dt)
+            commanded = sosfiltfilt(sos, acting)
         every = slice(None, None, self.decimate)
         return Signals(r.time[every], commanded[every], sosfiltfilt(sos, needed)[every])
 
@@ -170,6 +172,17 @@ class ForceView:
     def noise(self, experiment: Experiment) -> float | None:
         """Not known beforehand: what acts on the torque is no sensor noise."""
         return None
+
+
+def _lagged(u: np.ndarray, lag: float, dt: float) -> np.ndarray:
+    """The output of a first-order lag [s] to an input held over each sample, averaged over the sample; settled at the start."""
+    from scipy.signal import lfilter
+
+    if lag <= 0:
+        return u
+    decay = math.exp(-dt / lag)
+    ends = lfilter([0.0, 1.0 - decay], [1.0, -decay], u, zi=[u[0]])[0]  # at the beginning of each sample
+    return np.asarray(u + (ends - u) * (1.0 - decay) * lag / dt)
 
 
 def _shift(x: np.ndarray, lead: float, dt: float) -> np.ndarray:

@@ -41,12 +41,12 @@ def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
     return float(1.0 / (1.0 + 2.0 * np.sum(_correlation(e, lags) ** 2)))
 
 
-def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, lags: int = 200) -> float:
+def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> float:
     """Share of the samples that are worth an independent one to tell two models apart, 1 / (1 + 2 sum rho_k sigma_k).
 
-    rho: autocorrelation of the richer model's residual, sigma: that of the difference of the two predictions, on the first
-    experiment. A slow error of the model says little about a slow effect and much about a fast one. The poorer model's residual
-    would not do: it holds the effect itself, and is the more correlated the more there is to find.
+    rho: autocorrelation of the richer model's residual, sigma: that of the difference of the two predictions, over a ``span`` [s]
+    of the first experiment. A slow error says little about a slow effect and much about a fast one. The poorer model's
+    residual would not do: it holds the effect itself, and is the more correlated the more there is to find.
     Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536, for the correlation of two series.
     """
     experiment = fitter.experiments[0]
@@ -56,7 +56,7 @@ def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, lags: int = 200) -> fl
         if e is None:
             return 1.0
         errors.append(np.where(fitter.counted(experiment), e, 0.0))
-    lags = min(lags, len(errors[1]) // 4)
+    lags = min(round(span / (experiment.recording.dt * fitter.view.decimate)), len(errors[1]) // 4)
     difference = errors[0] - errors[1]
     rho, sigma = _correlation(errors[1], lags), _correlation(difference, lags)
     return 1.0 / max(1.0, 1.0 + 2.0 * float(rho @ sigma))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import math
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -10,14 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from diagnose.flow import Options, diagnose
+from diagnose.memory import Memory, fingerprint
 from diagnose.result import Diagnosis
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, write_corrected
-from mjsim.recording import load
+from mjsim.recording import Recording, load
 
 __all__ = ["corrected_axis", "diagnose_files", "mapped_axis", "model_diff"]
 
+STATE = "state.jsonl"  # in the folder while a diagnosis runs, and after one that was broken off
 MAP_COMMENT = "This file holds a torque map: fitted, not derived. It predicts better and explains nothing."
 
 
@@ -58,15 +62,26 @@ def diagnose_files(
     progress: bool = True,
     truth: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
-    """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole."""
+    """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole.
+
+    Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
+    the same end. The file goes when the folder is written.
+    """
     _need_folder(out)
     nominal = load_axis(model)
     for name in options.effects if options else ():
         _need_place(name, nominal, model)
     loaded = [load(p, model=model) for p in recordings]
     held = [load(p, model=model) for p in held_out]
-    with _status(progress) as say:
-        result = diagnose(nominal, loaded, held, options, say)
+    memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
+    try:
+        with _status(progress) as say:
+            result = diagnose(nominal, loaded, held, options, say, memory)
+    except InputError:
+        memory.discard()
+        raise
+    finally:
+        memory.close()
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     write_corrected(model, corrected_axis(nominal, result), corrected)
@@ -79,7 +94,14 @@ def diagnose_files(
 
     write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth)
     result.write_json(out / "diagnosis.json")
+    memory.discard()
     return result
+
+
+def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options | None) -> str:
+    """Hash of what the fits of a diagnosis follow from; neither threads nor a budget of time change a fit."""
+    same = dataclasses.replace(options or Options(), jobs=1, seconds=math.inf)
+    return fingerprint(nominal, (*recordings, *held_out), len(recordings), same)
 
 
 def _need_folder(out: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-__all__ = ["DATA_SETS", "DataSet", "PublicFile", "command", "fetch", "locate"]
+__all__ = ["DATA_SETS", "DataSet", "PublicFile", "command", "fetch", "files_of", "locate"]
 
 
 @dataclass(frozen=True)
@@ -153,6 +153,26 @@ def _folders(given: Path | None) -> list[Path]:
     return [p for p in (Path(named) if named else None, _cache()) if p is not None and p.is_dir()]
 
 
+def files_of(data_set: DataSet, source: Path | None = None, to: Path | None = None) -> dict[str, Path]:
+    """The files of a data set by their role: below ``source`` when that is given, else on this machine, else fetched to ``to``.
+
+    Raises InputError when one is in none of these places.
+    """
+    from mjsim.errors import InputError
+
+    folders = _folders(source)
+    found: dict[str, Path] = {}
+    for file in data_set.files:
+        places = (p for p in (locate(file, folder) for folder in folders) if p is not None)
+        path = next(places, None)
+        if path is None and source is not None:
+            raise InputError(
+                source, f"{file.name} is not there", f"a file of SHA-256 {file.sha256[:16]}...", f"from {data_set.source}"
+            )
+        found[file.role] = path or fetch(file, data_set, to or _cache())
+    return found
+
+
 @click.command("data", epilog="Example: simgap data emps --from downloads/")
 @click.argument("name", required=False)
 @click.option(
@@ -181,16 +201,7 @@ def command(name: str | None, source: Path | None, to: Path | None, listing: boo
     if name not in DATA_SETS:
         raise InputError(f"data set {name!r}", "not known", f"one of {', '.join(DATA_SETS)}", "name one of them")
     data_set = DATA_SETS[name]
-    folders = _folders(source)
-    found: dict[str, Path] = {}
-    for file in data_set.files:
-        places = (p for p in (locate(file, folder) for folder in folders) if p is not None)
-        path = next(places, None)
-        if path is None and source is not None:
-            raise InputError(
-                source, f"{file.name} is not there", f"a file of SHA-256 {file.sha256[:16]}...", f"from {data_set.source}"
-            )
-        found[file.role] = path or fetch(file, data_set, to or _cache())
+    found = files_of(data_set, source, to)
     model = shipped_model(data_set.model)
     if as_json:
         files = [{"file": str(found[f.role]), "role": f.role, "sha256": f.sha256} for f in data_set.files]

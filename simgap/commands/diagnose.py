@@ -50,14 +50,20 @@ def command(
     from diagnose.flow import Options
     from mjsim.effects import registered
     from mjsim.errors import InputError
-    from simgap.pipeline import diagnose_files
+    from simgap.pipeline import STATE, diagnose_files
 
     only = tuple(e.strip() for e in effects.split(",") if e.strip())
     for name in only:
         if name not in registered():
             raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), "correct the name")
     options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf)
-    result = diagnose_files(recordings, model, out, held_out, options, progress=not quiet)
+    try:
+        result = diagnose_files(recordings, model, out, held_out, options, progress=not quiet)
+    except KeyboardInterrupt:
+        kept = out / STATE
+        left = f"what was fitted is in {kept}: give the same command to go on" if kept.exists() else "nothing was written"
+        click.echo(f"simgap: interrupted; {left}", err=True)
+        raise SystemExit(130) from None
     if as_json:
         click.echo(json.dumps(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")), indent=2))
     else:

@@ -1,0 +1,249 @@
+"""A diagnosis that is broken off leaves what it has fitted, and the same command goes on from there to the same end."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from robot_axis import effect
+
+import simgap.pipeline as pipeline
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
+from diagnose.flow import Options, diagnose
+from diagnose.least_squares import Fit, Linearised, Status
+from diagnose.memory import Memory, fingerprint
+from diagnose.view import MotionView
+from mjsim.mjcf import load_axis
+from mjsim.models import shipped_model
+from simgap.cli import cli
+
+FEW = ("coulomb_friction", "backlash", "torque_offset", "time_delay", "quadratic_friction", "stribeck_friction")
+FIT = Fit(np.array([1 / 3, -0.0]), 0.1, Linearised.known(np.zeros(3), np.zeros((3, 2))), Status.BUDGET, 3, np.inf)
+
+
+def answer(result):
+    said = result.as_dict()
+    del said["seconds"]
+    return json.dumps(said, default=float)
+
+
+class Broken(Memory):
+    """Breaks the diagnosis off after so many fits, as Ctrl-C does."""
+
+    left = 0
+
+    def keep(self, key, fit, n, runs):
+        if self.left == 0:
+            raise KeyboardInterrupt
+        self.left -= 1
+        super().keep(key, fit, n, runs)
+
+
+@pytest.fixture(scope="module")
+def whole(pair, robot):
+    """(recordings, options, answer without interruption, its number of fits)."""
+    recordings = pair(effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.05, stribeck_velocity_rad_s=3.0))
+    options = Options(jobs=1, effects=FEW)
+    counted = Counted()
+    result = diagnose(robot, recordings[:1], recordings[1:], options, memory=counted)
+    assert answer(result) == answer(diagnose(robot, recordings[:1], recordings[1:], options)), "remembering changes nothing"
+    return recordings, options, answer(result), counted.kept
+
+
+class Counted:
+    """A memory that knows nothing and counts."""
+
+    kept = 0
+
+    def recall(self, key):
+        return None
+
+    def keep(self, key, fit, n, runs):
+        self.kept += 1
+
+
+@pytest.mark.parametrize(("share", "jobs"), [(0.2, 1), (0.7, 1), (0.95, 2)])
+def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path, share, jobs):
+    recordings, options, expected, count = whole
+    options = dataclasses.replace(options, jobs=jobs)
+    memory = Broken(tmp_path / "state.jsonl", "this")
+    memory.left = int(share * count)
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(robot, recordings[:1], recordings[1:], options, memory=memory)
+    memory.close()
+    again = Memory(tmp_path / "state.jsonl", "this")
+    assert again.recalled >= int(share * count)
+    assert answer(diagnose(robot, recordings[:1], recordings[1:], options, memory=again)) == expected
+    assert again.size - again.recalled < count - int(share * count) + 1, "what was known was not fitted again"
+
+
+def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch):
+    recordings, options, expected, count = whole
+    memory = Memory(tmp_path / "state.jsonl", "this")
+    diagnose(robot, recordings[:1], recordings[1:], options, memory=memory)
+    again = Memory(tmp_path / "state.jsonl", "this")
+    assert again.recalled == memory.size == count
+    asked = []
+    recall = again.recall
+    monkeypatch.setattr(again, "recall", lambda key: asked.append(key) or recall(key))
+    assert answer(diagnose(robot, recordings[:1], recordings[1:], options, memory=again)) == expected
+    assert again.size == count
+    assert set(asked) <= set(again._known)
+
+
+def test_a_fit_that_is_recalled_is_the_fit(whole, robot, tmp_path):
+    (estimation, held_out), *_ = whole
+    memory = Memory(tmp_path / "state.jsonl", "this")
+
+    def fits(memory):
+        fitter = Fitter(robot, MotionView(), (prepare(estimation),), (prepare(held_out),), 1, memory=memory)
+        base = fitter.fit(fitter.hypothesis(()), iterations=5)
+        h = fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.05),), base.linear)
+        return base, fitter.fit(h, iterations=3, borrow=base, secant=True), fitter.runs
+
+    first, second = fits(memory), fits(Memory(tmp_path / "state.jsonl", "this"))
+    assert first[2] == second[2], "a budget of runs counts what was recalled"
+    for a, b in zip(first[:2], second[:2], strict=True):
+        np.testing.assert_array_equal(a.fit.x, b.fit.x)
+        np.testing.assert_array_equal(a.fit.residual, b.fit.residual)
+        np.testing.assert_array_equal(a.fit.J, b.fit.J)
+        assert (a.fit.cost, a.fit.status, a.fit.iterations, a.n) == (b.fit.cost, b.fit.status, b.fit.iterations, b.n)
+
+
+def test_lines_come_back_to_the_last_digit_and_a_cut_one_is_dropped(tmp_path):
+    path = tmp_path / "deep" / "state.jsonl"
+    memory = Memory(path, "this")
+    assert not path.parent.exists(), "nothing is made before there is a fit"
+    for key in ("a", "b", "a"):
+        memory.keep(key, FIT, 7, 11)
+    text = path.read_text()
+    assert len(text.splitlines()) == 3
+    path.write_text(text[:-20])
+    again = Memory(path, "this")
+    assert again.recalled == 1
+    known = again.recall("a")
+    assert known is not None
+    assert [v.hex() for v in known.x] == [v.hex() for v in FIT.x]
+    assert (known.cost, known.status, known.n, known.runs) == (0.1, Status.BUDGET, 7, 11)
+    assert known.predicted_gain == np.inf
+    again.keep("b", FIT, 7, 11)
+    assert Memory(path, "this").recalled == 2
+    assert [p.name for p in path.parent.iterdir()] == ["state.jsonl"]
+
+
+def test_what_follows_from_something_else_is_not_used(tmp_path):
+    path = tmp_path / "state.jsonl"
+    Memory(path, "this").keep("a", FIT, 7, 11)
+    other = Memory(path, "that")
+    assert other.recall("a") is None
+    other.keep("c", FIT, 7, 11)
+    assert Memory(path, "this").recalled == 0
+    assert Memory(path, "that").recalled == 1
+    path.write_bytes(b"\xff\xfe rubbish")
+    assert Memory(path, "this").recalled == 0
+    memory = Memory(tmp_path / "a" / "b" / "state.jsonl", "this")
+    memory.keep("a", FIT, 7, 11)
+    memory.discard()
+    memory.keep("b", FIT, 7, 11)
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_hash_sees_what_a_fit_follows_from(pair, robot):
+    one, two = pair(seconds=1.0)
+    known = {fingerprint(robot, (one,), Options())}
+    known.add(fingerprint(robot, (two,), Options()))
+    known.add(fingerprint(robot, (one, two), Options()))
+    known.add(fingerprint(robot.with_linear({"Jm": 4.5e-4}), (one,), Options()))
+    known.add(fingerprint(robot, (one,), Options(depth=1)))
+    assert len(known) == 5
+    same = dataclasses.replace(one, torque=np.array(one.torque))
+    assert fingerprint(robot, (same,), Options()) in known
+
+
+def write(path, r):
+    rows = np.column_stack([r.time, r.torque, r.velocity, r.angle])
+    np.savetxt(path, rows, delimiter=",", header="time_s,torque_Nm,velocity_rad_s,angle_rad", comments="", fmt="%.17g")
+    return path
+
+
+@pytest.fixture
+def files(whole, tmp_path):
+    (estimation, held_out), *_ = whole
+    return write(tmp_path / "log.csv", estimation), write(tmp_path / "other.csv", held_out)
+
+
+def command(files, out, *more):
+    model = str(shipped_model("robot_axis1"))
+    return [
+        "diagnose", str(files[0]), "--held-out", str(files[1]), "--model", model, "--out", str(out), "--effects", ",".join(FEW),
+        "--jobs", "1", "--quiet", *more,
+    ]  # fmt: skip
+
+
+def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(files, tmp_path, monkeypatch):
+    out, straight = tmp_path / "report", tmp_path / "straight"
+    assert CliRunner().invoke(cli, command(files, straight)).exit_code == 0
+    Broken.left = 6
+    with monkeypatch.context() as m:
+        m.setattr(pipeline, "Memory", Broken)
+        broken = CliRunner().invoke(cli, command(files, out))
+    assert broken.exit_code == 130
+    assert broken.stderr.strip().splitlines() == [
+        f"simgap: interrupted; what was fitted is in {out / 'state.jsonl'}: give the same command to go on"
+    ]
+    assert [p.name for p in out.iterdir()] == ["state.jsonl"]
+    assert CliRunner().invoke(cli, command(files, out)).exit_code == 0
+    assert {p.name for p in out.iterdir()} == {"corrected.xml", "diagnosis.json", "report.html"}
+    one, two = (json.loads((folder / "diagnosis.json").read_text()) for folder in (straight, out))
+    assert {**one, "seconds": 0} == {**two, "seconds": 0}
+    assert (straight / "corrected.xml").read_text() == (out / "corrected.xml").read_text()
+
+
+def test_interrupted_before_the_first_fit_nothing_is_there(files, tmp_path, monkeypatch):
+    Broken.left = 0
+    monkeypatch.setattr(pipeline, "Memory", Broken)
+    broken = CliRunner().invoke(cli, command(files, tmp_path / "report"))
+    assert broken.exit_code == 130
+    assert "nothing was written" in broken.stderr
+    assert not (tmp_path / "report").exists()
+
+
+def test_bad_input_leaves_no_state(files, tmp_path):
+    axis = load_axis(shipped_model("robot_axis1"))
+    assert axis.chain.couplings[0].damping < 0
+    model = tmp_path / "wild.xml"
+    text = shipped_model("robot_axis1").read_text().replace('damping="-62"', 'damping="-62000"')
+    assert "-62000" in text
+    model.write_text(text)
+    arguments = command(files, tmp_path / "report")
+    arguments[arguments.index("--model") + 1] = str(model)
+    answer = CliRunner().invoke(cli, arguments)
+    assert answer.exit_code != 0
+    assert not (tmp_path / "report" / "state.jsonl").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_on_the_running_command(files, tmp_path):
+    out = tmp_path / "report"
+    process = [sys.executable, "-m", "simgap", *command(files, out)]
+    running = subprocess.Popen(process, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    end = time.monotonic() + 120
+    while time.monotonic() < end and not ((out / "state.jsonl").exists() and (out / "state.jsonl").stat().st_size > 3000):
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130, said
+    assert "give the same command to go on" in said
+    assert len(said.strip().splitlines()) == 1
+    assert [p.name for p in out.iterdir()] == ["state.jsonl"]
+    assert subprocess.run(process, check=False).returncode == 0
+    assert {p.name for p in out.iterdir()} == {"corrected.xml", "diagnosis.json", "report.html"}
