@@ -15,7 +15,8 @@ import numpy as np
 
 from diagnose.experiment import Experiment
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Status, jacobian, levenberg_marquardt
+from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
+from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
 from diagnose.view import View
 from mjsim.axis import Axis
@@ -24,6 +25,7 @@ from mjsim.effects import Effect, Scales
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
 
 T = TypeVar("T")
+Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
@@ -113,6 +115,19 @@ class HeldOut:
         return float(np.sum(self.sse))
 
 
+class _Counted:
+    """Runs residuals side by side and counts those of one fit."""
+
+    def __init__(self, side_by_side: Run) -> None:
+        self.runs = 0
+        self._map = side_by_side
+
+    def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
+        """Answers in the order of the tasks."""
+        self.runs += len(tasks)
+        return self._map(tasks)
+
+
 @dataclass
 class Fitter:
     """Everything that fits share: nominal axis, view, experiments, scales, whitening filter, threads."""
@@ -126,9 +141,11 @@ class Fitter:
     orders: tuple[float, ...] = ()
     whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
     runs: int = 0
+    memory: Memory | None = None
 
     def __post_init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=max(1, self.jobs))
+        self.closed = False
         self._nested = threading.local()
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
@@ -138,7 +155,8 @@ class Fitter:
         self.scales = scales_by_place(self.nominal, self.experiments[0], self.orders)
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Stop the threads: what they are at comes to nothing, and is not remembered."""
+        self.closed = True
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _rough_noise(self, experiment: Experiment) -> float:
@@ -227,6 +245,8 @@ class Fitter:
         """Residual vector over all estimation experiments as a function of the scaled vector."""
 
         def of(x: np.ndarray) -> np.ndarray | None:
+            if self.closed:
+                return None
             parts = []
             for r, experiment in enumerate(self.experiments):
                 try:
@@ -277,14 +297,44 @@ class Fitter:
         ``secant``: later iterations update the Jacobian and do not difference it anew.
         """
         start = h.start if x0 is None else x0
-        J0 = self._borrowed(h, start, borrow, step) if borrow is not None else None
-        result = levenberg_marquardt(
-            self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=self.run,
-            max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant,
-        )  # fmt: skip
-        return Fitted(h, result, max(len(result.residual) - len(h.nominal.chain.linear_parameters()), 1))
+        key = self._key(h, start, (iterations, step, tolerance, secant), borrow) if self.memory is not None else ""
+        known = self.memory.recall(key) if self.memory is not None else None
+        counted = _Counted(self.map)
 
-    def _borrowed(self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float) -> np.ndarray | None:
+        def solve() -> Fit:
+            J0 = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
+            return levenberg_marquardt(
+                self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
+                max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant,
+            )  # fmt: skip
+
+        if known is None:
+            fit = solve()
+            n = max(len(fit.residual) - len(h.nominal.chain.linear_parameters()), 1)
+            if self.memory is not None:
+                fit = dataclasses.replace(fit, linear=fit.linear.marked(key))
+                if not self.closed:
+                    self.memory.keep(key, fit, n, counted.runs)
+            runs = counted.runs
+        else:
+            # its arrays only when somebody builds on them, by the same way again
+            linear = Linearised(lambda: solve().linear.arrays, key)
+            fit = Fit(known.x, known.cost, linear, known.status, known.iterations, known.predicted_gain)
+            n, runs = known.n, known.runs
+        with self._counting:
+            self.runs += runs
+        return Fitted(h, fit, n)
+
+    def _key(self, h: Hypothesis, start: np.ndarray, how: tuple[object, ...], borrow: Fitted | None) -> str:
+        """Hash of all that a fit depends on besides the recordings, the nominal model and the code."""
+        from hashlib import sha256
+
+        lent = None if borrow is None else (borrow.fit.linear.mark or borrow.fit.J.tobytes(), borrow.hypothesis.entries)
+        weights = [self.sigma(e) for e in self.experiments]
+        asked = (h.effects, h.nominal.effects, h.entries, how, lent, weights)
+        return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
+
+    def _borrowed(self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run) -> np.ndarray | None:
         """A Jacobian at x whose columns for the parameters of ``base`` are taken from there."""
         lower, upper = h.bounds
         x = np.clip(x, lower, upper)
@@ -300,7 +350,7 @@ class Fitter:
             y[own] = z
             return residual(y)
 
-        part = jacobian(partly, x[own], r, np.full(len(own), step), lower[own], upper[own], self.run)
+        part = jacobian(partly, x[own], r, np.full(len(own), step), lower[own], upper[own], run)
         if part is None:
             return None
         J = np.empty((len(r), len(x)))
@@ -344,7 +394,7 @@ class Fitter:
         if forward is None or backward is None:
             return fitted
         J = 0.5 * (forward + backward)
-        return Fitted(h, Fit(f.x, f.cost, r, J, f.status, f.iterations, f.predicted_gain), fitted.n)
+        return Fitted(h, Fit(f.x, f.cost, Linearised.known(r, J), f.status, f.iterations, f.predicted_gain), fitted.n)
 
     def validate(self, fitted: Fitted, blocks: int = 40) -> HeldOut | None:
         """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is."""
