@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-__all__ = ["OUTCOMES", "levels", "power", "small_power", "standalone"]
+__all__ = ["OUTCOMES", "levels", "power", "power_grid", "small_power", "standalone"]
 
 # outcome -> colour of its part of a bar: found in blue, honest silence grey, wrong in red
 OUTCOMES = {
@@ -97,6 +97,10 @@ def power(detected: Mapping[str, Any], named: Mapping[str, Any]) -> str:
     for colour, label, curve, row in where:
         at = left + 330 * row
         body += [_line(at, 18, at + 26, 18, colour, 2.4), _text(at + 32, 22, label)]
+        for b in curve["bins"] if row == 0 else ():
+            middle, share = x(math.sqrt(max(b["low"], low) * max(b["high"], low))), b["seen"] / b["n"]
+            body += [_line(middle, y(b["ci95"][0]), middle, y(b["ci95"][1]), colour, 1.3)]
+            body += [_dot(middle, y(share), 3.6, colour, True)]
         for size, seen in curve["cases"]:
             tick = (top - 12 + 5 * row) if seen else (bottom + 8 + 6 * row)
             body.append(_line(x(size), tick - 2.5, x(size), tick + 2.5, colour, 1.3))
@@ -105,6 +109,51 @@ def power(detected: Mapping[str, Any], named: Mapping[str, Any]) -> str:
             body.append(_path(points, colour, 2.4))
     alt = "Chance that an effect is seen and that it is named, over its size in units of the noise"
     return _svg(width, height, alt, body)
+
+
+def _reach(x: Callable[[float], float], limits: Sequence[float | None], y: float, colour: str, left: float, right: float) -> str:
+    """An interval as a bar; where it is open it runs to the frame and is dashed."""
+    low, high = limits
+    dash = "" if low and high else "3 2"
+    return _line(x(low) if low else left, y, x(high) if high else right, y, colour, 1.4, dash)
+
+
+def power_grid(curves: Mapping[str, Mapping[str, Any]], label: Callable[[str], str]) -> str:
+    """A panel for each effect: the chance to be seen over the size, with the 50 % and 90 % points, or why there is no curve."""
+    columns, wide, tall, gap = 3, 236, 78, 16
+    low, high = _limits([c["detected"] for c in curves.values()])
+    body = []
+    for i, (effect, both) in enumerate(curves.items()):
+        c = both["detected"]
+        left, top = 8 + (i % columns) * (wide + gap), 22 + (i // columns) * (tall + 46)
+        right, bottom = left + wide, top + tall
+        x = _scale(low, high, left, right)
+
+        def y(p: float, bottom: int = bottom) -> float:
+            return bottom - p * tall
+
+        body.append(_text(left, top - 9, f"{label(effect)}, {c['seen']} of {c['n']} seen", size=11))
+        body += [_line(left, y(p), right, y(p), "--grid") for p in (0, 0.5, 0.9, 1)]
+        for s in _ticks(low, high):
+            body += [_line(x(s), top, x(s), bottom, "--grid"), _text(x(s), bottom + 20, f"{s:g}", size=9, anchor="middle")]
+        for size, seen in c["cases"]:
+            tick = top + 3 if seen else bottom + 6
+            body.append(_line(x(size), tick - 3, x(size), tick + 3, "--corrected" if seen else "--alarm", 1.3))
+        if c["curve"]:
+            points = [(x(s), y(p)) for s, p in zip(c["curve"]["size"], c["curve"]["chance"], strict=True)]
+            body.append(_path(points, "--corrected", 2))
+            for key, p in (("at50", 0.5), ("at90", 0.9)):
+                body.append(_reach(x, c[f"{key}_ci95"], y(p), "--ink", left, right))
+                if low <= c[key] <= high:
+                    body.append(_dot(x(c[key]), y(p), 3, "--ink", True))
+        elif c["note"]:
+            body.append(_text(left + 6, y(0.42), "too few for a curve" if "too few" in c["note"] else "no curve", size=10,
+                              colour="--muted"))  # fmt: skip
+    rows = -(-len(curves) // columns)
+    body.append(_text(376, 22 + rows * (tall + 46), "size of the effect behind a refit [rms of the noise]", anchor="middle"))
+    return _svg(
+        760, 34 + rows * (tall + 46), "Chance that each effect is seen over its size, with its 50 % and 90 % points", body
+    )
 
 
 def small_power(curves: Mapping[str, Mapping[str, Any]], label: Callable[[str], str]) -> str:

@@ -3,7 +3,13 @@
     P(seen) = 1 / (1 + exp(-(a + b log10 size)))
 
 The likelihood is penalised by half the log-determinant of the information (Firth 1993, Biometrika 80, 27-38), so that
-the fit exists where a size parts the seen from the unseen without overlap.
+the fit exists where a size parts the seen from the unseen without overlap. Intervals of the sizes seen with a chance of 50 % and
+90 % are those of the profile of the same likelihood: all sizes s for which some slope b > 0 makes
+
+    2 (max log L - log L(a = logit p - b log10 s, b)) <= 3.84
+
+On few cases they are lopsided, and open where the cases set no limit; a symmetric interval would say more than the cases do.
+Source: G. Heinze, M. Schemper, Stat. Med. 21 (2002) 2409.
 """
 
 from __future__ import annotations
@@ -14,18 +20,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["PowerCurve", "power_curve"]
+__all__ = ["Bin", "PowerCurve", "power_curve", "shares"]
 
 FEWEST = 8  # cases
 OF_EACH = 2  # seen and unseen
+BIN = 8  # fewest cases of a bin
+BINS = 8  # most bins
+DROP = 1.9207  # of the log-likelihood at the ends of a 95 % interval: half the quantile of chi-square, one degree of freedom
+REACH = 3.0  # decades beyond the cases, further than which an interval is called open
+SLOPES = np.geomspace(0.02, 50.0, 160)  # over the fitted slope
+STEP = 0.01  # decades: the first step out of the estimate
 
 
 @dataclass(frozen=True)
 class PowerCurve:
     """Cases by size, and the fitted curve where there are enough.
 
-    ``at50``, ``at90``: sizes [noise rms] seen with that chance, with the 95 % interval of ``at50``; nan without a fit, and
-    ``note`` says why.
+    ``at50``, ``at90``: sizes [noise rms] seen with that chance and their 95 % intervals, 0 or inf where the cases set no limit;
+    nan without a fit, and ``note`` says why.
     """
 
     sizes: tuple[float, ...]
@@ -35,6 +47,7 @@ class PowerCurve:
     at50: float
     at90: float
     at50_ci95: tuple[float, float]
+    at90_ci95: tuple[float, float]
     note: str
 
     def chance(self, size: np.ndarray) -> np.ndarray:
@@ -42,8 +55,8 @@ class PowerCurve:
         return 1 / (1 + np.exp(-(self.intercept + self.slope * np.log10(size))))
 
 
-def _fit(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """(a, b) and their covariance by Firth's modified scores; None when it does not settle."""
+def _fit(x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+    """(a, b) by Firth's modified scores; None when it does not settle."""
     X = np.stack([np.ones_like(x), x], axis=1)
     beta = np.zeros(2)
     for _ in range(200):
@@ -59,7 +72,7 @@ def _fit(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         step *= min(1.0, 2.0 / max(float(np.max(np.abs(step))), 1e-300))
         beta = beta + step
         if float(np.max(np.abs(step))) < 1e-8:
-            return beta, covariance
+            return beta
     return None
 
 
@@ -71,7 +84,7 @@ def power_curve(sizes: Sequence[float], seen: Sequence[bool]) -> PowerCurve:
     hits = sum(k)
 
     def without(note: str) -> PowerCurve:
-        return PowerCurve(s, k, math.nan, math.nan, math.nan, math.nan, blank, note)
+        return PowerCurve(s, k, math.nan, math.nan, math.nan, math.nan, blank, blank, note)
 
     if not s:
         return without("no cases")
@@ -82,12 +95,73 @@ def power_curve(sizes: Sequence[float], seen: Sequence[bool]) -> PowerCurve:
             return without(f"none of {len(s)} seen, the largest at {s[-1]:.2g}")
         return without(f"{hits} of {len(s)} seen: too few for a curve")
     fitted = _fit(np.log10(s), np.array(k, float))
-    if fitted is None or fitted[0][1] <= 0:
+    if fitted is None or fitted[1] <= 0:
         return without(f"{hits} of {len(s)} seen: the chance does not grow with the size")
-    (a, b), covariance = fitted
-    x50 = -a / b
-    gradient = np.array([-1 / b, a / b**2])
-    spread = 1.96 * math.sqrt(float(gradient @ covariance @ gradient))
-    low, high = (10.0 ** float(np.clip(x50 + d, -6, 6)) for d in (-spread, spread))
-    at90 = 10.0 ** float(np.clip(x50 + math.log(9) / b, -6, 6))
-    return PowerCurve(s, k, float(a), float(b), 10.0 ** float(np.clip(x50, -6, 6)), at90, (low, high), "")
+    a, b = (float(v) for v in fitted)
+    x, y = np.log10(s), np.array(k, float)
+    at50, at90 = (10.0 ** float(np.clip((math.log(p / (1 - p)) - a) / b, -6, 6)) for p in (0.5, 0.9))
+    ci50, ci90 = (_interval(p, math.log10(at), b, x, y) for p, at in ((0.5, at50), (0.9, at90)))
+    return PowerCurve(s, k, a, b, at50, at90, ci50, ci90, "")
+
+
+def _log_likelihood(a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Penalised log-likelihood of pairs (a, b) (M,)."""
+    z = a[:, None] + b[:, None] * x
+    p = 1 / (1 + np.exp(-np.clip(z, -700, 700)))
+    w = p * (1 - p)
+    s0, s1, s2 = w.sum(1), (w * x).sum(1), (w * x * x).sum(1)
+    information = np.maximum(s0 * s2 - s1**2, 1e-300)
+    return np.asarray(-np.logaddexp(0.0, np.where(y > 0, -z, z)).sum(1) + 0.5 * np.log(information))
+
+
+def _interval(chance: float, at: float, slope: float, x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Profile interval of the size seen with a chance, about the estimate ``at`` [decades] of the fit with this slope."""
+    level = math.log(chance / (1 - chance))
+    slopes = slope * SLOPES
+
+    def below(g: float) -> float:
+        """How far the profile at g is below its top."""
+        return top - float(np.max(_log_likelihood(level - slopes * g, slopes, x, y)))
+
+    top = float(np.max(_log_likelihood(level - slopes * at, slopes, x, y)))
+
+    def end(side: float, limit: float) -> float | None:
+        inside, step = at, STEP
+        while below(inside + side * step) <= DROP:
+            inside += side * step
+            step *= 1.5
+            if side * (limit - inside) < 0:
+                return None
+        outside = inside + side * step
+        for _ in range(12):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if below(middle) <= DROP else (inside, middle)
+        return inside
+
+    low, high = end(-1.0, x[0] - REACH), end(1.0, x[-1] + REACH)
+    return 0.0 if low is None else 10.0**low, math.inf if high is None else 10.0**high
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Cases of like size: their smallest and largest size, how many were seen, and the Clopper-Pearson interval of the share."""
+
+    low: float
+    high: float
+    n: int
+    seen: int
+    ci95: tuple[float, float]
+
+
+def shares(sizes: Sequence[float], seen: Sequence[bool]) -> tuple[Bin, ...]:
+    """The observed shares in bins of equal count, to judge a fitted curve by; none below two bins of ``BIN`` cases."""
+    from scipy.stats import binomtest
+
+    order = sorted(range(len(sizes)), key=lambda i: sizes[i])
+    count = min(BINS, len(order) // BIN)
+    out = []
+    for part in np.array_split(np.array(order, int), count) if count >= 2 else ():
+        hits = sum(bool(seen[i]) for i in part)
+        limits = binomtest(hits, len(part)).proportion_ci(0.95, method="exact")
+        out.append(Bin(sizes[part[0]], sizes[part[-1]], len(part), hits, (float(limits.low), float(limits.high))))
+    return tuple(out)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from simgap.benchmark.cases import LEVELS
 from simgap.benchmark.catalogue import CATALOGUE
 from simgap.benchmark.grade import LIBRARY, SINGLE, bars, fraction
-from simgap.benchmark.power import PowerCurve, power_curve
+from simgap.benchmark.power import PowerCurve, power_curve, shares
 from simgap.benchmark.score import NULLS, CaseScore, Outcome, ParameterScore, score_case
 from simgap.benchmark.score_arms import Arm, score_arms
 
@@ -71,8 +72,9 @@ def _curve(cases: Sequence[CaseScore], seen: Callable[[CaseScore], bool]) -> dic
         drawn = {"size": x.tolist(), "chance": curve.chance(x).tolist()}
     return {
         "n": len(curve.sizes), "seen": int(sum(curve.seen)), "at50": curve.at50, "at50_ci95": list(curve.at50_ci95),
-        "at90": curve.at90, "note": curve.note, "cases": [[s, int(k)] for s, k in zip(curve.sizes, curve.seen, strict=True)],
-        "curve": drawn,
+        "at90": curve.at90, "at90_ci95": list(curve.at90_ci95), "slope": curve.slope, "note": curve.note,
+        "cases": [[s, int(k)] for s, k in zip(curve.sizes, curve.seen, strict=True)],
+        "curve": drawn, "bins": [asdict(b) for b in shares(curve.sizes, curve.seen)],
     }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from typing import Any
@@ -15,7 +16,7 @@ from simgap.benchmark.grade import GRADES, Status, bars, fraction, parse_levels
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.page import Manner, render_page
 from simgap.benchmark.page_pictures import OUTCOMES
-from simgap.benchmark.power import power_curve
+from simgap.benchmark.power import power_curve, shares
 from simgap.benchmark.refit import LINEAR
 from simgap.benchmark.score import Outcome, alternatives, score_case
 from simgap.benchmark.score_arms import bic_result, refitted_result, score_arms
@@ -198,9 +199,18 @@ def test_a_power_curve_finds_its_points() -> None:
     assert curve.at50 == pytest.approx(0.2, rel=0.08)
     assert curve.at90 == pytest.approx(0.6, rel=0.12)  # odds 9 at 3 times the size
     assert curve.at50_ci95[0] < 0.2 < curve.at50_ci95[1]
+    assert curve.at90_ci95[0] < 0.6 < curve.at90_ci95[1]
     assert curve.chance(np.array([curve.at50, curve.at90])) == pytest.approx([0.5, 0.9])
     apart = power_curve([0.1, 0.2, 0.3, 0.4, 1.0, 2.0, 3.0, 4.0], [False] * 4 + [True] * 4)
     assert 0.4 < apart.at50 < 1.0
+    assert apart.at50_ci95[0] < 0.4 < 1.0 < apart.at50_ci95[1]  # eight cases say little
+    bins = shares(sizes.tolist(), seen.tolist())
+    assert sum(b.n for b in bins) == 4000
+    assert sum(b.seen for b in bins) == seen.sum()
+    assert all(a.high <= b.low for a, b in itertools.pairwise(bins))
+    inside = [b.ci95[0] <= np.mean(curve.chance(np.geomspace(b.low, b.high, 50))) <= b.ci95[1] for b in bins]
+    assert sum(inside) >= len(bins) - 1
+    assert shares([1.0] * 15, [True] * 15) == ()
     for sizes_, seen_, word in (
         ([], [], "no cases"),
         ([1.0, 2.0], [True, True], "all 2"),
@@ -209,6 +219,33 @@ def test_a_power_curve_finds_its_points() -> None:
         ([1.0, 2, 3, 4, 5, 6, 7, 8], [True] * 4 + [False] * 4, "does not grow"),
     ):
         assert word in power_curve(sizes_, seen_).note
+
+
+def test_intervals_of_few_cases_are_open_rather_than_wrong() -> None:
+    sizes = [0.1, 0.2, 0.3, 0.4, 1.0, 2.0, 3.0, 4.0]
+    vague = power_curve(sizes, [False, True, True, False, True, False, True, True])
+    assert vague.at90_ci95[1] == math.inf
+    assert vague.at90 > vague.at50
+    blank = power_curve([1.0, 2.0], [False, True])
+    assert math.isnan(blank.at50_ci95[0])
+
+
+@pytest.mark.slow
+def test_intervals_of_the_points_hold_the_truth() -> None:
+    rng = np.random.default_rng(11)
+    held50, held90, n = 0, 0, 0
+    for _ in range(300):
+        sizes = 10 ** rng.uniform(-1.5, 1, 40)
+        curve = power_curve(sizes.tolist(), (rng.random(40) < 1 / (1 + (sizes / 0.2) ** -2)).tolist())
+        if curve.note:
+            continue
+        n += 1
+        held50 += curve.at50_ci95[0] <= 0.2 <= curve.at50_ci95[1]
+        held90 += curve.at90_ci95[0] <= 0.6 <= curve.at90_ci95[1]
+    assert n > 280
+    for held in (held50, held90):  # 95 % lies within the interval of the share that was found
+        low, high = fraction(held, n)[1]
+        assert low - 0.01 <= 0.95 <= high + 0.01
 
 
 def test_arms() -> None:
@@ -259,7 +296,7 @@ def test_the_figures_are_json_and_the_page_stands_alone() -> None:
     }
     plain = json.loads(json.dumps({**about, **summary}).replace("NaN", "null"))
     page, pictures = render_page(plain, _manner())
-    assert set(pictures) == {"levels", "power", "effects"}
+    assert set(pictures) == {"levels", "power", "effects", "power_by_effect"}
     assert all(p.startswith("<?xml") for p in pictures.values())
     assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org/2000/svg", "")
     assert "<script" not in page

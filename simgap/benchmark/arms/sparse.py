@@ -7,7 +7,8 @@ through that model: the weak form, in which nothing noisy is differentiated. Seq
 terms, on the first 70 % of the estimation recording; the threshold is the one whose free run is best on the rest. Terms are
 kept only when that run beats the one without any by more than the standard error of the difference (by blocks): the usual guard
 against fitting noise. The model found then runs free on the held-out recording, its angle terms tied to the measured angle as
-in the diagnosis.
+in the diagnosis. Beyond the speeds of the estimation recording the terms keep their value, since a cubic that is extrapolated
+lets most models diverge.
 
 S. L. Brunton, J. L. Proctor, J. N. Kutz, PNAS 113 (2016) 3932; weak form: D. A. Messenger, D. M. Bortz, J. Comput. Phys. 443
 (2021).
@@ -37,6 +38,8 @@ TERMS = (
 )  # fmt: skip
 SLOW = 0.5  # v0 [rad/s]: a sign that can be integrated, and that noise does not flip
 THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4)  # of the norm of the residual, for columns of norm one
+RIDGE = 1e-3  # for columns of norm one
+PERIODS = 1.5  # over the travel: what repeats less often is not offered
 TRAINED = 0.7  # share of the estimation recording
 SUBSTEPS = 8  # of a row, over which the torque found is held
 BLOCKS = 10  # of the validation part
@@ -64,7 +67,7 @@ def _terms(v, q, u, out):
 
 
 @njit(cache=True)
-def _run(A, B, at, u, q, c, gain, substeps, out):
+def _run(A, B, at, u, q, c, gain, substeps, most, out):
     """Velocity of body 0, ``x' = A x + B torque`` exact for a torque held over each substep; False if it diverges."""
     n = A.shape[0]
     x, y, f = np.zeros(n), np.zeros(n), np.empty(c.size)
@@ -73,7 +76,7 @@ def _run(A, B, at, u, q, c, gain, substeps, out):
         for j in range(substeps):
             torque = gain * u[k]
             angle = q[k] + (q[min(k + 1, u.size - 1)] - q[k]) * j / substeps
-            _terms(x[at], angle, u[k], f)
+            _terms(min(max(x[at], -most), most), angle, u[k], f)
             for i in range(c.size):
                 torque += c[i] * f[i]
             for i in range(n):
@@ -112,12 +115,15 @@ def _angle(recording: Recording) -> np.ndarray:
     return recording.angle
 
 
-def free_run(chain: Chain, recording: Recording, coefficients: np.ndarray) -> np.ndarray | None:
-    """Motor velocity [rad/s] of the chain with the torque found, from rest; None when it diverges."""
+def free_run(chain: Chain, recording: Recording, coefficients: np.ndarray, most: float = math.inf) -> np.ndarray | None:
+    """Motor velocity [rad/s] of the chain with the torque found, from rest; None when it diverges.
+
+    ``most``: speed [rad/s] beyond which the terms keep their value.
+    """
     A, B = _stepped(chain, recording.dt / SUBSTEPS)
     out = np.empty(len(recording))
     q = np.array(_angle(recording))
-    fine = _run(A, B, len(chain.bodies), np.array(recording.torque), q, coefficients, chain.gain, SUBSTEPS, out)
+    fine = _run(A, B, len(chain.bodies), np.array(recording.torque), q, coefficients, chain.gain, SUBSTEPS, most, out)
     return out if fine else None
 
 
@@ -141,12 +147,21 @@ def _sparse(Y: np.ndarray, e: np.ndarray, dt: float, threshold: float) -> np.nda
     import pysindy
 
     norms = np.linalg.norm(Y, axis=0)
-    optimizer = pysindy.STLSQ(threshold=threshold * float(np.linalg.norm(e)), alpha=1e-6)
+    # without "unbias", which would solve once more without the ridge: terms that resemble each other then take huge numbers
+    optimizer = pysindy.STLSQ(threshold=threshold * float(np.linalg.norm(e)), alpha=RIDGE, unbias=False)
     model = pysindy.SINDy(optimizer=optimizer, feature_library=pysindy.IdentityLibrary())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a threshold leaves no term is an answer
         model.fit(Y / norms, t=dt, x_dot=e[:, None])
     return np.array(model.coefficients(), float).ravel() / norms
+
+
+def _offered(travel: float) -> np.ndarray:
+    """Mask of the terms: of those over the angle the ones that repeat within the travel [rad]."""
+    out = np.ones(len(TERMS), bool)
+    for n in range(1, ORDERS + 1):
+        out[len(TERMS) - 2 * (ORDERS - n + 1) :][:2] = n * travel >= 2 * math.pi * PERIODS
+    return out
 
 
 def _blocks(e: np.ndarray) -> np.ndarray:
@@ -162,12 +177,15 @@ def fit(task: Task) -> Answer:
     e = task.estimation
     assert e.velocity is not None
     Y, left = responses(chain, e), e.velocity - base.on_estimation
+    most = float(np.max(np.abs(e.velocity)))
+    offered = _offered(float(np.ptp(_angle(e))))
     split = round(TRAINED * len(e))
     without = _blocks(left[split:])
     best, least = np.zeros(len(TERMS)), math.inf
     for threshold in THRESHOLDS:
-        c = _sparse(Y[:split], left[:split], e.dt, threshold)
-        run = free_run(chain, e, c) if np.any(c) else None
+        c = np.zeros(len(TERMS))
+        c[offered] = _sparse(Y[:split, offered], left[:split], e.dt, threshold)
+        run = free_run(chain, e, c, most) if np.any(c) else None
         if run is None:
             continue
         errors = _blocks((e.velocity - run)[split:])
@@ -179,7 +197,7 @@ def fit(task: Task) -> Answer:
     if not named:
         return Answer(base.held_out_rms, base.held_out_rms, named=(), note=note)
     h = task.held_out
-    run = free_run(chain, h, best)
+    run = free_run(chain, h, best, most)
     if run is None or h.velocity is None:
         raise InputError(h.source, "the model found diverges on it", "a model that can be run")
     return Answer(float(np.sqrt(np.mean((h.velocity - run) ** 2))), base.held_out_rms, named=named, note=note)
