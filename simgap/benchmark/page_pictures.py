@@ -134,8 +134,10 @@ def power_grid(curves: Mapping[str, Mapping[str, Any]], label: Callable[[str], s
 
         body.append(_text(left, top - 9, f"{label(effect)}, {c['seen']} of {c['n']} seen", size=11))
         body += [_line(left, y(p), right, y(p), "--grid") for p in (0, 0.5, 0.9, 1)]
-        for s in _ticks(low, high):
-            body += [_line(x(s), top, x(s), bottom, "--grid"), _text(x(s), bottom + 20, f"{s:g}", size=9, anchor="middle")]
+        ticks = _ticks(low, high)
+        for s in ticks:
+            anchor = {ticks[0]: "start", ticks[-1]: "end"}.get(s, "middle")  # the panels stand close
+            body += [_line(x(s), top, x(s), bottom, "--grid"), _text(x(s), bottom + 20, f"{s:g}", size=9, anchor=anchor)]
         for size, seen in c["cases"]:
             tick = top + 3 if seen else bottom + 6
             body.append(_line(x(size), tick - 3, x(size), tick + 3, "--corrected" if seen else "--alarm", 1.3))
