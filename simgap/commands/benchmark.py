@@ -84,7 +84,7 @@ def command(
     about = {"grade": grade, "seed": seed, "counts": counts, "envelope_sha256": digest, "versions": versions, "budget_s": seconds}
     names = first_cases(truths, arm_cases)
     ran = run_arms(out, arms, names, results, processes)
-    rivals = score_rivals(truths, results, names, ran) if ran else None
+    rivals = {**score_rivals(truths, results, names, ran), "cases_a_level": arm_cases} if ran else None
     missing = [a.what for a in ARMS.values() if a not in arms]
     summary = plain({**about, **summarise(truths, results), "rivals": rivals, "arms_missing": missing})
     _page(out, summary)
@@ -238,6 +238,15 @@ def _show(summary: dict[str, Any], out: Path) -> None:
         ended = ", ".join(f"{k} {v}" for k, v in x["outcomes"].items())
         table.add_row(level, str(x["right"]["n"]), percent(x["verdict"]["share"]), percent(x["right"]["share"]), ended)
     console.print(table)
+    if summary["rivals"]:
+        table = Table("on the first cases of each level", "held-out error over noise", "over refit", "false alarms", "seconds")
+        for a in summary["rivals"]["arms"]:
+            alarms = a["false_alarms"]
+            said = f"{alarms['hits']} of {alarms['n']}" if alarms else ""
+            figures = [f"{v:.3g}" if v is not None else "" for v in (a["all"]["over_noise"], a["all"]["over_refitted"])]
+            seconds = f"{a['seconds']:.1f}" if a["seconds"] is not None else ""
+            table.add_row(a["what"], *(["skipped", "", "", ""] if a["skipped"] else [*figures, said, seconds]))
+        console.print(table)
     for name, text in summary["errors"].items():
         console.print(f"case {name} could not be diagnosed: {text}", highlight=False)
     console.print(f"Page: {out / 'benchmark.html'}   ({summary['seconds']['median'] or 0:.0f} s a case)", highlight=False)

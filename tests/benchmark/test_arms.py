@@ -165,7 +165,7 @@ def truth(level: str, effects: tuple[str, ...] = (), noise_kind: str = "white") 
 
 def result(verdict: str, effects: tuple[str, ...], refitted: float, corrected: float) -> dict[str, Any]:
     findings = [{"effect": e.split("@")[0], "place": e.split("@")[1], "parameters": {}, "equivalents": []} for e in effects]
-    fit = {"refitted": {"held_out_rms": refitted}, "corrected": {"held_out_rms": corrected}}
+    fit = {"refitted": {"rms": refitted, "held_out_rms": refitted}, "corrected": {"rms": corrected, "held_out_rms": corrected}}
     return {"verdict": verdict, "findings": findings, "fit": fit, "seconds": 1.0}
 
 
@@ -220,3 +220,30 @@ def test_the_command_runs_arms_and_goes_on_where_it_stopped(tmp_path: Path) -> N
     assert ARMS["sysid"].what in page  # among those that were not run
     again = CliRunner().invoke(command, [*arguments, "--arms", "box_jenkins"])
     assert "1 of 1 cases were done by box_jenkins before" in again.output
+
+
+def test_the_page_and_the_terminal_show_the_rivals(capsys: pytest.CaptureFixture[str]) -> None:
+    from diagnose.report.figures import number, percent
+    from simgap.benchmark.page import Manner, render_page
+    from simgap.benchmark.resume import plain as to_json
+    from simgap.benchmark.score_table import summarise
+    from simgap.commands.benchmark import _show
+
+    truths = {"1": truth("nothing"), "2": truth("nothing", noise_kind="ar1")}
+    results = {n: result("no_mismatch", (), 0.1, 0.1) for n in truths}
+    bic = {
+        "1": {"held_out_rms": 0.1, "refitted_rms": 0.1, "noise_gain": 1.0, "named": ["x@y"], "seconds": 1.0},
+        "2": {"error": "E"},
+    }
+    ran = [
+        {"id": "bic", "what": "The BIC arm", "names": "effects", "skipped": "", "answers": bic},
+        {"id": "gone", "what": "The missing arm", "names": "", "skipped": "pysindy not installed", "answers": {}},
+    ]
+    rivals = {**score_rivals(truths, results, list(truths), ran), "cases_a_level": 2}
+    about = {"grade": "quick", "seed": 1, "counts": {}, "envelope_sha256": "0" * 64, "versions": {}, "budget_s": None}
+    summary = to_json({**about, **summarise(truths, results), "rivals": rivals, "arms_missing": ["Another arm"]})
+    page, _ = render_page(summary, Manner("", number, percent, str))
+    for text in ("The BIC arm", "skipped: pysindy not installed", "--arms bic,gone --arm-cases 2", "Another arm", "failed in 1"):
+        assert text in page
+    _show(summary, Path("out"))
+    assert "1 of 1" in capsys.readouterr().out
