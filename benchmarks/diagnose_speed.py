@@ -22,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,8 +39,7 @@ from simgap.benchmark.plant import record
 from simgap.benchmark.seal import write_motion
 
 SEED = 20
-SECONDS = (10.0, 20.0)
-WALL = {10.0: 30.0, 20.0: 60.0}  # [s]
+WALL = {10.0: 30.0, 20.0: 60.0}  # length of the recording: bar [s]
 MEMORY = 1.5  # [GB]
 GAIN = 1.7  # of two jobs over one
 BUSY = 1.8  # an empty loop gains less from a second thread: the machine is busy
@@ -133,15 +132,15 @@ def second_thread() -> float:
     return min(seconds(1) for _ in range(3)) / min(seconds(2) for _ in range(3))
 
 
-def measure(repeat: int, say: Callable[[str], None]) -> tuple[list[dict], list[float]]:
+def measure(lengths: Sequence[float], repeat: int, say: Callable[[str], None]) -> tuple[list[dict], list[float]]:
     """Every axis, length and number of jobs ``repeat`` times, in turns; and the empty loop's gain before each turn."""
     rows: dict[tuple[float, str, int], list[Run]] = {}
     machine = []
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
-        files = {(s, a.name): write(folder, a, s) for s in SECONDS for a in AXES}
+        files = {(s, a.name): write(folder, a, s) for s in lengths for a in AXES}
         say("a run ahead of the clock")
-        diagnose(files[SECONDS[0], AXES[0].name], 2, folder / "out")
+        diagnose(files[lengths[0], AXES[0].name], 2, folder / "out")
         for turn in range(repeat):
             machine.append(second_thread())
             for (seconds, name), pair in files.items():
@@ -172,7 +171,7 @@ def judge(rows: list[dict], machine: float) -> list[dict]:
         results[-1]["bar"] += f": not measurable here, {why}"
         results[-1]["holds"] = None
 
-    for seconds in SECONDS:
+    for seconds in dict.fromkeys(r["seconds"] for r in rows):
         two = [r for r in rows if r["seconds"] == seconds and r["jobs"] == 2]
         one = [r for r in rows if r["seconds"] == seconds and r["jobs"] == 1]
         slowest = max(two, key=lambda r: r["wall_s"])
@@ -192,18 +191,19 @@ def judge(rows: list[dict], machine: float) -> list[dict]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeat", type=int, default=3, help="runs of each, in turns")
+    parser.add_argument(
+        "--seconds", type=float, nargs="+", default=list(WALL), choices=list(WALL), help="lengths of the recordings"
+    )
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    rows, machine = measure(arguments.repeat, lambda text: print(text, file=sys.stderr, flush=True))
+    rows, machine = measure(arguments.seconds, arguments.repeat, lambda text: print(text, file=sys.stderr, flush=True))
     for r in rows:
         print(
             f"{r['seconds']:4g} s  --jobs {r['jobs']}  {r['wall_s']:7.1f} s  processor {r['processor_s']:7.1f} s  "
             f"{r['memory_GB']:5.2f} GB  {r['axis']}: {r['answer']}"
         )
-    for axis in AXES:
-        short, long = (
-            next(r["wall_s"] for r in rows if (r["seconds"], r["axis"], r["jobs"]) == (s, axis.name, 2)) for s in SECONDS
-        )
+    for axis in AXES if len(arguments.seconds) > 1 else ():
+        short, long = (next(r["wall_s"] for r in rows if (r["seconds"], r["axis"], r["jobs"]) == (s, axis.name, 2)) for s in WALL)
         print(f"twice the length takes {long / short:.2f} times as long: {axis.name}")
     results = judge(rows, statistics.median(machine))
     for r in results:
