@@ -136,12 +136,12 @@ def stamp(*, arms: bool = False) -> str:
     for root in (*files, *((Path(pipeline.__file__),) if arms else ())):
         for path in [root] if root.is_file() else sorted(p for p in root.rglob("*.py") if "report" not in p.parts):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    digest.update(platform.python_version().encode())
     for name in ("numpy", "scipy", "numba", "mujoco", *(("pysindy",) if arms else ())):
         try:
             digest.update(version(name).encode())
         except PackageNotFoundError:
             digest.update(b"none")
-    digest.update(platform.python_version().encode())
     return digest.hexdigest()
 
 
