@@ -46,7 +46,7 @@ class SearchOptions:
     width: int = 10
     beam: int = 2
     only: tuple[str, ...] = ()
-    runs: int = 6000
+    runs: int = 4000
     seconds: float = math.inf
 
 
@@ -109,10 +109,11 @@ class Search:
     def __post_init__(self) -> None:
         self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
         self._began = time.monotonic()
+        self._runs = self.fitter.runs
 
     def _spent(self) -> bool:
         """Whether the budget of runs (the same on every machine) or of seconds is used up."""
-        return self.fitter.runs > self.options.runs or time.monotonic() - self._began > self.options.seconds
+        return self.fitter.runs - self._runs > self.options.runs or time.monotonic() - self._began > self.options.seconds
 
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
@@ -223,8 +224,8 @@ class Search:
         # the response of these is not linear in their amplitude, and a stiffness has drifted to stand in for them: they begin
         # from the nominal parameters as well, with amplitudes that no secant has moved
         cls = effect_class(s.candidate.id)
+        curved = cls.multistart > 1
         stiff = cls.family in ("structure", "coupling")
-        curved = stiff or cls.family == "position"
         guesses = [self.fitter.hypothesis((*present, e), base.linear, base.own) for e in s.starts[: None if curved else 2]]
         borrowing = len(guesses)
         if stiff:
@@ -237,8 +238,7 @@ class Search:
         q, _ = np.linalg.qr(base.fit.J / (np.linalg.norm(base.fit.J, axis=0) + 1e-300))
         cost = [math.inf if r is None else float(r @ r) - float(np.sum((q.T @ r) ** 2)) if len(r) == len(q) else float(r @ r)
                 for r in residuals]  # fmt: skip
-        most = {"structure": 6, "coupling": 3, "position": 3}.get(cls.family, 1)
-        order = sorted(range(len(guesses)), key=lambda i: cost[i])[:most]
+        order = sorted(range(len(guesses)), key=lambda i: cost[i])[: cls.multistart]
         borrows = [base if i < borrowing else None for i in order]
         fits = [
             self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=not curved)

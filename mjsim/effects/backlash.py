@@ -35,6 +35,7 @@ class Backlash(Effect):
     tolerance: ClassVar[float] = 2e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("gap_rad",)
     family: ClassVar[str] = "coupling"
+    multistart: ClassVar[int] = 3
 
     gap_rad: float = parameter(Quantity.ANGLE, "total gap, link side", lower=0.0)
 

@@ -109,7 +109,8 @@ class Effect(abc.ABC):
     Class attributes: ``id`` (contract identifier), ``places`` it can act at, ``sentence`` (plain words, a format string over
     the parameters and ``place``), ``citation``, ``tolerance`` (relative RMS within which the ODE and the MuJoCo realisation agree
     on motor velocity), ``family`` (effects of one family are rivals before they are partners), ``refines``
-    (identifiers of the simpler effects that this one contains), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
+    (identifiers of the simpler effects that this one contains), ``multistart`` (from how many of its best starts a fit is
+    begun; more than one where the error has several minima), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
     whose angle a periodic law follows, its own when empty).
     """
 
@@ -119,6 +120,7 @@ class Effect(abc.ABC):
     citation: ClassVar[str]
     tolerance: ClassVar[float] = 1e-4
     family: ClassVar[str] = ""
+    multistart: ClassVar[int] = 1
     refines: ClassVar[tuple[str, ...]] = ()
     amplitudes: ClassVar[tuple[str, ...]] = ()
     angle_of: ClassVar[str] = ""

@@ -36,6 +36,7 @@ class ExtraFlexibleMode(Effect):
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("inertia_kgm2", "stiffness_Nm_rad", "damping_Nms_rad")
     family: ClassVar[str] = "structure"
+    multistart: ClassVar[int] = 6
 
     inertia_kgm2: float = parameter(Quantity.INERTIA, "inertia behind the spring, split off the arm", lower=1e-12)
     stiffness_Nm_rad: float = parameter(Quantity.STIFFNESS, "stiffness of the spring", lower=1e-12)

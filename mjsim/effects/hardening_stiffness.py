@@ -42,6 +42,7 @@ class HardeningStiffness(Effect):
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("coefficient_Nm_rad3",)
     family: ClassVar[str] = "coupling"
+    multistart: ClassVar[int] = 3
 
     coefficient_Nm_rad3: float = parameter(Quantity.CUBIC_STIFFNESS, "cubic stiffness, link side; negative softens")
 

@@ -46,6 +46,7 @@ class Hysteresis(Effect):
     tolerance: ClassVar[float] = 1e-3
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "stiffness_Nm_rad")
     family: ClassVar[str] = "coupling"
+    multistart: ClassVar[int] = 3
 
     torque_Nm: float = parameter(Quantity.TORQUE, "torque at which the element yields, link side", lower=1e-12)
     stiffness_Nm_rad: float = parameter(Quantity.STIFFNESS, "its stiffness before it yields, link side", lower=0.0)

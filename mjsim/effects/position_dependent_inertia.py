@@ -44,6 +44,7 @@ class PositionDependentInertia(Effect):
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("relative_amplitude",)
     family: ClassVar[str] = "position"
+    multistart: ClassVar[int] = 3
 
     relative_amplitude: float = parameter(Quantity.RATIO, "variation over mean inertia", lower=0.0, upper=0.95)
     cycles_per_rev: float = parameter(Quantity.CYCLES, "periods per turn of the arm", lower=0.0)
@@ -57,4 +58,6 @@ class PositionDependentInertia(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0} for n in (1.0, 2.0, 3.0, 4.0, *scales.orders[:3])]
+        return [
+            {"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0} for n in (1.0, 2.0, 3.0, 4.0, *scales.orders[:3])
+        ]

@@ -41,6 +41,7 @@ class StaticFriction(Effect):
     tolerance: ClassVar[float] = 2e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "friction"
+    multistart: ClassVar[int] = 4
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
     torque_Nm: float = parameter(Quantity.TORQUE, "sliding friction torque", lower=0.0)
@@ -59,4 +60,5 @@ class StaticFriction(Effect):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
         f = 0.1 * scales.torque
-        return [{"torque_Nm": f, "peak": 1.5}, {"torque_Nm": f, "peak": 3.0}]
+        # a breakaway that comes a moment earlier or later: the error has a minimum for each
+        return [{"torque_Nm": f, "peak": peak} for peak in (1.25, 1.6, 2.0, 2.5, 3.0, 3.6, 4.3, 5.2)]

@@ -43,6 +43,7 @@ class TorqueRipple(Effect):
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("amplitude_Nm",)
     family: ClassVar[str] = "position"
+    multistart: ClassVar[int] = 3
 
     amplitude_Nm: float = parameter(Quantity.TORQUE, "amplitude", lower=0.0)
     cycles_per_rev: float = parameter(Quantity.CYCLES, "periods per turn of the motor", lower=0.0)

@@ -44,6 +44,7 @@ class TransmissionError(Effect):
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("amplitude_rad",)
     family: ClassVar[str] = "position"
+    multistart: ClassVar[int] = 3
     angle_of: ClassVar[str] = "motor"
 
     amplitude_rad: float = parameter(Quantity.ANGLE, "amplitude, link side", lower=0.0)
