@@ -22,6 +22,7 @@ COMMANDS: dict[str, str] = {
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
     "data": "Locate or fetch a public real recording, proven by its hash.",
     "benchmark": "Conceal effects in many recordings, diagnose them, open the envelope, score.",
+    "proof": "Diagnose real machines, beside their published values, and write the pages of the proof.",
     "study": "Draw the report's figures and give each of its claims a verdict.",
 }
 

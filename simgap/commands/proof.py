@@ -1,0 +1,61 @@
+"""``simgap proof``: diagnose real machines and write the pages of the proof."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["PAGES", "command"]
+
+PAGES = ("emps", "kuka", "concealed", "summary")
+
+
+@click.command("proof", epilog="Example: simgap proof emps --out out/proof")
+@click.argument("name", type=click.Choice(PAGES))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the page, its pictures and its figures.")
+@click.option(
+    "--from", "source", type=click.Path(path_type=Path),
+    help="Folder with local copies of the recordings (default: as simgap data finds them).",
+)  # fmt: skip
+@click.option("--benchmark", type=click.Path(path_type=Path), help="benchmark.json of a simgap benchmark run, for the summary.")
+@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads; the answer does not depend on them.")
+@click.option("--json", "as_json", is_flag=True, help="Print the page's figures on standard output.")
+def command(name: str, out: Path, source: Path | None, benchmark: Path | None, jobs: int, as_json: bool) -> None:
+    """Write a page of the proof, every figure on it computed here.
+
+    emps, kuka: real machines beside their published values. concealed: known physics taken out of the model or put into real
+    signals. summary: the whole argument from the pages that stand in OUT and from a benchmark.json; what was not run is said.
+    """
+    import json
+
+    from simgap.proof.page import plain, write_page
+
+    page = _made(name, out, source, benchmark, jobs)
+    path = write_page(page, out)
+    click.echo(json.dumps(plain(page.figures), indent=1) if as_json else f"{page.text}\n{path}")
+
+
+def _made(name: str, out: Path, source: Path | None, benchmark: Path | None, jobs: int):  # type: ignore[no-untyped-def]
+    """The page of that name."""
+    from simgap.commands.data import DATA_SETS, files_of
+
+    def say(text: str) -> None:
+        click.echo(text, err=True)
+
+    if name == "summary":
+        from simgap.proof.summary import summary_page
+
+        return summary_page(out, benchmark)
+    emps, kuka = DATA_SETS["emps"], DATA_SETS["kuka_kr300"]
+    if name == "emps":
+        from simgap.proof.emps import emps_page
+
+        return emps_page(files_of(emps, source), say, jobs)
+    if name == "kuka":
+        from simgap.proof.kuka import kuka_page
+
+        return kuka_page(files_of(kuka, source), say, jobs)
+    from simgap.proof.concealed import concealed_page
+
+    return concealed_page(files_of(emps, source), files_of(kuka, source), say, jobs)

@@ -1,0 +1,66 @@
+"""The worked examples keep what they say (`make proof`)."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from diagnose.result import Verdict
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+pytestmark = pytest.mark.slow
+
+
+def example(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_hidden_flexibility(tmp_path):
+    """Friction and delay in the spring's place leave more than the noise; the mode is named with its inertia and stiffness."""
+    module = example("hidden_flexibility")
+    naive, result = module.main(tmp_path)
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    assert [f.effect for f in result.findings] == ["extra_flexible_mode"]
+    values = {n: e.value for n, e in result.findings[0].parameters.items()}
+    assert values["inertia_kgm2"] == pytest.approx(module.LINK, rel=0.03)
+    assert values["stiffness_Nm_rad"] == pytest.approx(module.SPRING, rel=0.03)
+    assert result.fit["corrected"].held_out_rms == pytest.approx(module.NOISE, rel=0.05)
+    assert naive.fit["corrected"].held_out_rms > 2 * module.NOISE
+
+
+def test_stiction(tmp_path):
+    """The peak at rest is named, its level and ratio measured."""
+    module = example("stiction")
+    result = module.main(tmp_path)
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    assert [f.effect for f in result.findings] == ["static_friction"]
+
+
+def test_servo_backlash(tmp_path):
+    """The gap is named under feedback, within a tenth although contact follows another law."""
+    module = example("servo_backlash")
+    result = module.main(tmp_path)
+    found = {f.effect: f for f in result.findings}
+    assert "backlash" in found
+    assert found["backlash"].parameters["gap_rad"].value == pytest.approx(module.GAP, rel=0.1)
+
+
+def test_load_friction(tmp_path):
+    """One rig cannot tell and says what to measure; with that added, the load's friction is named alone."""
+    module = example("load_friction")
+    alone, both = module.main(tmp_path)
+    names = {alone.findings[0].effect, *alone.findings[0].equivalents}
+    assert {"load_dependent_friction", "coulomb_friction"} <= {n.partition("@")[0] for n in names}
+    assert alone.next_experiment is not None
+    assert [f.effect for f in both.findings] == ["load_dependent_friction"]
+    assert "coulomb_friction" not in both.findings[0].equivalents
+    assert both.findings[0].parameters["coefficient"].value == pytest.approx(module.SHARE, rel=0.05)
