@@ -29,6 +29,7 @@ from diagnose.least_squares import Fit
 from diagnose.locate import locate
 from diagnose.memory import Memory
 from diagnose.orders import find_orders, torque_to_velocity
+from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
 from diagnose.search import Search, SearchOptions
 from diagnose.second_encoder import judge_second_encoder
@@ -114,13 +115,13 @@ def diagnose(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording] = (),
     options: Options | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[Step], None] = lambda _: None,
     memory: Memory | None = None,
 ) -> Diagnosis:
     """Diagnose recordings of one axis against its nominal model.
 
-    ``memory``: where fits are written down as they are found, and looked up before they are made. Raises InputError for
-    recordings that cannot be used or a nominal model that cannot be run on them.
+    ``progress`` is told each `Step`; ``memory``: where fits are written down as they are found, and looked up before they are
+    made. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
     options = options or Options()
     began = time.monotonic()
@@ -129,7 +130,7 @@ def diagnose(
     fitter = Fitter(nominal, view, estimation, held, options.jobs, _varies(nominal, recordings[0]), memory=memory)
     try:
         with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
-            return _diagnose(fitter, options, progress, began)
+            return _diagnose(fitter, options, Progress(progress), began)
     finally:
         fitter.close()
 
@@ -143,7 +144,7 @@ def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:
     return recording.varies
 
 
-def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], began: float) -> tuple[Search, Fitted]:
+def _search(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted]:
     left = options.seconds - (time.monotonic() - began)
     # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
     chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
@@ -167,8 +168,8 @@ def _search(fitter: Fitter, options: Options, progress: Callable[[str], None], b
     return search, search.run()
 
 
-def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None], began: float) -> Diagnosis:
-    progress("compare: refitting the nominal model")
+def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
+    progress.stage("compare", "refitting the nominal model")
     search, best = _search(fitter, options, progress, began)
     # a residual is coloured by its noise or by motion that the model misses; only noise may be whitened away
     missed = motion_error(fitter, best)
@@ -177,13 +178,13 @@ def _diagnose(fitter: Fitter, options: Options, progress: Callable[[str], None],
     noise_only = fitter.noise_known and (missed is None or missed < options.missed)
     filter_ = whitening_filter(fitter, best) if noise_only else None
     if filter_ is not None:
-        progress("the residual is coloured: searching again on whitened errors")
+        progress.stage("search", "again on whitened errors, since the residual is coloured")
         fitter.whitening = filter_
         plain = search
         search, best = _search(fitter, options, progress, began)
         search.tested += plain.tested
     base = search.nominal()
-    progress("validate: what is left, intervals, rivals")
+    progress.stage("validate", "what is left, intervals, rivals")
     best = search.polish(best)
     structure = remaining_structure(fitter, best)
     best = fitter.refined(best)

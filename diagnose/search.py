@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,9 +23,12 @@ from diagnose.candidates import Candidate, Screened, candidates, conflicts, scre
 from diagnose.fitter import Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
+from diagnose.progress import Progress
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["Comparison", "Search", "SearchOptions"]
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ class Search:
 
     fitter: Fitter
     options: SearchOptions
-    progress: Callable[[str], None] = lambda _: None
+    progress: Progress = field(default_factory=Progress)
     pool: dict[tuple[str, ...], Fitted] = field(default_factory=dict)
     held: dict[tuple[str, ...], HeldOut | None] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
@@ -195,7 +199,9 @@ class Search:
         """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win."""
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
-        firsts = [] if self._spent() else self.fitter.map([partial(self._enter, base, p, s, far) for p, s in entrants])
+        self.progress.rivals(len(entrants))
+        begin = [partial(self._done, partial(self._enter, base, p, s, far)) for p, s in entrants]
+        firsts = [] if self._spent() else self.fitter.map(begin)
         running: list[Fitted] = []
         for (_, s), first in zip(entrants, firsts, strict=False):
             if first is None:
@@ -212,12 +218,22 @@ class Search:
             ]  # fmt: skip
             if not on or self._spent():
                 continue
-            longer = [partial(self.fitter.fit, running[k].hypothesis, running[k].fit.x, iterations=iterations) for k in on]
+            self.progress.rivals(len(on))
+            longer = [
+                partial(self._done, partial(self.fitter.fit, running[k].hypothesis, running[k].fit.x, iterations=iterations))
+                for k in on
+            ]
             for rank, f in zip(on, self.fitter.map(longer), strict=True):
                 running[rank] = f
         for f in running:
             self._keep(f)
         return running
+
+    def _done(self, task: Callable[[], T]) -> T:
+        """The outcome of a rival's fit, counted."""
+        outcome = task()
+        self.progress.rival()
+        return outcome
 
     def _enter(self, base: Fitted, present: tuple[Effect, ...], s: Screened, far: bool) -> Fitted | None:
         """A few cheap iterations from the best starts of one rival; None when none of them can be run."""
@@ -253,6 +269,14 @@ class Search:
         # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
         return dataclasses.replace(first, fit=dataclasses.replace(first.fit, status=Status.BUDGET))
 
+    def _tell(self, current: Fitted) -> None:
+        """The best so far, by its error against that of the refitted nominal model."""
+        if not current.key:
+            self.progress.best("the nominal model, refitted")
+            return
+        share = 100 * math.sqrt(current.chi2 / current.n / (self.nominal().chi2 / self.nominal().n))
+        self.progress.best(f"{' + '.join(current.key)} ({share:.3g} % of the refitted nominal's error)")
+
     def pays(self, before: Fitted, after: Fitted) -> bool:
         """Whether ``after`` is better by the criterion, materially, and on held-out data."""
         if self.gain(before, after) < self.options.entry:
@@ -263,10 +287,12 @@ class Search:
     def run(self) -> Fitted:
         """The best structure that the search finds."""
         current = self.nominal()
-        self.progress(f"refitted nominal: chi2/n {current.chi2 / current.n:.4g}")
+        self._tell(current)
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
-        for _ in range(self.options.depth + 2):
+        for turn in range(self.options.depth + 2):
+            self.progress.stage("search", f"round {turn + 1}")
+            self.progress.begin_round(int(len(current.effects) + 1 < self.options.depth))
             for state in beam:
                 if state.key in expanded or len(state.effects) >= self.options.depth:
                     continue
@@ -277,6 +303,7 @@ class Search:
             best = self._best(current)
             self.refine(best)
             best = self._best(current)
+            self.progress.end_round()
             if best.key == current.key:
                 break
             current = best
@@ -284,7 +311,7 @@ class Search:
                 self.effective = self.effective_of(current)
             if self.orders_of is not None and current.chi2 > 1.02 * current.n:
                 self.fitter.set_orders(self.orders_of(current))
-            self.progress(f"{' + '.join(current.key)}: chi2/n {current.chi2 / current.n:.4g}")
+            self._tell(current)
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
             beam = [current, *near[: self.options.beam - 1]]

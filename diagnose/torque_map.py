@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
 from diagnose.orders import torque_to_velocity
+from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
 from diagnose.search import compare
 from diagnose.whiten import effective_share
@@ -47,6 +48,7 @@ MIMIC = 2e-3  # a direction of which the model's own numbers leave less than thi
 RICHER = 0.05  # a second variable must lower the cross-validated cost of the first by so much
 TRIED = 3  # maps fitted in the model
 FAR = 1.25  # one whose screened cost is so many times that of the best fitted one is not
+STILL = 0.01  # the fit goes on while its cost falls by more than this share
 MATERIAL = 0.02  # least relative gain of held-out squared error
 P_MAP = 0.01  # largest one-sided p-value of that gain, over the maps tried
 
@@ -107,9 +109,7 @@ class _Refined:
     cost: float
 
 
-def fit_map(
-    fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, progress: Callable[[str], None] = lambda _: None
-) -> Mapped | None:
+def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, progress: Progress | None = None) -> Mapped | None:
     """The map that pays on held-out data, or None.
 
     ``starts``: models that it may be laid on, the refitted nominal one and the best that was found (named effects may have stood
@@ -117,13 +117,14 @@ def fit_map(
     """
     if before is None or any(isinstance(e, TorqueMap) for e in fitter.nominal.effects):
         return None
-    progress("unexplained: looking for a torque map")
+    progress = progress or Progress()
+    progress.stage("map", "what is left, over each state variable")
     ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
     tried: list[_Refined] = []
     for candidate in ranked[:TRIED]:
         if tried and candidate.cost > FAR * min(t.cost for t in tried):
             break
-        progress(f"unexplained: fitting a torque map {_words(candidate.shape)}")
+        progress.stage("map", f"fitting one {_words(candidate.shape)}")
         refined = _refine(fitter, candidate)
         if refined is not None:
             tried.append(refined)
@@ -354,18 +355,21 @@ def _with(h: Hypothesis, shape: TorqueMap) -> Hypothesis:
     return dataclasses.replace(h, nominal=dataclasses.replace(nominal, effects=(*nominal.effects, shape)))
 
 
-def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 3) -> _Refined | None:
+def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 6) -> _Refined | None:
     """Gauss-Newton in the model over its numbers and the coefficients, the penalty chosen anew at each linearisation."""
-    best = candidate.start
+    best, solution = candidate.start, candidate.solution
     h = best.hypothesis
     k = len(h.entries)
     S = _roughness(candidate.shape)
     fold = _folds(fitter, len(best.fit.residual))
-    solution = candidate.solution
-    x, c = best.fit.x, np.zeros(S.shape[1])
     lower, upper = h.bounds
+    x, c = best.fit.x, np.zeros(S.shape[1])
+    problem = _linearised(fitter, h, candidate.shape, x, float(np.max(np.abs(solution.c))), S, fold)
+    if problem is None:
+        return None
     outcome: _Refined | None = None
-    for turn in range(rounds):
+    for _ in range(rounds):
+        solution = _solve(problem, best.chi2)
         V, root = solution.V, math.sqrt(solution.penalty)
         amplitude = max(float(np.std(solution.c)), 1e-12)
         unit = V / (np.max(np.abs(V), axis=0) + 1e-300) * amplitude
@@ -379,30 +383,36 @@ def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 3) -> _Refined 
         bounds = np.concatenate([lower, -free]), np.concatenate([upper, free])
         step = np.concatenate([np.full(k, 1e-3), np.full(unit.shape[1], 1e-2)])
         start = np.concatenate([x, np.zeros(unit.shape[1])])
-        fit = levenberg_marquardt(residual, start, bounds, step=step, run=fitter.run, max_iterations=4, tolerance=1e-3)
+        known = np.vstack(
+            [np.column_stack([problem.J, problem.D @ unit]), np.column_stack([np.zeros((len(S), k)), root * S @ unit])]
+        )
+        fit = levenberg_marquardt(
+            residual, start, bounds, step=step, run=fitter.run, max_iterations=8, tolerance=1e-3, J0=known, secant=True
+        )
         if fit.status is Status.FAILED:
             break
         x, c = fit.x[:k], c + unit @ fit.x[k:]
         shape = candidate.shape.with_coefficients(c)
-        problem = _linearised(fitter, h, shape, x, S, fold)
+        problem = _linearised(fitter, h, shape, x, float(np.max(np.abs(c))), S, fold)
         if problem is None:
             break
-        solution = _solve(problem, best.chi2)
+        after = _solve(problem, best.chi2)
         at = Linearised.known(problem.r, problem.J)
-        own = Fit(x, float(problem.r @ problem.r), at, fit.status, fit.iterations, fit.predicted_gain)
-        outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, solution, problem, solution.cost * best.chi2)
-        near = abs(math.log(max(solution.penalty, 1e-300) / max(root**2, 1e-300))) < math.log(10)
-        if turn and near and fit.status is Status.CONVERGED:
+        cost = float(problem.r @ problem.r)
+        fell = outcome is None or cost < (1 - STILL) * outcome.fitted.chi2
+        own = Fit(x, cost, at, fit.status, fit.iterations, fit.predicted_gain)
+        outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, after, problem, after.cost * best.chi2)
+        if not fell:
             break
     return outcome
 
 
 def _linearised(
-    fitter: Fitter, h: Hypothesis, shape: TorqueMap, x: np.ndarray, S: np.ndarray, fold: np.ndarray
+    fitter: Fitter, h: Hypothesis, shape: TorqueMap, x: np.ndarray, amplitude: float, S: np.ndarray, fold: np.ndarray
 ) -> _Problem | None:
-    """Residual and sensitivities in the model at a map."""
+    """Residual and sensitivities in the model at a map; coefficients are moved by a hundredth of ``amplitude``."""
     k, n = len(x), len(shape.coefficients)
-    amplitude = max(float(np.max(np.abs(shape.coefficients))), 1e-12)
+    amplitude = max(amplitude, 1e-12)
     c = np.array(shape.coefficients)
 
     def residual(z: np.ndarray) -> np.ndarray | None:

@@ -7,7 +7,6 @@ import difflib
 import math
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.recording import Recording, load
+from simgap.following import following
 
 __all__ = ["corrected_axis", "diagnose_files", "mapped_axis", "model_diff"]
 
@@ -75,7 +75,7 @@ def diagnose_files(
     held = [load(p, model=model) for p in held_out]
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
-        with _status(progress) as say:
+        with following(progress, memory.recalled) as say:
             result = diagnose(nominal, loaded, held, options, say, memory)
     except InputError:
         memory.discard()
@@ -128,24 +128,3 @@ def _need_place(name: str, axis: Axis, model: Path) -> None:
     raise InputError(
         "--effects", f"{name!r} has no place in {model.name}: {why}", "effects that the axis can have", "leave it out"
     )
-
-
-def _status(on: bool) -> AbstractContextManager[Any]:
-    """A line on standard error that says what is being done, and for how long."""
-    if not on:
-        return nullcontext(lambda _: None)
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    class Status:
-        def __enter__(self) -> Any:
-            columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self.bar.start()
-            self.task = self.bar.add_task("reading", total=None)
-            return lambda text: self.bar.update(self.task, description=text)
-
-        def __exit__(self, *_: object) -> None:
-            self.bar.stop()
-
-    return Status()

@@ -1,0 +1,52 @@
+"""A diagnosis followed on standard error: one moving line on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from diagnose.progress import Step
+
+__all__ = ["following"]
+
+SPARING = 15.0  # seconds between two lines of one stage, where lines stay
+
+
+@contextmanager
+def following(on: bool, recalled: int = 0) -> Iterator[Callable[[Step], None]]:
+    """What to call with each step; ``on``: else nothing is written; ``recalled``: fits that an earlier run left."""
+    if not on:
+        yield lambda _: None
+        return
+    if recalled:
+        print(f"simgap: going on with {recalled} fits of the run that was broken off", file=sys.stderr)
+    if not sys.stderr.isatty():
+        yield _lines()
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+        yield lambda step: bar.update(task, description=escape(str(step)))
+
+
+def _lines() -> Callable[[Step], None]:
+    """A line when the stage or the best changes, and otherwise no more than one in a while."""
+    began = time.monotonic()
+    last_head, last_time = "", -SPARING
+
+    def tell(step: Step) -> None:
+        nonlocal last_head, last_time
+        now = time.monotonic() - began
+        head = f"{step.stage} {step.what} {step.best}"
+        if head == last_head and now - last_time < SPARING:
+            return
+        last_head, last_time = head, now
+        print(f"simgap: {now:4.0f} s  {step}", file=sys.stderr, flush=True)
+
+    return tell

@@ -1,0 +1,115 @@
+"""Whoever waits is told: stage, rivals left, the best so far, how long about; sparingly where lines stay, never when quiet."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from robot_axis import effect
+
+from diagnose.flow import Options, diagnose
+from diagnose.progress import Progress, Step
+from mjsim.models import shipped_model
+from simgap.cli import cli
+from simgap.following import following
+
+FEW = ("coulomb_friction", "torque_offset", "time_delay")
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_the_guess_is_right_for_rounds_of_even_pace():
+    clock, steps = Clock(), []
+    p = Progress(steps.append, clock)
+    p.stage("search", "round 1")
+    p.begin_round(more=1)
+    assert steps[-1].seconds is None, "nothing is known yet"
+    clock.now = 15.0
+    p.rivals(10)
+    for _ in range(10):
+        clock.now += 6.0
+        p.rival()
+    assert steps[-1].left == 0
+    p.rivals(2)
+    assert steps[-1].seconds == pytest.approx(25.0 + 100.0 + 50.0)  # this round, one more, the tail
+    clock.now = 100.0
+    p.end_round()
+    p.begin_round(more=0)
+    clock.now += 15.0
+    p.rivals(4)
+    clock.now += 30.0
+    p.rival(), p.rival()
+    assert steps[-1].left == 2
+    assert steps[-1].seconds == pytest.approx(55.0 + 50.0)
+    p.stage("validate")
+    assert (steps[-1].left, steps[-1].seconds) == (None, None)
+
+
+def test_a_step_is_one_line():
+    assert str(Step("compare")) == "compare"
+    step = Step("search", "round 2", 7, "backlash@gearbox", 48.0)
+    assert str(step) == "search: round 2; 7 rivals left; best so far backlash@gearbox; about 50 s left"
+    assert str(Step("search", left=1, seconds=400.0)) == "search; 1 rival left; about 420 s left"
+    assert "about 1 s left" in str(Step("search", seconds=0.01))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_diagnosis_tells_what_it_is_at(pair, robot, jobs):
+    estimation, held_out = pair(effect("coulomb_friction", torque_Nm=0.1))
+    steps: list[Step] = []
+    diagnose(robot, [estimation], [held_out], Options(jobs=jobs, effects=FEW), steps.append)
+    stages = list(dict.fromkeys(s.stage for s in steps))
+    assert stages == ["compare", "search", "validate"]
+    assert any(s.left == 0 for s in steps)
+    assert max(s.left for s in steps if s.left is not None) > 2
+    assert re.fullmatch(r"coulomb_friction@motor \([\d.]+ % of the refitted nominal's error\)", steps[-1].best)
+    assert any(s.seconds is not None for s in steps)
+    assert all(s.seconds is None or np.isfinite(s.seconds) for s in steps)
+
+
+def test_lines_are_few_where_they_stay(capsys):
+    with following(True, recalled=3) as tell:
+        for left in range(100, 0, -1):
+            tell(Step("search", "round 1", left))
+        tell(Step("search", "round 1", 1, "backlash@arm"))
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert "going on with 3 fits" in lines[0]
+    assert lines[1].endswith("search: round 1; 100 rivals left")
+    assert "best so far backlash@arm" in lines[2]
+    with following(False) as tell:
+        tell(Step("search"))
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_shows_one_moving_line(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with following(True) as tell:
+        tell(Step("search", "round [1]", 4))
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_command_is_quiet_when_asked(pair, tmp_path):
+    for name, r in zip(("log.csv", "other.csv"), pair(effect("coulomb_friction", torque_Nm=0.1), seconds=2.0), strict=True):
+        rows = np.column_stack([r.time, r.torque, r.velocity, r.angle])
+        header = "time_s,torque_Nm,velocity_rad_s,angle_rad"
+        np.savetxt(tmp_path / name, rows, delimiter=",", header=header, comments="")
+    said = {}
+    for quiet in ((), ("--quiet",)):
+        arguments = [
+            "diagnose", str(tmp_path / "log.csv"), "--held-out", str(tmp_path / "other.csv"), "--jobs", "1", "--effects",
+            "coulomb_friction", "--model", str(shipped_model("robot_axis1")), "--out", str(tmp_path / "report"), *quiet,
+        ]  # fmt: skip
+        answer = CliRunner().invoke(cli, arguments)
+        assert answer.exit_code == 0, answer.output
+        said[quiet] = answer.stderr
+    assert said[("--quiet",)] == ""
+    assert "compare: refitting the nominal model" in said[()]
+    assert "best so far coulomb_friction@motor" in said[()]
