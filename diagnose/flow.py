@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from diagnose.calibration import false_alarm_rate
 from diagnose.candidates import candidates
 from diagnose.decide import (
     equivalents,
@@ -259,6 +260,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
             {"file": e.recording.source, "sha256": e.recording.sha256, "role": role}
             for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)) for e in group
         ),
+        hypotheses=search.tested,
+        false_alarm=false_alarm_rate(),
         seed=options.seed,
         seconds=time.monotonic() - began,
         versions=_versions(),

@@ -275,6 +275,7 @@ class Diagnosis:
     versions: Mapping[str, str] = field(default_factory=dict)
     false_alarm: Mapping[str, float] = field(default_factory=dict)
     map: MapResult | None = None
+    hypotheses: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """The contract's JSON, with a few fields more."""
@@ -303,6 +304,7 @@ class Diagnosis:
             "failed": dict(self.failed),
             "notes": list(self.notes),
             "next_experiment": self.next_experiment,
+            "hypotheses": self.hypotheses,
             "false_alarm": dict(self.false_alarm),
             "seed": self.seed,
             "versions": dict(self.versions),

@@ -34,6 +34,12 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     if result.noise_floor == result.noise_floor:
         table.add_row("noise floor", f"{result.noise_floor:.4g}", "", "", "")
     console.print(table)
+    if a := result.false_alarm:
+        console.print(
+            f"False alarms: {a['alarms']:.0f} of {a['recordings']:.0f} simulated recordings with nothing missing "
+            f"(95 %: {100 * a['low']:.2g} to {100 * a['high']:.2g} %).",
+            highlight=False,
+        )
     if result.next_experiment:
         console.print(f"Next: {result.next_experiment}")
     console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)")

@@ -73,7 +73,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         more_rivals=hidden,
         better=_better(d),
         failed=[(structure_name(tuple(k.split("+"))), why) for k, why in d.failed.items()],
-        false_alarm=[(k.replace("_", " "), percent(v) if _is_share(k, v) else number(v)) for k, v in d.false_alarm.items()],
+        false_alarm=_false_alarm(d),
         equivalents=[
             (effect_name(f.effect), f.place, [structure_name((e,)) for e in f.equivalents]) for f in d.findings if f.equivalents
         ],
@@ -88,8 +88,15 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
     )
 
 
-def _is_share(name: str, value: float) -> bool:
-    return 0 <= value <= 1 and not any(word in name for word in ("number", "count", "threshold"))
+def _false_alarm(d: Diagnosis) -> str:
+    """How often physics is named where none is missing, in one sentence; empty where it was not measured."""
+    a = d.false_alarm
+    if not a:
+        return ""
+    return (
+        f"In {number(a['alarms'])} of {number(a['recordings'])} simulated recordings with nothing missing, physics was named "
+        f"all the same: {percent(a['share'])} (95 % interval {percent(a['low'])} to {percent(a['high'])})."
+    )
 
 
 def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
@@ -116,6 +123,7 @@ def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
         others = sum(bool(r.effects) for r in d.rivals)
         what = "richer structure fitted" if others == 1 else "richer structures fitted"
         detail = "none paid on held-out data" if others else "none promised a gain worth a fit"
+        detail += f", of {d.hypotheses} hypotheses" if d.hypotheses else ""
         out.append((f"{others}", what, detail))
     return out
 

@@ -7,6 +7,9 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from multiprocessing import get_context
 from pathlib import Path
 
 import click
@@ -65,14 +68,33 @@ def open_envelope(recordings: Path, truth: Path) -> dict[str, dict]:
     return cases
 
 
+def _seal_case(task: tuple[Path, str, str, int, int]) -> tuple[str, Mapping[str, object], dict[str, str], float]:
+    """Draw and write one case: its name, its truth, the hashes of its recordings, seconds."""
+    out, name, level, k, seed = task
+    began = time.perf_counter()
+    which = list(LEVELS).index(level)
+    turn = np.random.default_rng([seed, which, 2**31]).permutation(effects_of(level)).tolist()
+    case: Case = make_case(level, np.random.default_rng([seed, which, k]), turn[k % len(turn)] if turn else None)
+    digests = {}
+    for motion, part in ((case.estimation, "estimation"), (case.held_out, "held_out")):
+        digests[f"{name}_{part}.csv"] = write_motion(out / f"{name}_{part}.csv", motion)
+    return name, {**case.truth, "seed": [seed, which, k]}, digests, time.perf_counter() - began
+
+
 def write_cases(
-    out: Path, truth: Path, counts: Mapping[str, int] | Sequence[tuple[str, int]], seed: int, *, say: bool = False
+    out: Path,
+    truth: Path,
+    counts: Mapping[str, int] | Sequence[tuple[str, int]],
+    seed: int,
+    *,
+    jobs: int = 1,
+    say: bool = False,
 ) -> str:
     """Draw cases and write ``out/NNN_estimation.csv``, ``out/NNN_held_out.csv``, ``out/manifest.json``, ``truth``.
 
     The effects of a level take turns. The cases are shuffled, so that a number says nothing; each has a generator of its
-    own, seeded by (seed, level, index), so that a case does not depend on the others. Returns the SHA-256 of the
-    envelope, which the manifest carries.
+    own, seeded by (seed, level, index), so that a case does not depend on the others, nor on the number of processes
+    (``jobs``). Returns the SHA-256 of the envelope, which the manifest carries.
     """
     counts = dict(counts)
     for level in counts:
@@ -82,23 +104,17 @@ def write_cases(
         raise InputError(truth, "the envelope lies beside the recordings", "another directory")
     out.mkdir(parents=True, exist_ok=True)
     truth.parent.mkdir(parents=True, exist_ok=True)
-    jobs = [(level, k) for level, count in counts.items() for k in range(count)]
-    order = np.random.default_rng([seed, 2**31]).permutation(len(jobs))
+    drawn = [(level, k) for level, count in counts.items() for k in range(count)]
+    order = np.random.default_rng([seed, 2**31]).permutation(len(drawn))
     truths: dict[str, Mapping[str, object]] = {}
     digests: dict[str, str] = {}
-    for number, job in enumerate(order):
-        level, k = jobs[job]
-        began = time.perf_counter()
-        which = list(LEVELS).index(level)
-        turn = np.random.default_rng([seed, which, 2**31]).permutation(effects_of(level)).tolist()
-        first = turn[k % len(turn)] if turn else None
-        case: Case = make_case(level, np.random.default_rng([seed, which, k]), first)
-        name = f"{number + 1:03d}"
-        for motion, part in ((case.estimation, "estimation"), (case.held_out, "held_out")):
-            digests[f"{name}_{part}.csv"] = write_motion(out / f"{name}_{part}.csv", motion)
-        truths[name] = {**case.truth, "seed": [seed, which, k]}
-        if say:
-            click.echo(f"{number + 1}/{len(jobs)} sealed in {time.perf_counter() - began:.1f} s", err=True)
+    tasks = [(out, f"{number + 1:03d}", *drawn[job], seed) for number, job in enumerate(order)]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else nullcontext() as pool:
+        for number, (name, truth_, files, seconds) in enumerate((pool.map if pool else map)(_seal_case, tasks)):
+            truths[name] = truth_
+            digests.update(files)
+            if say:
+                click.echo(f"{number + 1}/{len(drawn)} sealed in {seconds:.1f} s", err=True)
     envelope = json.dumps({"generator": VERSION, "seed": seed, "cases": truths}, indent=1).encode() + b"\n"
     _write(truth, envelope)
     digest = _digest(envelope)

@@ -39,6 +39,11 @@ Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, second
 @click.option(
     "--arm-cases", default=3, show_default=True, type=click.IntRange(1), help="First so many cases of each level for them."
 )
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the false-alarm rate there, for diagnoses to print: diagnose/calibration.json in a checkout.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print benchmark.json on standard output.")
 def command(
     out: Path,
@@ -49,6 +54,7 @@ def command(
     budget: float | None,
     arm_list: str,
     arm_cases: int,
+    calibration: Path | None,
     as_json: bool,
 ) -> None:
     """Measure how often the diagnosis is right, how small an effect it sees, and how often it cries wolf.
@@ -74,7 +80,7 @@ def command(
     from simgap.benchmark.seal import open_envelope
 
     counts, arms = parse_levels(levels, grade), parse_arms(arm_list)
-    digest = seal(out, counts, seed)
+    digest = seal(out, counts, seed, jobs or min(2, os.cpu_count() or 1))
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
     seconds = BUDGETS[grade] if budget is None else budget or math.inf
     processes = jobs or min(2, os.cpu_count() or 1)
@@ -89,13 +95,30 @@ def command(
     summary = plain({**about, **summarise(truths, results), "rivals": rivals, "arms_missing": missing})
     _page(out, summary)
     write_atomic(out / "benchmark.json", json.dumps(summary, indent=1) + "\n")
+    if calibration is not None:
+        write_atomic(calibration, json.dumps(_calibration(summary), indent=1) + "\n")
     if as_json:
         click.echo(json.dumps(summary, indent=1))
     else:
         _show(summary, out)
 
 
-def seal(out: Path, counts: dict[str, int], seed: int) -> str:
+def _calibration(summary: dict[str, Any]) -> dict[str, Any]:
+    """What a diagnosis prints of its false alarms, and where the figure is from."""
+    from mjsim.errors import InputError
+
+    rate = next(b for b in summary["bars"] if b["id"] == "false_alarms")
+    if not rate["n"]:
+        raise InputError("--levels", "no case with nothing missing", "nothing and parameters_only", "take them in")
+    low, high = rate["interval"]
+    return {
+        "share": rate["value"], "low": low, "high": high, "alarms": round(rate["value"] * rate["n"]), "recordings": rate["n"],
+        "counts": {k: v for k, v in summary["counts"].items() if k in ("nothing", "parameters_only")},
+        "seed": summary["seed"], "envelope_sha256": summary["envelope_sha256"],
+    }  # fmt: skip
+
+
+def seal(out: Path, counts: dict[str, int], seed: int, jobs: int = 1) -> str:
     """Write recordings and envelope, or find those of an earlier run by the same plan; the envelope's SHA-256."""
     import json
 
@@ -113,7 +136,7 @@ def seal(out: Path, counts: dict[str, int], seed: int) -> str:
             return str(json.loads(manifest.read_text(encoding="utf-8"))["envelope_sha256"])
         write_atomic(plan_file, json.dumps(plan, indent=1) + "\n")
         click.echo(f"Sealing {sum(counts.values())} cases", err=True)
-        return write_cases(out / "recordings", out / "envelope" / "truth.json", counts, seed, say=True)
+        return write_cases(out / "recordings", out / "envelope" / "truth.json", counts, seed, jobs=jobs, say=True)
     except OSError as error:
         raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None
 

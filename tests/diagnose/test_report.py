@@ -158,7 +158,7 @@ def synthetic(samples: int = 20_000) -> Diagnosis:
         seed=7,
         seconds=21.3,
         versions={"simgap": "0.1.0", "mujoco": "4.0.0"},
-        false_alarm={"family_wise_rate": 0.02},
+        false_alarm={"share": 0.01, "low": 0.001, "high": 0.04, "alarms": 1.0, "recordings": 100.0},
     )
 
 
