@@ -106,9 +106,8 @@ def main(out: Path = OUT) -> tuple[Diagnosis, Diagnosis]:
     said = ", ".join(f"{n} = {v:.3g}" for n, v in numbers.items())
     print(f"Least squares with friction and delay: {said}; error {error:.3g} rad/s. Numbers come out, and mean nothing.")
     named = ", ".join(f.effect for f in naive.findings) or "nothing"
-    print(
-        f"The diagnosis, allowed friction, delay and lag only, names {named}; {naive.fit['corrected'].held_out_rms:.3g} rad/s; {naive.verdict.value}."
-    )
+    left = naive.fit["corrected"].held_out_rms
+    print(f"The diagnosis, allowed friction, delay and lag only, names {named}; {left:.3g} rad/s; {naive.verdict.value}.")
     print(f"Diagnosis: {result.verdict.value}. {result.summary}")
     for f in result.findings:
         values = {n: e.value for n, e in f.parameters.items()}

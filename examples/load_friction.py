@@ -30,9 +30,9 @@ SHARE, LOAD = 0.12, 60.0  # friction over transmitted torque at the motor; load 
 
 
 def rig(seed: int, hz: float, swing: float) -> Recording:
-    """Ten seconds about the torque that holds the load: ``swing`` [N m] at ``hz`` and a slower part."""
+    """Five seconds about the torque that holds the load: ``swing`` [N m] at ``hz`` and a slower part."""
     rng = np.random.default_rng(seed)
-    t = np.arange(10 * RATE) / RATE
+    t = np.arange(5 * RATE) / RATE
     hold = LOAD / 118.0 * np.minimum(t / 0.2, 1.0)
     torque = hold + swing * np.sin(2 * np.pi * hz * t) + 0.5 * swing * np.sin(2 * np.pi * 0.37 * hz * t + seed)
     laws = Laws(load_m=SHARE, gravity=LOAD, gravity_phase=np.pi / 2)
@@ -46,19 +46,24 @@ def loaded() -> Axis:
     return nominal + effect_class("gravity_load")(torque_Nm=LOAD, phase_rad=np.pi / 2)
 
 
+def tell(name: str, result: Diagnosis) -> None:
+    """What was found, what it cannot be told from, what to measure."""
+    print(f"{name}: {result.verdict.value}. {result.summary}")
+    for f in result.findings:
+        print(f"  {f.sentence} Cannot be told from: {', '.join(f.equivalents) or 'nothing else'}.")
+    print(f"  Next: {result.next_experiment or 'nothing to tell apart'}", flush=True)
+
+
 def main(out: Path = OUT) -> tuple[Diagnosis, Diagnosis]:
     """(slow rig alone, slow rig and a fast one)."""
     out.mkdir(parents=True, exist_ok=True)
     axis = loaded()
+    print(f"Machine: friction of {SHARE} of the transmitted torque; a load of {LOAD} N m is known.")
     slow = [rig(1, 0.8, 0.12)], [rig(2, 0.6, 0.12)]
     alone = diagnose(axis, *slow, Options())
+    tell("Slow rig alone", alone)
     both = diagnose(axis, [*slow[0], rig(3, 7.0, 0.9)], [*slow[1], rig(4, 5.5, 0.9)], Options())
-    print(f"Machine: friction of {SHARE} of the transmitted torque; a load of {LOAD} N m is known.")
-    for name, result in (("Slow rig alone", alone), ("With a fast recording added", both)):
-        print(f"{name}: {result.verdict.value}. {result.summary}")
-        for f in result.findings:
-            print(f"  {f.sentence} Cannot be told from: {', '.join(f.equivalents) or 'nothing else'}.")
-        print(f"  Next: {result.next_experiment or 'nothing to tell apart'}")
+    tell("With a fast recording added", both)
     write_report(alone, out / "slow_rig.html")
     write_report(both, out / "both.html")
     print(f"Reports: {out / 'slow_rig.html'}, {out / 'both.html'}")

@@ -25,14 +25,16 @@ def command(name: str, out: Path, source: Path | None, benchmark: Path | None, j
     """Write a page of the proof, every figure on it computed here.
 
     emps, kuka: real machines beside their published values. concealed: known physics taken out of the model or put into real
-    signals. summary: the whole argument from the pages that stand in OUT and from a benchmark.json; what was not run is said.
+    signals. summary: the whole argument from the pages in OUT and from a benchmark.json, as
+    proof.md beside OUT; what was not run is said.
     """
     import json
 
     from simgap.proof.page import plain, write_page
 
     page = _made(name, out, source, benchmark, jobs)
-    path = write_page(page, out)
+    # the summary stands above the pages that it names
+    path = write_page(page, out.resolve().parent, figures=False) if name == "summary" else write_page(page, out)
     click.echo(json.dumps(plain(page.figures), indent=1) if as_json else f"{page.text}\n{path}")
 
 

@@ -77,14 +77,15 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def write_page(page: Page, folder: Path) -> Path:
-    """``folder/NAME.md``, its pictures in ``folder/NAME/``, its figures in ``folder/NAME.json``. Raises InputError."""
+def write_page(page: Page, folder: Path, *, figures: bool = True) -> Path:
+    """``folder/NAME.md``, its pictures in ``folder/NAME/``, its ``figures`` in ``folder/NAME.json``. Raises InputError."""
     try:
         for name, figure in page.pictures.items():
             drawn = io.BytesIO()
             figure.savefig(drawn, format="png", metadata={"Software": None})
             write_atomic(folder / page.name / f"{name}.png", drawn.getvalue())
-        write_atomic(folder / f"{page.name}.json", json.dumps(plain(page.figures), indent=1) + "\n")
+        if figures:
+            write_atomic(folder / f"{page.name}.json", json.dumps(plain(page.figures), indent=1) + "\n")
         write_atomic(folder / f"{page.name}.md", page.text.rstrip() + "\n")
     except OSError as error:
         raise InputError(folder, f"cannot write there ({error.strerror})", "a folder that can be written") from None
