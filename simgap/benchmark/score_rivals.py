@@ -18,6 +18,8 @@ from simgap.benchmark.score import NULLS, score_case
 
 __all__ = ["first_cases", "score_rivals"]
 
+FLAT = ("white", "quantised")  # noise whose level after a filter is known: steps below the noise add white noise
+
 
 def first_cases(truths: Mapping[str, Mapping[str, Any]], most: int) -> list[str]:
     """The first ``most`` cases of each level, by number; the numbers are shuffled, so this is a draw."""
@@ -57,7 +59,7 @@ def _of_diagnosis(result: Mapping[str, Any]) -> dict[str, Any]:
 def _over_noise(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> float:
     """Held-out error over the noise that passes the arm's filter; nan where that is not known (coloured noise, filtered)."""
     gain = _number(answer["noise_gain"])
-    if gain != 1.0 and truth.get("noise_kind", "white") != "white":
+    if gain != 1.0 and truth.get("noise_kind", "white") not in FLAT:
         return math.nan
     return _number(answer["held_out_rms"]) / (gain * float(truth["velocity_noise_rms_rad_s"]))
 
