@@ -33,8 +33,7 @@ def rig(seed: int, hz: float, swing: float) -> Recording:
     """Five seconds about the torque that holds the load: ``swing`` [N m] at ``hz`` and a slower part."""
     rng = np.random.default_rng(seed)
     t = np.arange(5 * RATE) / RATE
-    hold = LOAD / 118.0 * np.minimum(t / 0.2, 1.0)
-    torque = hold + swing * np.sin(2 * np.pi * hz * t) + 0.5 * swing * np.sin(2 * np.pi * 0.37 * hz * t + seed)
+    torque = LOAD / 118.0 + swing * np.sin(2 * np.pi * hz * t) + 0.5 * swing * np.sin(2 * np.pi * 0.37 * hz * t + seed)
     laws = Laws(load_m=SHARE, gravity=LOAD, gravity_phase=np.pi / 2)
     motion = record(laws, Experiment("rig", torque, np.zeros_like(torque)), Measurement(), rng)
     return Recording(motion.time, motion.torque, motion.velocity, motion.angle, 1 / RATE, source=f"rig_{hz:g}_Hz_{seed}")

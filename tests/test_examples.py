@@ -38,11 +38,15 @@ def test_hidden_flexibility(tmp_path):
 
 
 def test_stiction(tmp_path):
-    """The peak at rest is named, its level and ratio measured."""
+    """The peak at rest is named and measured; one level for rest and motion leaves more than the noise."""
     module = example("stiction")
-    result = module.main(tmp_path)
+    level, result = module.main(tmp_path)
     assert result.verdict is Verdict.MISSING_PHYSICS
     assert [f.effect for f in result.findings] == ["static_friction"]
+    values = {n: e.value for n, e in result.findings[0].parameters.items()}
+    assert values["torque_Nm"] == pytest.approx(module.LEVEL, rel=0.02)
+    assert values["peak"] == pytest.approx(module.PEAK, rel=0.05)
+    assert level.fit["corrected"].held_out_rms > 2 * result.fit["corrected"].held_out_rms
 
 
 def test_servo_backlash(tmp_path):
