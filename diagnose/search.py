@@ -290,6 +290,7 @@ class Search:
         self._tell(current)
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
+        stuck: set[tuple[str, ...]] = set()
         for turn in range(self.options.depth + 2):
             self.progress.stage("search", f"round {turn + 1}")
             self.progress.begin_round(int(len(current.effects) + 1 < self.options.depth))
@@ -305,7 +306,11 @@ class Search:
             best = self._best(current)
             self.progress.end_round()
             if best.key == current.key:
-                break
+                beam = [] if current.key in stuck else self._promising(current, expanded)
+                stuck.add(current.key)
+                if not beam:
+                    break
+                continue
             current = best
             if self.effective_of is not None:
                 self.effective = self.effective_of(current)
@@ -316,6 +321,19 @@ class Search:
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
             beam = [current, *near[: self.options.beam - 1]]
         return self._eliminate(current)
+
+    def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
+        """Structures one effect larger that gain much on the estimation data, though held-out data do not bear them out alone.
+
+        Where two effects are missing, each may spoil what the other gains elsewhere: together they have to pay, not each first.
+        """
+        if not self.fitter.noise_known or current.chi2 < 1.2 * current.n or len(current.effects) + 1 >= self.options.depth:
+            return []
+        larger = [
+            f for f in self.pool.values()
+            if len(f.effects) == len(current.effects) + 1 and f.key not in expanded and f.chi2 < 0.7 * current.chi2
+        ]  # fmt: skip
+        return sorted(larger, key=self.criterion)[: self.options.beam]
 
     def _best(self, current: Fitted) -> Fitted:
         """The structure with the best criterion among those that pay against the current one."""
