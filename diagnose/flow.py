@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from diagnose.ahead import k_step
 from diagnose.calibration import false_alarm_rate
 from diagnose.candidates import candidates
 from diagnose.decide import (
@@ -189,7 +190,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     best = search.polish(best)
     structure = remaining_structure(fitter, best)
     best = fitter.refined(best)
-    mismatch = locate(fitter, base)
+    mismatches = locate(fitter, base)
     found = _findings(search, best, options)
     motion = motion_error(fitter, base), motion_error(fitter, best)
     remains = _is_unexplained(search, base, search.held_out(best), structure, motion, options)
@@ -242,7 +243,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         verdict=verdict,
         summary=_summary(verdict, found, fits, gap, fitter.noise_known, unit),
         findings=found if verdict in (Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED) else (),
-        mismatch=mismatch,
+        mismatch=mismatches[0],
+        mismatches=mismatches,
         linear_parameters=estimates(best, fitter, owner=""),
         nominal_parameters={p.name: p.value for p in fitter.nominal.chain.linear_parameters()},
         fit=fits,
@@ -387,7 +389,8 @@ def _error_figures(fitter: Fitter, axis_of: Callable[[int], Axis], fitted: Fitte
         count += int(keep.sum())
     rms = math.sqrt(squares / count)
     held_rms, held_nrmse = (held.rms, held.nrmse) if held else (math.nan, math.nan)
-    return FitFigures(rms, math.sqrt(squares / spread), held_rms, held_nrmse)
+    ahead = k_step(fitter, fitted) if fitted is not None and held is not None else ()
+    return FitFigures(rms, math.sqrt(squares / spread), held_rms, held_nrmse, ahead)
 
 
 def _figures(fitter: Fitter, search: Search, base: Fitted, best: Fitted) -> tuple[dict[str, FitFigures], float]:

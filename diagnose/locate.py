@@ -10,23 +10,50 @@ deconvolution of the residual through the fitted linear axis (the Wiener filter 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.experiment import measured_velocity
+from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter
 from diagnose.orders import torque_to_velocity
 from diagnose.result import Mismatch, Place, Share, StateShare
+from mjsim.axis import Axis
 
-__all__ = ["binned", "disturbance", "locate", "states"]
+__all__ = ["Played", "binned", "disturbance", "locate", "played", "states"]
 
 
-def disturbance(fitter: Fitter, fitted: Fitted, body: int = 0) -> np.ndarray:
-    """Torque on a body that would close the gap on the first experiment, on the view's grid (M,)."""
-    experiment = fitter.experiments[0]
-    axis = fitted.axis
-    e = fitter.error(axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
-    assert e is not None
+@dataclass(frozen=True, eq=False)
+class Played:
+    """A fitted model on one recording: the axis with that recording's own numbers, its start, and the error e (M,)."""
+
+    experiment: Experiment
+    role: str
+    axis: Axis
+    initial: np.ndarray | None
+    e: np.ndarray
+
+
+def played(fitter: Fitter, fitted: Fitted) -> list[Played]:
+    """A fitted model on every recording, those for estimation first; one whose blocks are held out comes once."""
+    out = []
+    for i, experiment in enumerate(fitter.experiments):
+        axis, initial = fitted.hypothesis.axis(fitted.fit.x, i), fitted.hypothesis.initial(fitted.fit.x, i)
+        e = fitter.error(axis, experiment, initial)
+        assert e is not None
+        out.append(Played(experiment, "estimation", axis, initial, e))
+    known = {id(x.recording) for x in fitter.experiments}
+    for experiment in fitter.held_out:
+        solved = None if id(experiment.recording) in known else fitter.own_values(fitted.hypothesis, fitted, experiment)
+        e = None if solved is None else fitter.error(solved[0], experiment, solved[1])
+        if solved is not None and e is not None:
+            out.append(Played(experiment, "held-out", *solved, e))
+    return out
+
+
+def disturbance(fitter: Fitter, on: Played, body: int = 0) -> np.ndarray:
+    """Torque on a body that would close the gap on a recording, on the view's grid (M,)."""
+    experiment, axis, e = on.experiment, on.axis, on.e
     if fitter.view.channel == "torque":
         # commanded minus needed: what acted on top of the command is its negative
         return -e * (1.0 if body == 0 else 1.0 / axis.chain.total_ratio(body))
@@ -44,9 +71,9 @@ def disturbance(fitter: Fitter, fitted: Fitted, body: int = 0) -> np.ndarray:
     return np.asarray(np.fft.irfft(np.conj(g) * spectrum / (np.abs(g) ** 2 + ridge), pad)[:n])
 
 
-def states(fitter: Fitter, fitted: Fitted) -> dict[str, tuple[np.ndarray, str]]:
+def states(fitter: Fitter, on: Played) -> dict[str, tuple[np.ndarray, str]]:
     """The states that a law may depend on, on the view's grid: name -> (values, unit)."""
-    experiment = fitter.experiments[0]
+    experiment = on.experiment
     r = experiment.recording
     v = measured_velocity(r)
     smooth = _smooth(v, max(3, int(0.002 / r.dt)))
@@ -64,11 +91,11 @@ def states(fitter: Fitter, fitted: Fitted) -> dict[str, tuple[np.ndarray, str]]:
             out[f"phase of order {order:.4g}" if k else f"phase of order {order:.4g} of the angle"] = (
                 np.mod(order * q, 2 * np.pi), "rad",
             )  # fmt: skip
-    chain = fitted.axis.chain
+    chain = on.axis.chain
     if chain.couplings and fitter.view.channel == "velocity":
         from mjsim.ode import simulate
 
-        y = simulate(fitted.axis, r.torque, r.dt, before=experiment.before)
+        y = simulate(on.axis, r.torque, r.dt, before=experiment.before)
         for j, c in enumerate(chain.couplings):
             if j < y.q.shape[1] - 1:
                 out[f"deflection at {c.place}"] = (c.ratio * y.q[:, j] - y.q[:, j + 1], "rad")
@@ -112,26 +139,31 @@ def binned(y: np.ndarray, x: np.ndarray, keep: np.ndarray, bins: int = 24) -> tu
     return max(0.0, share), centre, mean, np.sqrt(var / count)
 
 
-def locate(fitter: Fitter, fitted: Fitted) -> Mismatch:
-    """Time, frequency, state and place of the first experiment's residual."""
-    experiment = fitter.experiments[0]
-    e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
-    assert e is not None
+def locate(fitter: Fitter, fitted: Fitted) -> tuple[Mismatch, ...]:
+    """Time, frequency, state and place of what a fitted model leaves, for every recording; the first one is for estimation."""
+    return tuple(_located(fitter, on) for on in played(fitter, fitted))
+
+
+def _located(fitter: Fitter, on: Played) -> Mismatch:
+    experiment, e = on.experiment, on.e
     counted = fitter.counted(experiment)
     every = fitter.view.decimate
     dt = experiment.recording.dt * every
     noise = experiment.sigma**2 if fitter.noise_known else 0.0
     energy = float(np.mean(e[counted] ** 2))
     above = max(0.0, 1.0 - noise / energy) if energy > 0 else 0.0
-    spectrum, linear = _spectrum(fitter, e, dt, noise)
+    spectrum, linear = _spectrum(fitter, experiment, e, dt, noise)
     return Mismatch(
         time=_time_shares(experiment.recording.time[::every][: len(e)], e, counted, noise),
         frequency=_frequency_shares(*spectrum[:3]),
-        state=_state_shares(fitter, fitted, counted),
-        place=_places(fitter, fitted, counted),
+        state=_state_shares(fitter, on, counted),
+        place=_places(fitter, on, counted),
         spectrum=spectrum,
         above_noise=above,
         linear_share=linear,
+        source=experiment.recording.source,
+        role=on.role,
+        energy=above * energy * int(counted.sum()) / fitter.sigma(experiment) ** 2,
     )
 
 
@@ -148,12 +180,11 @@ def _time_shares(time: np.ndarray, e: np.ndarray, counted: np.ndarray, noise: fl
 
 
 def _spectrum(
-    fitter: Fitter, e: np.ndarray, dt: float, noise: float
+    fitter: Fitter, experiment: Experiment, e: np.ndarray, dt: float, noise: float
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
     """(frequency, residual, noise and output psd), and the share of the residual coherent with the input."""
     from scipy.signal import coherence, welch
 
-    experiment = fitter.experiments[0]
     every = fitter.view.decimate
     y = experiment.recording.torque if fitter.view.channel == "torque" else measured_velocity(experiment.recording)
     y, u = y[::every][: len(e)], experiment.recording.torque[::every][: len(e)]
@@ -189,34 +220,33 @@ def _frequency_shares(f: np.ndarray, pe: np.ndarray, pn: np.ndarray) -> tuple[Sh
     return tuple(sorted(out, key=lambda s: -s.share)[:5])
 
 
-def _state_shares(fitter: Fitter, fitted: Fitted, counted: np.ndarray) -> tuple[StateShare, ...]:
-    d = disturbance(fitter, fitted)
+def _state_shares(fitter: Fitter, on: Played, counted: np.ndarray) -> tuple[StateShare, ...]:
+    d = disturbance(fitter, on)
     out = []
-    for name, (x, unit) in states(fitter, fitted).items():
+    for name, (x, unit) in states(fitter, on).items():
         share, centre, mean, error = binned(d, x[: len(d)], counted)
         out.append(StateShare(name, unit, share, centre, mean, error))
     return tuple(sorted(out, key=lambda s: -s.share))
 
 
-def _places(fitter: Fitter, fitted: Fitted, counted: np.ndarray) -> tuple[Place, ...]:
+def _places(fitter: Fitter, on: Played, counted: np.ndarray) -> tuple[Place, ...]:
     """For every body: how large a torque there would close the gap, and how much of it one state explains; and the sensor."""
     chain = fitter.nominal.chain
     table: Sequence[tuple[str, int]] = [
         (p, i) for p in ("motor", "gearbox", "arm") if (i := chain.body(p)) is not None and (i > 0 or p == "motor")
     ]
     unit = "N m" if chain.motion.value == "hinge" else "N"
-    known = states(fitter, fitted)
+    known = states(fitter, on)
     out = []
     for place, body in table:
-        d = disturbance(fitter, fitted, body)
+        d = disturbance(fitter, on, body)
         best, by = 0.0, "nothing"
         for name, (x, _) in known.items():
             share = binned(d, x[: len(d)], counted)[0]
             if share > best:
                 best, by = share, name
         out.append(Place(place, chain.element(place), float(np.sqrt(np.mean(d[counted] ** 2))), unit, best, by))
-    e = fitter.error(fitted.axis, fitter.experiments[0], fitted.hypothesis.initial(fitted.fit.x, 0))
-    assert e is not None
+    e = on.e
     best, by = 0.0, "nothing"
     for name, (x, _) in known.items():
         share = binned(e, x[: len(e)], counted)[0]

@@ -117,7 +117,8 @@ class Mismatch:
 
     spectrum: (frequency_hz, residual psd, noise psd, output psd) arrays; above_noise: share of the residual energy that
     is not noise;
-    linear_share: share of it that is coherent with the input (the rest is nonlinear distortion or disturbance).
+    linear_share: share of it that is coherent with the input (the rest is nonlinear distortion or disturbance);
+    source, role: the recording; energy: of its residual above noise, over the variance of the noise.
     """
 
     time: tuple[Share, ...]
@@ -127,6 +128,9 @@ class Mismatch:
     spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     above_noise: float
     linear_share: float
+    source: str = ""
+    role: str = "estimation"
+    energy: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Intervals with their shares, as in the contract."""
@@ -145,16 +149,26 @@ class Mismatch:
 
 @dataclass(frozen=True)
 class FitFigures:
-    """Errors of one model: rms in the view's unit and nrmse (error over spread of the measurement), estimation and held-out."""
+    """Errors of one model: rms in the view's unit and nrmse (error over spread of the measurement), estimation and held-out.
+
+    ahead: (seconds, rms held-out error of the prediction so far ahead), see `diagnose.ahead`.
+    """
 
     rms: float
     nrmse: float
     held_out_rms: float
     held_out_nrmse: float
+    ahead: tuple[tuple[float, float], ...] = ()
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, Any]:
         """By name."""
-        return {"rms": self.rms, "nrmse": self.nrmse, "held_out_rms": self.held_out_rms, "held_out_nrmse": self.held_out_nrmse}
+        return {
+            "rms": self.rms,
+            "nrmse": self.nrmse,
+            "held_out_rms": self.held_out_rms,
+            "held_out_nrmse": self.held_out_nrmse,
+            "ahead": [{"seconds": s, "held_out_rms": e} for s, e in self.ahead],
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,9 +261,9 @@ class Traces:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The outcome; see the fields of the contract's ``diagnosis.json``. ``channel`` and ``unit``.
+    """The outcome; see the fields of the contract's ``diagnosis.json``.
 
-    What the models are judged on.
+    channel, unit: what the models are judged on; mismatch: on the first recording, mismatches: on every one.
     """
 
     verdict: Verdict
@@ -276,6 +290,12 @@ class Diagnosis:
     false_alarm: Mapping[str, float] = field(default_factory=dict)
     map: MapResult | None = None
     hypotheses: int = 0
+    mismatches: tuple[Mismatch, ...] = ()
+
+    def shares(self) -> tuple[float, ...]:
+        """Each recording's share of the residual energy above noise of all of them."""
+        total = sum(m.energy for m in self.mismatches)
+        return tuple(m.energy / total if total > 0 else 0.0 for m in self.mismatches)
 
     def as_dict(self) -> dict[str, Any]:
         """The contract's JSON, with a few fields more."""
@@ -290,7 +310,13 @@ class Diagnosis:
                 }
                 for f in self.findings
             ],
-            "mismatch": self.mismatch.as_dict(),
+            "mismatch": {
+                **self.mismatch.as_dict(),
+                "recordings": [
+                    {"file": m.source, "role": m.role, "share": share, **m.as_dict()}
+                    for m, share in zip(self.mismatches, self.shares(), strict=True)
+                ],
+            },
             "linear_parameters": {k: v.as_dict() for k, v in self.linear_parameters.items()},
             "nominal_parameters": dict(self.nominal_parameters),
             "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": self.noise_floor}},

@@ -69,6 +69,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         map=_map(d),
         linear=_linear(d),
         fits=_fits(d),
+        horizons=list(dict.fromkeys(s for f in d.fit.values() for s, _ in f.ahead)),
         rivals=shown,
         more_rivals=hidden,
         better=_better(d),
@@ -147,7 +148,25 @@ def _drawn(d: Diagnosis) -> dict[str, Any]:
         "left_out": [t.source for t in roles if t not in chosen],
         "spectrum": Markup(curves) if curves else None,
         "states": Markup(maps) if maps else None,
+        "others": [_elsewhere(d, i, torque) for i in range(1, len(d.mismatches))] if placed(d) else [],
         "sigma": noise,
+    }
+
+
+def _elsewhere(d: Diagnosis, index: int, torque: str) -> dict[str, Any]:
+    """Where the mismatch is on a further recording: sentences and pictures."""
+    from markupsafe import Markup
+
+    m = d.mismatches[index]
+    trace = next((t for t in d.traces if t.source == m.source), None)
+    curves = pictures.spectrum(m, trace, d.channel, d.unit, bool(d.findings), f"s{index}")
+    maps = pictures.states(m.state, torque, f"m{index}")
+    return {
+        "source": m.source,
+        "role": m.role.replace("_", " "),
+        "share": percent(d.shares()[index]),
+        "where": where(d, m),
+        "pictures": [Markup(p) for p in (curves, maps) if p],
     }
 
 
@@ -289,6 +308,7 @@ def _fits(d: Diagnosis) -> list[dict[str, Any]]:
                 "key": key,
                 "name": _FIT_WORDS.get(key, key),
                 "fit": f,
+                "ahead": dict(f.ahead),
                 "times": number(f.held_out_rms / floor, 3) if floor > 0 else "–",
                 "bar": round(bar, 1),
             }

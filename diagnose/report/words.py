@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnose.report.figures import number, percent, unit
-from diagnose.result import Diagnosis, Share, Verdict
+from diagnose.result import Diagnosis, Mismatch, Share, Verdict
 
 __all__ = ["VERDICTS", "VerdictWords", "effect_name", "formula", "linear_name", "placed", "structure_name", "where"]
 
@@ -95,9 +95,12 @@ def placed(d: Diagnosis) -> bool:
     return d.mismatch.above_noise >= _SMALL or d.verdict not in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY)
 
 
-def where(d: Diagnosis) -> list[str]:
-    """The place of the mismatch in a few sentences: how much, when, at which frequencies, by which state, at which place."""
-    m = d.mismatch
+def where(d: Diagnosis, other: Mismatch | None = None) -> list[str]:
+    """The place of the mismatch in a few sentences: how much, when, at which frequencies, by which state, at which place.
+
+    ``other``: on that recording instead of the first one.
+    """
+    m = d.mismatch if other is None else other
     known = math.isfinite(d.noise_floor)
     if not placed(d):
         left = f"{percent(m.above_noise)} of its squared error above" if m.above_noise > 0 else "nothing above"
