@@ -1,8 +1,8 @@
 """Stiction that MuJoCo's frictionloss cannot hold: `python examples/stiction.py`.
 
 The machine (the sealed plant of the benchmark, with a solver of its own) breaks loose at twice the level at which it slides; the
-model has no dry friction. MuJoCo's frictionloss, one level for rest and motion, is the best that plain MJCF could do: the diagnosis
-is first allowed nothing else, then everything.
+model has no dry friction. MuJoCo's frictionloss, one level for rest and motion, is the best that plain MJCF could do: first the
+diagnosis is allowed nothing else, then everything.
 """
 
 from __future__ import annotations
