@@ -28,6 +28,7 @@ Say = Callable[[str], None]
 PITCH = 0.007  # of the ripple that is put in [m]: no multiple of the screw's
 AMPLITUDE = 1.5  # [N]
 DELAY = 0.005  # [s]
+TOLERANCE = 0.1  # of a parameter, for the answer to be right
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def _said(finding: Any) -> str:
 
 
 def _right(case: Case, findings: Any) -> str:
-    """yes, no, or what of it is right."""
+    """Yes, no, or what of it is right: one effect, its parameters within the tolerance."""
     if case.effect is None:
         return "yes" if not findings else "no"
     named = next((f for f in findings if case.effect == f.effect or case.effect in f.equivalents), None)
@@ -128,9 +129,12 @@ def _right(case: Case, findings: Any) -> str:
         return "no"
     if case.effect != named.effect:
         return "as an equivalent"
-    off = [f"{n} {100 * (named.parameters[n].value / v - 1):+.1f} %" for n, v in case.parameters.items()]
-    more = [f.effect for f in findings if f is not named]
-    return f"yes ({', '.join(off)})" + (f", and {', '.join(more)} beside it" if more else "")
+    wrong = {n: named.parameters[n].value / v - 1 for n, v in case.parameters.items()}
+    more = [f.effect.replace("_", " ") for f in findings if f is not named]
+    said = ", ".join(f"{n} {100 * x:+.1f} %" for n, x in wrong.items())
+    if more or max(map(abs, wrong.values())) > TOLERANCE:
+        return f"in part ({said})" + (f": {' and '.join(more)} is not there" if more else "")
+    return f"yes ({said})"
 
 
 def _encoder_cases(kuka: Mapping[str, Path]) -> tuple[list[list[str]], list[dict[str, Any]]]:
