@@ -244,17 +244,18 @@ class Search:
         stiff = cls.family in ("structure", "coupling")
         guesses = [self.fitter.hypothesis((*present, e), base.linear, base.own) for e in s.starts[: None if curved else 2]]
         borrowing = len(guesses)
-        if stiff:
-            raw = [make(cls.id, s.candidate.place, v) for v in cls.starts(self.fitter.scales_for(cls, s.candidate.place))]
-            guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in raw]
-        elif far:
-            guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in s.starts[:2]]
+        raw = [make(cls.id, s.candidate.place, v) for v in cls.starts(self.fitter.scales_for(cls, s.candidate.place))]
+        from_nominal = (*raw,) if stiff else (*s.starts[:2], *raw[:2]) if far else ()
+        guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in from_nominal]
         residuals = self.fitter.run([self.fitter.at_start(h) for h in guesses])
         # what the base's own parameters will take up does not count against a start
         q, _ = np.linalg.qr(base.fit.J / (np.linalg.norm(base.fit.J, axis=0) + 1e-300))
         cost = [math.inf if r is None else float(r @ r) - float(np.sum((q.T @ r) ** 2)) if len(r) == len(q) else float(r @ r)
                 for r in residuals]  # fmt: skip
         order = sorted(range(len(guesses)), key=lambda i: cost[i])[: cls.multistart]
+        if far and borrowing < len(guesses) and max(order) < borrowing:
+            # far off, the refitted parameters may have gone where no way leads back from
+            order.append(min(range(borrowing, len(guesses)), key=lambda i: cost[i]))
         borrows = [base if i < borrowing else None for i in order]
         fits = [
             self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=not curved)
@@ -375,11 +376,31 @@ class Search:
         while changed and current.effects:
             changed = False
             for effect in current.effects:
-                poorer = self.without(current, effect)
-                if not self.pays(poorer, current):
-                    current, changed = poorer, True
+                # dropped, or in the simpler form that it refines: a refinement may have entered while another effect was missing
+                poorer: list[Callable[[], Fitted]] = [partial(self.without, current, effect), *self._simpler(current, effect)]
+                found = next((p for p in (make_it() for make_it in poorer) if p.ok and not self.pays(p, current)), None)
+                if found is not None:
+                    current, changed = found, True
                     break
         return current
+
+    def _simpler(self, current: Fitted, effect: Effect) -> list[Callable[[], Fitted]]:
+        """Fits of a structure with each simpler form of one of its effects in place of it."""
+        rest = tuple(e for e in current.effects if e.key != effect.key)
+
+        def fit(name: str) -> Fitted:
+            cls = effect_class(name)
+            values = dict(cls.starts(self.fitter.scales_for(cls, effect.place))[0])
+            values.update({k: v for k, v in effect.values.items() if k in values})
+            h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
+            simple = self.fitter.fit(h, iterations=30)
+            self._keep(simple)
+            return self.pool.get(simple.key, simple)
+
+        return [
+            partial(fit, name) for name in type(effect).refines
+            if effect.place in effect_class(name).places and not any(e.key == f"{name}@{effect.place}" for e in rest)
+        ]  # fmt: skip
 
 
 def _related(name: str, effect: Effect) -> bool:
