@@ -98,6 +98,10 @@ class Hypothesis:
                 scale = _scale(spec.quantity, value, turning if spec.quantity is Quantity.CYCLES else s)
                 log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
                 low, high = (1e-3 * scale, 1e3 * scale) if log else (spec.lower, spec.upper)
+                if spec.quantity is Quantity.VELOCITY and type(effect).family == "friction":
+                    # what fades over less than a thousandth of the speed is a level at rest, which static friction has
+                    low = max(low, 1e-3 * s.velocity)
+                    value = max(value, low)
                 if spec.quantity is Quantity.CYCLES and effect.place != "arm":
                     # what does not repeat within the travel is not periodic: one and a half periods at least
                     low = max(low, 3 * math.pi / max(turning.travel, 1e-12))

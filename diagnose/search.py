@@ -74,8 +74,10 @@ def compare(before: HeldOut | None, after: HeldOut | None, *, known: bool = Fals
     from scipy.stats import t as student
     from scipy.stats import wilcoxon
 
-    if before is None or after is None:
+    if after is None:
         return Comparison(-math.inf, 1.0)
+    if before is None:  # the poorer model cannot be run there at all
+        return Comparison(math.inf, 0.0)
     d = before.sse - after.sse
     d = d[before.n > 0]
     gain = float(np.sum(d) / max(before.chi2, 1e-300))
@@ -104,6 +106,7 @@ class Search:
     held: dict[tuple[str, ...], HeldOut | None] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
+    retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)
     tested: int = 0
     effective: float = 1.0
     effective_of: Callable[[Fitted], float] | None = None
@@ -187,13 +190,23 @@ class Search:
             supposed = [
                 c for c in self.candidates
                 if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
-                and _related(c.id, effect)
-                and (*(k for k in base.key if k != effect.key), c.key) not in {tuple(k) for k in self.pool}
+                and _related(c.id, effect) and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
             ]  # fmt: skip
             ranked = screen(self.fitter, base, supposed, replacing=effect)
             self.tested += len(ranked)
-            entrants += [(others, s) for s in ranked if s.gain > 0.4 * self.options.entry]
+            entrants += [
+                (others, s) for s in ranked
+                if s.gain > 0.4 * self.options.entry or effect_class(s.candidate.id).multistart > 1
+            ]  # fmt: skip
         return self._race(base, entrants)
+
+    def _untried(self, base: Fitted, key: tuple[str, ...]) -> bool:
+        """Whether a structure was not fitted yet, or from so far off that it may do better from here; true once for each base."""
+        known = self.pool.get(key)
+        if known is not None and (known.chi2 < 1.2 * base.chi2 or (base.key, key) in self.retried):
+            return False
+        self.retried.add((base.key, key))
+        return True
 
     def _race(self, base: Fitted, entrants: Sequence[tuple[tuple[Effect, ...], Screened]]) -> list[Fitted]:
         """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win."""
@@ -321,7 +334,14 @@ class Search:
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
             beam = [current, *near[: self.options.beam - 1]]
-        return self._eliminate(current)
+        for _ in range(self.options.depth):
+            kept = self._eliminate(current)
+            if kept.key == current.key:
+                break
+            # what is left may have come to a better solution beside what was dropped: its other forms are tried from there
+            self.refine(kept)
+            current = self._best(kept)
+        return current
 
     def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data, though held-out data do not bear them out alone.
