@@ -31,12 +31,15 @@ __all__ = ["Comparison", "Search", "SearchOptions"]
 T = TypeVar("T")
 
 
+FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
+
+
 @dataclass(frozen=True)
 class SearchOptions:
     """Budgets and thresholds.
 
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
-    held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of candidates;
+    held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
     depth: most effects; width: rivals fitted in
     full at each move; beam: structures from which the next move starts; runs, seconds: budgets after which no further
     structure is tried.
@@ -45,7 +48,7 @@ class SearchOptions:
     price: float = 8.0
     entry: float = 25.0
     material: float = 0.0015
-    p_enter: float = 0.05
+    p_enter: float = 0.01
     depth: int = 3
     width: int = 10
     beam: int = 2
@@ -85,7 +88,11 @@ def compare(before: HeldOut | None, after: HeldOut | None, *, known: bool = Fals
         return Comparison(gain, 1.0)
     ranked = float(wilcoxon(d, alternative="greater", method="approx").pvalue)
     shift = before.errors - after.errors
-    edges = np.concatenate([[0], np.cumsum(before.n)[:-1]]).astype(int)[before.n > 0]
+    ends = np.cumsum(before.n)
+    edges = np.unique(
+        np.concatenate([np.linspace(b - n, b, FINER + 1)[:-1] for b, n in zip(ends, before.n, strict=True)]).astype(int)
+    )
+    edges = edges[edges < len(shift)]
     energy = np.add.reduceat(shift**2, edges)
     by_chance = float(np.sum(np.add.reduceat(shift * after.errors, edges) ** 2))
     if known:
@@ -198,7 +205,23 @@ class Search:
                 (others, s) for s in ranked
                 if s.gain > 0.4 * self.options.entry or effect_class(s.candidate.id).multistart > 1
             ]  # fmt: skip
+            entrants += self._other_orders(base, effect, others)
         return self._race(base, entrants)
+
+    def _other_orders(
+        self, base: Fitted, effect: Effect, others: tuple[Effect, ...]
+    ) -> list[tuple[tuple[Effect, ...], Screened]]:
+        """A position-locked effect once more at the orders that now stand out: it may have entered at a wrong one."""
+        mark = (base.key, (effect.key, str(self.fitter.orders)))
+        if "cycles_per_rev" not in effect.values or mark in self.retried:
+            return []
+        self.retried.add(mark)
+        orders = self.fitter.scales_for(type(effect), effect.place).orders[:3]
+        starts = tuple(
+            effect.with_values({"cycles_per_rev": n, "phase_rad": phase})
+            for n in orders if abs(n - effect.values["cycles_per_rev"]) > 0.02 * n for phase in (0.0, 1.57, 3.14, -1.57)
+        )  # fmt: skip
+        return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
 
     def _untried(self, base: Fitted, key: tuple[str, ...]) -> bool:
         """Whether a structure was not fitted yet, or from so far off that it may do better from here; true once for each base."""
@@ -291,12 +314,18 @@ class Search:
         share = 100 * math.sqrt(current.chi2 / current.n / (self.nominal().chi2 / self.nominal().n))
         self.progress.best(f"{' + '.join(current.key)} ({share:.3g} % of the refitted nominal's error)")
 
-    def pays(self, before: Fitted, after: Fitted) -> bool:
-        """Whether ``after`` is better by the criterion, materially, and on held-out data."""
+    def pays(self, before: Fitted, after: Fitted, attempt: int = 1) -> bool:
+        """Whether ``after`` is better by the criterion, materially, and on held-out data.
+
+        ``attempt``: how many structures the held-out data have been asked about in this move, this one included. It was the
+        estimation data that chose them among the candidates, so that where the noise is known only these are corrected for;
+        where the error is the model's own, which both share, all candidates are.
+        """
         if self.gain(before, after) < self.options.entry:
             return False
         c = compare(self.held_out(before), self.held_out(after), known=self.fitter.noise_known)
-        return c.relative_gain > self.options.material and c.p_value * max(1, len(self.candidates)) < self.options.p_enter
+        asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
+        return c.relative_gain > self.options.material and c.p_value * asked < self.options.p_enter
 
     def run(self) -> Fitted:
         """The best structure that the search finds."""
@@ -319,6 +348,11 @@ class Search:
             self.refine(best)
             best = self._best(current)
             self.progress.end_round()
+            if best.key == current.key and best.chi2 < 0.9 * current.chi2:
+                current = best  # the same effects at better numbers: what can be added is another question now
+                beam = [current]
+                expanded.discard(current.key)
+                continue
             if best.key == current.key:
                 beam = [] if current.key in stuck else self._promising(current, expanded)
                 stuck.add(current.key)
@@ -358,15 +392,17 @@ class Search:
 
     def _best(self, current: Fitted) -> Fitted:
         """The structure with the best criterion among those that pay against the current one."""
+        attempt = 0
         for f in sorted(self.pool.values(), key=self.criterion):
-            larger = len(f.effects) > len(current.effects)
+            larger = len(f.effects) > len(current.effects) or _refines(f, current)
             if self.worth_of is not None:  # held-out data judge every number that is added
                 larger |= len(f.hypothesis.entries) > len(current.hypothesis.entries)
             if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
                 continue
-            if not larger or self.pays(current, f):
+            attempt += larger
+            if not larger or self.pays(current, f, attempt):
                 return f
-        return current
+        return self.pool.get(current.key, current)
 
     def polish(self, fitted: Fitted) -> Fitted:
         """The same structure fitted on to a tight tolerance."""
@@ -427,3 +463,9 @@ def _related(name: str, effect: Effect) -> bool:
     """Whether an effect refines another, or both refine the same."""
     cls = effect_class(name)
     return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
+
+
+def _refines(f: Fitted, current: Fitted) -> bool:
+    """Whether a structure says more by a refinement of an effect that stands in the other one."""
+    gone = [e for e in current.effects if e.key not in f.key]
+    return any(e.place == old.place and old.id in type(e).refines for e in f.effects for old in gone)

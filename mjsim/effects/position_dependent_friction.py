@@ -44,6 +44,7 @@ class PositionDependentFriction(Effect):
     tolerance: ClassVar[float] = 2e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "friction"
+    multistart: ClassVar[int] = 3
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
     torque_Nm: float = parameter(Quantity.TORQUE, "mean level", lower=0.0)
