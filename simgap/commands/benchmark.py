@@ -30,6 +30,11 @@ Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, second
     help="Seconds a case may search, 0: no limit (default: 120 for quick, no limit for full).",
 )
 @click.option(
+    "--first",
+    type=click.IntRange(1),
+    help="Diagnose and score the first so many cases only; they are shuffled, so that these are a sample of all.",
+)
+@click.option(
     "--arms",
     "arm_list",
     default="none",
@@ -52,6 +57,7 @@ def command(
     jobs: int | None,
     levels: str | None,
     budget: float | None,
+    first: int | None,
     arm_list: str,
     arm_cases: int,
     calibration: Path | None,
@@ -84,10 +90,19 @@ def command(
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
     seconds = BUDGETS[grade] if budget is None else budget or math.inf
     processes = jobs or min(2, os.cpu_count() or 1)
-    results = diagnose_all(out, processes, seconds)
-    truths = open_envelope(out / "recordings", out / "envelope" / "truth.json")
+    results = diagnose_all(out, processes, seconds, first=first)
+    opened = open_envelope(out / "recordings", out / "envelope" / "truth.json")
+    truths = {name: opened[name] for name in results}
     versions: dict[str, str] = next((r["versions"] for r in results.values() if "versions" in r), {})
-    about = {"grade": grade, "seed": seed, "counts": counts, "envelope_sha256": digest, "versions": versions, "budget_s": seconds}
+    about = {
+        "grade": grade,
+        "seed": seed,
+        "counts": counts,
+        "first": first,
+        "envelope_sha256": digest,
+        "versions": versions,
+        "budget_s": seconds,
+    }
     names = first_cases(truths, arm_cases)
     ran = run_arms(out, arms, names, results, processes)
     rivals = {**score_rivals(truths, results, names, ran), "cases_a_level": arm_cases} if ran else None
@@ -113,7 +128,6 @@ def _calibration(summary: dict[str, Any]) -> dict[str, Any]:
     low, high = rate["interval"]
     return {
         "share": rate["value"], "low": low, "high": high, "alarms": round(rate["value"] * rate["n"]), "recordings": rate["n"],
-        "counts": {k: v for k, v in summary["counts"].items() if k in ("nothing", "parameters_only")},
         "seed": summary["seed"], "envelope_sha256": summary["envelope_sha256"],
     }  # fmt: skip
 
@@ -184,14 +198,19 @@ def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) ->
     return {**result, "rows": len(estimation)}
 
 
-def diagnose_all(out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case) -> dict[str, dict]:
-    """Results of all cases by name; those that stand in ``out/diagnoses``, by this code and budget, are not computed again."""
+def diagnose_all(
+    out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case, first: int | None = None
+) -> dict[str, dict]:
+    """Results of all cases, or the ``first`` so many, by name.
+
+    Those that stand in ``out/diagnoses``, by this code and budget, are not computed again.
+    """
     from simgap.benchmark.resume import Job, Shelf, sealed_hashes
 
     recordings = out / "recordings"
     sealed = sealed_hashes(recordings)
     shelf = Shelf(out / "diagnoses", f"{stamp()} {seconds:g} s", sealed)
-    return shelf.results([Job(n, work, (recordings, n, seconds)) for n in sealed], jobs)
+    return shelf.results([Job(n, work, (recordings, n, seconds)) for n in list(sealed)[:first]], jobs)
 
 
 def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, Any]) -> dict[str, Any]:
