@@ -305,7 +305,7 @@ class Fitter:
             J0 = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
-                max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant,
+                max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant, reach=h.reach,
             )  # fmt: skip
 
         if known is None:
@@ -466,7 +466,7 @@ class Fitter:
                 start = starts[int(np.argmin(costs))]
             best = levenberg_marquardt(
                 residual, start, (lower[free], upper[free]), step=np.full(int(free.sum()), 1e-3), run=self.run,
-                max_iterations=8,
+                max_iterations=8, reach=alone.reach[free],
             )  # fmt: skip
             if best.status is Status.FAILED:
                 return None

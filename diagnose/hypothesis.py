@@ -132,6 +132,15 @@ class Hypothesis:
         return np.array([e.scaled(e.lower) for e in self.entries]), np.array([e.scaled(e.upper) for e in self.entries])
 
     @property
+    def reach(self) -> np.ndarray:
+        """Largest step of each scaled number in one iteration.
+
+        An order whose wave turns by more than a radian over the travel, or a phase by as much, is another wave, of which the
+        sensitivities here say nothing.
+        """
+        return np.array([1.0 if e.quantity in (Quantity.CYCLES, Quantity.PHASE) else np.inf for e in self.entries])
+
+    @property
     def keys(self) -> tuple[str, ...]:
         """Keys of the supposed effects."""
         return tuple(e.key for e in self.effects)

@@ -127,12 +127,14 @@ def levenberg_marquardt(
     damping: float = 1e-3,
     J0: np.ndarray | None = None,
     secant: bool = False,
+    reach: np.ndarray | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
     tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, when known;
     secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
-    Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on.
+    Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
+    reach (p,): largest change of each number in one iteration, by which the whole step is shortened.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -164,6 +166,8 @@ def levenberg_marquardt(
         first_gain: float | None = None
         for _ in range(12):
             d = _bounded_step(A + mu * np.diag(scale), g, x, lower, upper)
+            if reach is not None:
+                d = d * min(1.0, float(np.min(reach / np.maximum(np.abs(d), 1e-300))))
             trial = np.clip(x + d, lower, upper)
             d = trial - x
             gain = -float(2 * g @ d + d @ A @ d) / cost
