@@ -38,7 +38,7 @@ from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View
-from diagnose.whiten import effective_share, whitening_filter, worth
+from diagnose.whiten import effective_share, settle, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -170,6 +170,21 @@ def _search(fitter: Fitter, options: Options, progress: Progress, began: float) 
     return search, search.run()
 
 
+def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray | None:
+    """The filter of the residual: that of the refitted nominal model unless the best structure earns its own.
+
+    A structure that was found on plain errors may have taken the noise for physics, under feedback above all, and its filter then
+    keeps what it took. The two are compared by the likelihood of their innovations, each with its own filter.
+    """
+    settled = settle(fitter, best)
+    if settled is None or not best.effects:
+        return settled[0] if settled is not None else None
+    nominal = settle(fitter, search.nominal())
+    if nominal is None or search.criterion(nominal[1]) - search.criterion(settled[1]) > search.options.entry:
+        return settled[0]
+    return nominal[0]
+
+
 def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
     search, best = _search(fitter, options, progress, began)
@@ -178,7 +193,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     if missed is not None and missed >= options.missed:
         missed = motion_error(fitter, fitter.pooled(best))
     noise_only = fitter.noise_known and (missed is None or missed < options.missed)
-    filter_ = whitening_filter(fitter, best) if noise_only else None
+    filter_ = _whitening(fitter, search, best) if noise_only else None
     if filter_ is not None:
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         fitter.whitening = filter_

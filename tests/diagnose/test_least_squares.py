@@ -139,3 +139,40 @@ def test_a_bound_is_released_when_the_others_have_moved():
 
 def test_a_perfect_fit_ends():
     assert solve(lambda x: x - 1.0, [1.0, 1.0]).status is Status.CONVERGED
+
+
+@given(arrays(float, (6, 2), elements=st.floats(-2, 2)), arrays(float, 2, elements=st.floats(-3, 3)))
+@settings(max_examples=40, deadline=None)
+def test_a_jacobian_brought_up_to_date_by_secants_stays_right_on_a_linear_problem(A, x0):
+    A = A + np.vstack([3 * np.eye(2), np.zeros((4, 2))])
+    calls = []
+
+    def linear(x):
+        calls.append(x)
+        return A @ x - np.arange(6.0)
+
+    fit = solve(linear, x0, tolerance=1e-10, secant=True)
+    best = np.linalg.lstsq(A, np.arange(6.0), rcond=None)[0]
+    assert fit.cost == pytest.approx(float(np.sum((A @ best - np.arange(6.0)) ** 2)), rel=1e-6, abs=1e-9)
+    assert len(calls) < 3 + 2 * fit.iterations + 12  # two differences once, then one trial an iteration
+
+
+def test_no_number_moves_farther_than_its_reach_in_one_iteration():
+    """From beyond the next crest a full step would settle on another wave."""
+    t = np.linspace(0, 10, 400)
+
+    def wave(x):
+        return np.sin(x[0] * t) - np.sin(2.0 * t)
+
+    visited = []
+
+    def watched(x):
+        visited.append(float(x[0]))
+        return wave(x)
+
+    fit = levenberg_marquardt(
+        watched, np.array([2.25]), (np.zeros(1), np.full(1, 9.0)), step=np.full(1, 1e-6), run=run, reach=np.full(1, 0.1)
+    )
+    assert fit.x[0] == pytest.approx(2.0, abs=1e-6)
+    assert min(visited) > 1.8
+    assert max(visited) < 2.4
