@@ -35,7 +35,7 @@ def test_a_benchmark_is_read_and_not_invented(tmp_path):
     ]
     rate = {"share": 0.5, "n": 8}
     summary = {
-        "n": 8, "grade": "quick", "seed": 3, "envelope_sha256": "ab" * 32, "bars": bars,
+        "n": 8, "grade": "quick", "seed": 3, "counts": {"plain": 8}, "first": None, "envelope_sha256": "ab" * 32, "bars": bars,
         "levels": {"plain": {"right": rate, "verdict": rate}}, "power": {"named": {"at50": 0.31, "at90": None}},
     }  # fmt: skip
     path = tmp_path / "benchmark.json"
