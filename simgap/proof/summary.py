@@ -83,10 +83,13 @@ def _benchmark(summary: Mapping[str, Any] | None) -> str:
         for name, x in summary["levels"].items()
     ]
     power = summary["power"]["named"]
-    seen = "" if power.get("at50") is None else (
+    settled = all(power.get(k) and power[k][0] and power[k][1] for k in ("at50_ci95", "at90_ci95"))
+    seen = (
         f"An effect is named in half of the cases at {number(power['at50'], 3)} times the noise rms, and in nine of ten at "
-        f"{number(power.get('at90'), 3)} times (size: what refitted linear parameters leave of it)."
-    )  # fmt: skip
+        f"{number(power['at90'], 3)} times (size: what refitted linear parameters leave of it)."
+        if settled
+        else "Too few effects went unnamed to say how small one may be: the intervals of the 50 % and 90 % points are open."
+    )
     failed = [b["text"] for b in summary["bars"] if b["status"] == "fails"]
     missed = f"Bars that are missed: {'; '.join(failed)}." if failed else "No bar is missed."
     levels_asked = ",".join(f"{k}:{v}" for k, v in summary["counts"].items())

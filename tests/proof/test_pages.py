@@ -36,7 +36,7 @@ def test_a_benchmark_is_read_and_not_invented(tmp_path):
     rate = {"share": 0.5, "n": 8}
     summary = {
         "n": 8, "grade": "quick", "seed": 3, "counts": {"plain": 8}, "first": None, "envelope_sha256": "ab" * 32, "bars": bars,
-        "levels": {"plain": {"right": rate, "verdict": rate}}, "power": {"named": {"at50": 0.31, "at90": None}},
+        "levels": {"plain": {"right": rate, "verdict": rate}}, "power": {"named": {"at50": 0.31, "at90": 0.62, "at50_ci95": [0.2, 0.4], "at90_ci95": [0.5, 0.9]}},
     }  # fmt: skip
     path = tmp_path / "benchmark.json"
     path.write_text(json.dumps(summary), encoding="utf-8")
@@ -44,6 +44,9 @@ def test_a_benchmark_is_read_and_not_invented(tmp_path):
     assert "| False alarms | at most 2 % | 1.0 % | 0.0 % … 3.0 % | 180 | holds |" in text
     assert "Bars that are missed: Median error." in text
     assert "0.31 times the noise" in text
+    summary["power"]["named"]["at90_ci95"] = [0.0, None]
+    path.write_text(json.dumps(summary), encoding="utf-8")
+    assert "intervals of the 50 % and 90 % points are open" in summary_page(tmp_path, path).text
 
 
 def test_a_benchmark_that_is_not_there_is_refused(tmp_path):
