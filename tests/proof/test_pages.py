@@ -36,7 +36,8 @@ def test_a_benchmark_is_read_and_not_invented(tmp_path):
     rate = {"share": 0.5, "n": 8}
     summary = {
         "n": 8, "grade": "quick", "seed": 3, "counts": {"plain": 8}, "first": None, "envelope_sha256": "ab" * 32, "bars": bars,
-        "levels": {"plain": {"right": rate, "verdict": rate}}, "power": {"named": {"at50": 0.31, "at90": 0.62, "at50_ci95": [0.2, 0.4], "at90_ci95": [0.5, 0.9]}},
+        "levels": {"plain": {"right": rate, "verdict": rate}},
+        "power": {"named": {"at50": 0.31, "at90": 0.62, "at50_ci95": [0.2, 0.4], "at90_ci95": [0.5, 0.9]}},
     }  # fmt: skip
     path = tmp_path / "benchmark.json"
     path.write_text(json.dumps(summary), encoding="utf-8")
