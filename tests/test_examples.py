@@ -37,7 +37,7 @@ def test_hidden_flexibility(tmp_path):
     assert naive.fit["corrected"].held_out_rms > 2 * module.NOISE
 
 
-@pytest.mark.xfail(strict=False, reason="no start of static friction lies in the narrow basin about the true peak: unexplained")
+@pytest.mark.xfail(strict=False, reason="Stribeck friction at the lowest speed allowed stands in for the peak of static friction")
 def test_stiction(tmp_path):
     """The peak at rest is named and measured; one level for rest and motion leaves more than the noise."""
     module = example("stiction")
