@@ -23,12 +23,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
+from second_core import spin_on
 
 from mjsim.models import shipped_model
 from simgap.benchmark.catalogue import compose, find
@@ -111,24 +110,15 @@ def diagnose(files: tuple[Path, Path], jobs: int, out: Path) -> Run:
     )
 
 
-@njit(nogil=True)
-def spin(n):
-    x = 0.1
-    for _ in range(n):
-        x = x * 1.0000001 + 1e-9 * np.sin(x)
-    return x
-
-
 def second_thread() -> float:
     """What an empty loop gains from a second thread."""
 
     def seconds(threads: int) -> float:
         began = time.perf_counter()
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(spin, [10_000_000] * 8))
+        spin_on(threads)
         return time.perf_counter() - began
 
-    spin(10)
+    seconds(1)  # compiles
     return min(seconds(1) for _ in range(3)) / min(seconds(2) for _ in range(3))
 
 

@@ -13,13 +13,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from mujoco import rollout as bare
-from numba import njit
+from second_core import spin_on
 
 from mjsim import accurate, crosscheck, ode, reference
 from mjsim.axis import Axis
@@ -54,19 +53,6 @@ def bare_rollout(model: mujoco.MjModel, torque: np.ndarray, steps: int) -> Calla
     mujoco.mj_getState(model, data, state, spec)
     control = np.repeat(torque, steps).reshape(1, -1, 1)
     return lambda: bare.rollout(model, data, state[None], control)
-
-
-@njit(nogil=True)
-def spin(n):
-    x = 0.1
-    for _ in range(n):
-        x = x * 1.0000001 + 1e-9 * np.sin(x)
-    return x
-
-
-def spin_on(threads: int) -> None:
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(spin, [10_000_000] * 8))
 
 
 def literal_overhead(results: list[dict]) -> None:

@@ -271,14 +271,19 @@ def states(shares: Sequence[StateShare], torque_unit: str, name: str) -> str | N
             axes.plot(x, s.y, "o-", color=REFITTED, linewidth=1.4, markersize=3.6, markeredgewidth=0)
             axes.set_title(f"explains {percent(s.share)}")
             axes.set_xlabel(f"{s.state} [{x_unit}]" if x_unit else s.state)
-            axes.set_ylim(low - margin, high + margin)
-            axes.xaxis.set_major_locator(_ticks(5))
-            axes.yaxis.set_major_locator(_ticks(6))
-            if i:
-                axes.tick_params(labelleft=False)
-            else:
-                axes.set_ylabel(f"disturbance [{u}]")
+            _panel(axes, (low - margin, high + margin), None if i else f"disturbance [{u}]")
         return _svg(figure, name, alt)
+
+
+def _panel(axes: Axes, limits: tuple[float, float], label: str | None) -> None:
+    """One of several panels beside each other with the same limits; the first one alone is labelled."""
+    axes.set_ylim(*limits)
+    axes.xaxis.set_major_locator(_ticks(5))
+    axes.yaxis.set_major_locator(_ticks(6))
+    if label is None:
+        axes.tick_params(labelleft=False)
+    else:
+        axes.set_ylabel(label)
 
 
 def _scaled(x: np.ndarray, unit_text: str) -> tuple[np.ndarray, str]:
@@ -316,13 +321,7 @@ def torque_map(m: MapResult, name: str) -> str:
                 axes.set_title(_cut(m.variables[1], cut))
             axes.set_xlabel(f"{first.name} [{x_unit}]" if x_unit else first.name)
             axes.set_xlim(x[0], x[-1])
-            axes.set_ylim(low - margin, high + margin)
-            axes.xaxis.set_major_locator(_ticks(5))
-            axes.yaxis.set_major_locator(_ticks(6))
-            if i:
-                axes.tick_params(labelleft=False)
-            else:
-                axes.set_ylabel(f"map [{u}]")
+            _panel(axes, (low - margin, high + margin), None if i else f"map [{u}]")
         return _svg(figure, name, f"Torque map over {over}, with its 95 % bands")
 
 

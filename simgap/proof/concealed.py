@@ -18,12 +18,11 @@ from mjsim.axis import Axis
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.recording import Recording, load
-from simgap.proof.page import Page, number, plain, table
+from simgap.proof.page import Page, Say, number, plain, table
 
 __all__ = ["CASES", "Case", "concealed_page", "delayed", "pushed"]
 
 Change = Callable[[Recording], Recording]
-Say = Callable[[str], None]
 
 PITCH = 0.007  # of the ripple that is put in [m]: no multiple of the screw's
 AMPLITUDE = 1.5  # [N]

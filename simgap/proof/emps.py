@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from mjsim.effects import Effect, effect_class
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.recording import Recording, load
-from simgap.proof.page import BLUE, GREY, RED, Page, axes, interval, number, table
+from simgap.proof.page import BLUE, GREY, RED, Page, Say, axes, interval, number, table
 from simgap.proof.servo import Servo, close_position_loop
 
 __all__ = ["LEAD", "SERVO", "emps_page", "ringing"]
@@ -41,8 +41,6 @@ PUBLISHED_LOOP = {
 }
 FORCE_ERROR = {"DATA_EMPS.mat": 4.0834, "DATA_EMPS_PULSES.mat": 5.9824}
 SIGNALS = ("position", "velocity", "acceleration", "force")
-
-Say = Callable[[str], None]
 
 
 def emps_page(files: Mapping[str, Path], say: Say = lambda _: None, jobs: int = 2) -> Page:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +23,13 @@ from mjsim.models import shipped_model
 from mjsim.ode import inverse
 from mjsim.recording import Recording, load
 from simgap.pipeline import corrected_axis
-from simgap.proof.page import BLUE, GREY, RED, Page, axes, interval, number, table
+from simgap.proof.page import BLUE, GREY, RED, Page, Say, axes, interval, number, table
 
 __all__ = ["CYCLES", "kuka_page", "ripple_by_speed"]
 
 PUBLISHED = {"fm": 1939.52, "torque_Nm": 350.3, "asymmetry_Nm": 4.26, "delay_s": 3.1e-3, "gap_rad": 3e-5}
 CYCLES = 8  # of the ripple, per turn of the motor
 BANDS = (0.03, 0.08, 0.14, 0.2, 0.28, 0.36)  # speeds at the link [rad/s]; above, the ripple passes half the sampling rate
-
-Say = Callable[[str], None]
 
 
 def kuka_page(files: Mapping[str, Path], say: Say = lambda _: None, jobs: int = 2) -> Page:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "GREY", "RED", "Page", "axes", "interval", "number", "plain", "table", "write_page"]
+__all__ = ["BLUE", "GREY", "RED", "Page", "Say", "axes", "interval", "number", "plain", "table", "write_page"]
 
+Say = Callable[[str], None]  # told what a page is at
 BLUE, RED, GREY = "#2a6f97", "#c44e52", "#777777"
 
 
