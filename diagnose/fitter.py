@@ -290,14 +290,16 @@ class Fitter:
         )
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
-            tolerance: float = 1e-6, borrow: Fitted | None = None, secant: bool = False) -> Fitted:  # fmt: skip
+            tolerance: float = 1e-6, borrow: Fitted | None = None, secant: bool = False,
+            fresh: Sequence[str] = ()) -> Fitted:  # fmt: skip
         """Fit one hypothesis from its start.
 
         ``borrow``: a fitted neighbour whose sensitivities stand in for the shared parameters in the first iteration.
-        ``secant``: later iterations update the Jacobian and do not difference it anew.
+        ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
+        ``fresh``.
         """
         start = h.start if x0 is None else x0
-        key = self._key(h, start, (iterations, step, tolerance, secant), borrow) if self.memory is not None else ""
+        key = self._key(h, start, (iterations, step, tolerance, secant, tuple(fresh)), borrow) if self.memory is not None else ""
         known = self.memory.recall(key) if self.memory is not None else None
         counted = _Counted(self.map)
 
@@ -306,6 +308,7 @@ class Fitter:
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
                 max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant, reach=h.reach,
+                fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh],
             )  # fmt: skip
 
         if known is None:
@@ -345,12 +348,7 @@ class Fitter:
         if r is None or len(r) != base.fit.J.shape[0]:
             return None
 
-        def partly(z: np.ndarray) -> np.ndarray | None:
-            y = x.copy()
-            y[own] = z
-            return residual(y)
-
-        part = jacobian(partly, x[own], r, np.full(len(own), step), lower[own], upper[own], run)
+        part = jacobian(residual, x, r, np.full(len(x), step), lower, upper, run, own)
         if part is None:
             return None
         J = np.empty((len(r), len(x)))

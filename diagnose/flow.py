@@ -38,12 +38,14 @@ from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View
-from diagnose.whiten import effective_share, settle, worth
+from diagnose.whiten import alike, effective_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
 __all__ = ["Options", "diagnose"]
+
+MOST_FILTERS = 2  # whitened searches
 
 
 @dataclass(frozen=True)
@@ -146,13 +148,15 @@ def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:
     return recording.varies
 
 
-def _search(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted]:
+def _search(
+    fitter: Fitter, options: Options, progress: Progress, began: float, settled_by: Callable[[Fitted], bool] | None = None
+) -> tuple[Search, Fitted]:
     left = options.seconds - (time.monotonic() - began)
     # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
     chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
     if not fitter.noise_known:
         chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.02, p_enter=0.02)
-    search = Search(fitter, chosen, progress)
+    search = Search(fitter, chosen, progress, settled_by=settled_by)
     base = search.nominal()
     if not base.ok:
         raise InputError(
@@ -170,36 +174,60 @@ def _search(fitter: Fitter, options: Options, progress: Progress, began: float) 
     return search, search.run()
 
 
-def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray | None:
-    """The filter of the residual: that of the refitted nominal model unless the best structure earns its own.
+def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
+    """The filter of the residual ([1] where it is white).
 
+    That of the refitted nominal model unless the best structure earns its own.
     A structure that was found on plain errors may have taken the noise for physics, under feedback above all, and its filter then
     keeps what it took. The two are compared by the likelihood of their innovations, each with its own filter.
     """
     settled = settle(fitter, best)
-    if settled is None or not best.effects:
-        return settled[0] if settled is not None else None
+    if settled is None:
+        return np.ones(1)
+    if not best.effects:
+        return settled[0]
     nominal = settle(fitter, search.nominal())
     if nominal is None or search.criterion(nominal[1]) - search.criterion(settled[1]) > search.options.entry:
         return settled[0]
     return nominal[0]
 
 
-def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
-    progress.stage("compare", "refitting the nominal model")
-    search, best = _search(fitter, options, progress, began)
-    # a residual is coloured by its noise or by motion that the model misses; only noise may be whitened away
-    missed = motion_error(fitter, best)
-    if missed is not None and missed >= options.missed:
-        missed = motion_error(fitter, fitter.pooled(best))
-    noise_only = fitter.noise_known and (missed is None or missed < options.missed)
-    filter_ = _whitening(fitter, search, best) if noise_only else None
-    if filter_ is not None:
+def _searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
+    """The search on plain errors and, where these are coloured by noise, again on whitened ones; whether they were whitened.
+
+    A residual is coloured by its noise or by motion that the model misses; only noise may be whitened away. Once the angle shows
+    that a structure misses no motion, and its residual is coloured, nothing is sought beside it on plain errors: there the
+    colour counts as mismatch. A structure found on whitened errors may bear out another filter, or none: then it is sought
+    once more.
+    """
+
+    def noise_only(f: Fitted, unknown: bool) -> bool:
+        missed = motion_error(fitter, f)
+        return unknown if missed is None else missed < options.missed
+
+    def settled_by(f: Fitted) -> bool:
+        # more colour than the motion that may be missed can give
+        return noise_only(f, unknown=False) and whitening_filter(fitter, f, material=2 * options.missed) is not None
+
+    known = fitter.noise_known
+    search, best = _search(fitter, options, progress, began, settled_by if known else None)
+    if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
+        return search, best, False
+    for _ in range(MOST_FILTERS):
+        filter_ = _whitening(fitter, search, best)
+        if alike(filter_, fitter.whitening):
+            break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         fitter.whitening = filter_
         plain = search
         search, best = _search(fitter, options, progress, began)
         search.tested += plain.tested
+    return search, best, len(fitter.whitening) > 1
+
+
+def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
+    progress.stage("compare", "refitting the nominal model")
+    search, best, whitened = _searched(fitter, options, progress, began)
     base = search.nominal()
     progress.stage("validate", "what is left, intervals, rivals")
     best = search.polish(best)
@@ -239,7 +267,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     notes += _steps(search, best, _unit(fitter))
     second = judge_second_encoder(fitter.nominal.chain, fitter.experiments, fitter.held_out)
     notes += [second.sentence()] if second is not None else []
-    if filter_ is not None:
+    if whitened:
         notes.append(
             "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."
         )

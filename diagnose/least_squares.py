@@ -72,11 +72,11 @@ Residual = Callable[[np.ndarray], np.ndarray | None]
 
 def jacobian(
     residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray,
-    run: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]],
+    run: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]], which: Sequence[int] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
-    """Forward secants (N, p); turned inward at a bound. None when a run fails."""
+    """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound. None when a run fails."""
     tasks, signs = [], []
-    for i in range(len(x)):
+    for i in range(len(x)) if which is None else which:
         h = step[i]
         if x[i] + h > upper[i] or x[i] + h < lower[i]:
             h = -h
@@ -85,7 +85,7 @@ def jacobian(
         signs.append(h)
         tasks.append(lambda y=y: residual(y))
     columns = run(tasks)
-    J = np.empty((len(r0), len(x)))
+    J = np.empty((len(r0), len(columns)))
     for i, (c, h) in enumerate(zip(columns, signs, strict=True)):
         if c is None:
             return None
@@ -127,6 +127,7 @@ def levenberg_marquardt(
     damping: float = 1e-3,
     J0: np.ndarray | None = None,
     secant: bool = False,
+    fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
@@ -134,6 +135,7 @@ def levenberg_marquardt(
     tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, when known;
     secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
     Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
+    fresh: with ``secant``, the columns that are differenced all the same, since they change most;
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened.
     """
     lower, upper = bounds
@@ -153,7 +155,14 @@ def levenberg_marquardt(
     iteration = 0
     for iteration in range(1, max_iterations + 1):
         if secant and iteration > 1:
-            new_J: np.ndarray | None = J + np.outer(r - r_old - J @ d, d / (d @ d))
+            updated = J + np.outer(r - r_old - J @ d, d / (d @ d))
+            if len(fresh):
+                part = jacobian(residual, x, r, step, lower, upper, run, fresh)
+                if part is None:
+                    status = Status.STALLED
+                    break
+                updated[:, fresh] = part
+            new_J: np.ndarray | None = updated
         else:
             new_J = J0 if J0 is not None and iteration == 1 else jacobian(residual, x, r, step, lower, upper, run)
         if new_J is None:

@@ -31,6 +31,7 @@ __all__ = ["Comparison", "Search", "SearchOptions"]
 T = TypeVar("T")
 
 
+NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
@@ -119,6 +120,7 @@ class Search:
     effective_of: Callable[[Fitted], float] | None = None
     worth_of: Callable[[Fitted, Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[float, ...]] | None = None
+    settled_by: Callable[[Fitted], bool] | None = None  # whether what a structure leaves is noise alone
 
     def __post_init__(self) -> None:
         self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
@@ -278,6 +280,7 @@ class Search:
         cls = effect_class(s.candidate.id)
         curved = cls.multistart > 1
         stiff = cls.family in ("structure", "coupling")
+        own = (s.candidate.key,) if curved else ()  # the columns that change most
         guesses = [self.fitter.hypothesis((*present, e), base.linear, base.own) for e in s.starts[: None if curved else 2]]
         borrowing = len(guesses)
         raw = [make(cls.id, s.candidate.place, v) for v in cls.starts(self.fitter.scales_for(cls, s.candidate.place))]
@@ -294,7 +297,7 @@ class Search:
             order.append(min(range(borrowing, len(guesses)), key=lambda i: cost[i]))
         borrows = [base if i < borrowing else None for i in order]
         fits = [
-            self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=not curved)
+            self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=True, fresh=own)
             for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
         ]  # fmt: skip
         first = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
@@ -302,7 +305,9 @@ class Search:
             return None
         if curved and first.fit.status is Status.BUDGET:
             # on a curved way it is early to say how far it leads: on while it falls fast
-            first = self.fitter.fit(first.hypothesis, first.fit.x, iterations=6, tolerance=0.02)
+            first = self.fitter.fit(
+                first.hypothesis, first.fit.x, iterations=6, tolerance=0.02, borrow=first, secant=True, fresh=own
+            )
         # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
         return dataclasses.replace(first, fit=dataclasses.replace(first.fit, status=Status.BUDGET))
 
@@ -331,10 +336,12 @@ class Search:
         """The best structure that the search finds."""
         current = self.nominal()
         self._tell(current)
+        if self.settled_by is not None and self.settled_by(current):
+            return current
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
         stuck: set[tuple[str, ...]] = set()
-        for turn in range(self.options.depth + 2):
+        for turn in range(2 * self.options.depth):
             self.progress.stage("search", f"round {turn + 1}")
             self.progress.begin_round(int(len(current.effects) + 1 < self.options.depth))
             for state in beam:
@@ -353,6 +360,9 @@ class Search:
                 beam = [current]
                 expanded.discard(current.key)
                 continue
+            if best.key == current.key and current.key not in expanded and not self._spent():
+                beam = [current]  # nothing that was added to its simpler form will do: to itself, then
+                continue
             if best.key == current.key:
                 beam = [] if current.key in stuck else self._promising(current, expanded)
                 stuck.add(current.key)
@@ -365,17 +375,35 @@ class Search:
             if self.orders_of is not None and current.chi2 > 1.02 * current.n:
                 self.fitter.set_orders(self.orders_of(current))
             self._tell(current)
+            if self.settled_by is not None and self.settled_by(current):
+                return current
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
-            beam = [current, *near[: self.options.beam - 1]]
+            beam = list({f.key: f for f in map(self._ground, [current, *near[: self.options.beam - 1]])}.values())
         for _ in range(self.options.depth):
             kept = self._eliminate(current)
             if kept.key == current.key:
-                break
+                return kept
             # what is left may have come to a better solution beside what was dropped: its other forms are tried from there
             self.refine(kept)
             current = self._best(kept)
-        return current
+        return self._eliminate(current)
+
+    def _ground(self, f: Fitted) -> Fitted:
+        """The structure with its effects in the simplest forms that explain nearly as much.
+
+        While another effect is missing, refinements stand in for it: what goes beside them is sought from their simpler form, at
+        fewer parameters, and they are tried again once it is there (`refine`).
+        """
+        if not self.fitter.noise_known or f.chi2 < 1.5 * f.n:
+            return f
+        for effect in f.effects:
+            rest = [k for k in f.key if k != effect.key]
+            for name in type(effect).refines:
+                simple = self.pool.get(tuple(sorted([*rest, f"{name}@{effect.place}"])))
+                if simple is not None and simple.chi2 < NEARLY * f.chi2:
+                    return self._ground(simple)
+        return f
 
     def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data, though held-out data do not bear them out alone.

@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 
-__all__ = ["effective_share", "levinson", "settle", "whitening_filter", "worth"]
+__all__ = ["alike", "effective_share", "levinson", "settle", "whitening_filter", "worth"]
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -88,6 +88,12 @@ def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material
     return levinson(r, order)[0]
 
 
+def alike(a: np.ndarray, b: np.ndarray, tolerance: float = 0.02) -> bool:
+    """Whether two filters differ by less than ``tolerance`` in each coefficient."""
+    width = max(len(a), len(b))
+    return bool(np.max(np.abs(np.pad(a, (0, width - len(a))) - np.pad(b, (0, width - len(b))))) < tolerance)
+
+
 def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray, Fitted] | None:
     """The filter that its own fit bears out, and that fit; None where the structure leaves white errors.
 
@@ -108,10 +114,9 @@ def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray,
             new = whitening_filter(fitter, current)
             if not current.ok or new is None:
                 break
-            width = max(len(new), len(now))
-            change = np.abs(np.pad(new, (0, width - len(new))) - np.pad(now, (0, width - len(now))))
+            settled = alike(new, now, 2e-3)
             now = new
-            if np.max(change) < 2e-3:
+            if settled:
                 break
     finally:
         fitter.whitening = kept
