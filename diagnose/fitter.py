@@ -142,6 +142,7 @@ class Fitter:
     whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
     runs: int = 0
     memory: Memory | None = None
+    guide: float = 1.0
 
     def __post_init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=max(1, self.jobs))
@@ -270,12 +271,12 @@ class Fitter:
         """What the nominal model itself says of its linear parameters: within a factor of about two (PRIOR), in residual units.
 
         It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
-        a parameter that is wrong by half costs one unit of chi-square.
+        a parameter that is wrong by half costs one unit of chi-square, times ``guide``.
         """
         nominal = {p.name: p.value for p in h.nominal.chain.linear_parameters()}
-        return np.array(
+        return math.sqrt(self.guide) * np.array(
             [
-                (v - nominal[e.name] / e.scale) / PRIOR
+                (v - e.scaled(nominal[e.name])) / PRIOR
                 for e, v in zip(h.entries, x, strict=True)
                 if e.owner == "" and e.name in nominal
             ]
@@ -334,7 +335,7 @@ class Fitter:
 
         lent = None if borrow is None else (borrow.fit.linear.mark or borrow.fit.J.tobytes(), borrow.hypothesis.entries)
         weights = [self.sigma(e) for e in self.experiments]
-        asked = (h.effects, h.nominal.effects, h.entries, how, lent, weights)
+        asked = (h.effects, h.nominal.effects, h.entries, how, lent, weights, self.guide)
         return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
 
     def _borrowed(self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run) -> np.ndarray | None:

@@ -55,7 +55,8 @@ class Options:
     judge: "motion", "force" or None (what the binding says, else by the channels); effects: identifiers to consider, all when
     empty; jobs: threads; seconds: budget; depth: most effects. structure_share, structure_p: least part of the held-out squared
     error that must be predictable, and its p-value, for structure to remain; missed: least mean square of missed motion over
-    that of the noise; left: least part of the mismatch that must be left (docs/decisions/false-alarms.md).
+    that of the noise; left: least part of the mismatch that must be left, left_of_all: of the whole held-out mismatch, fast
+    motion included (docs/decisions/false-alarms.md).
     """
 
     judge: str | None = None
@@ -68,6 +69,7 @@ class Options:
     structure_p: float = 1e-4
     missed: float = 0.05
     left: float = 0.03
+    left_of_all: float = 0.01
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None) -> View:
@@ -400,7 +402,9 @@ def _is_unexplained(
     missed_before, missed_after = motion
     if missed_before is None or missed_after is None:
         return False
-    return missed_after > options.missed and missed_after > options.left * missed_before
+    # fast motion averages out in what the angle confirms: how much of all was closed is seen in the error itself
+    left = after.rms**2 - search.fitter.experiments[0].sigma ** 2
+    return missed_after > options.missed and missed_after > options.left * missed_before and left > options.left_of_all * mismatch
 
 
 def _verdict(search: Search, base: Fitted, best: Fitted, remains: bool) -> Verdict:

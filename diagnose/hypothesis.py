@@ -20,6 +20,9 @@ from mjsim.quantity import Quantity
 __all__ = ["Entry", "Hypothesis", "make"]
 
 
+STIFFEST = 1.35  # radians a sample at which a contact may ring: twelve steps of 0.12 (`view.MOST_SUBSTEPS`), and the chain's own
+
+
 @dataclass(frozen=True)
 class Entry:
     """One number of the vector: where it belongs, its scale and bounds [SI]; recording is -1 for shared ones.
@@ -102,6 +105,9 @@ class Hypothesis:
                     # what fades over less than a thousandth of the speed is a level at rest, which static friction has
                     low = max(low, 1e-3 * s.velocity)
                     value = max(value, low)
+                if spec.quantity is Quantity.STIFFNESS and type(effect).family == "friction":
+                    # a stiffer contact rings faster than the fitting engine may step, and is a level of friction by then
+                    high = max(value, min(high, s.inertia * (STIFFEST / s.dt) ** 2))
                 if spec.quantity is Quantity.CYCLES and effect.place != "arm":
                     # what does not repeat within the travel is not periodic: one and a half periods at least
                     low = max(low, 3 * math.pi / max(turning.travel, 1e-12))

@@ -20,10 +20,11 @@ from typing import TypeVar
 import numpy as np
 
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, screen
-from diagnose.fitter import Fitted, Fitter, HeldOut, key_of
+from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
 from diagnose.progress import Progress
+from diagnose.whiten import effective_share
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["Comparison", "Search", "SearchOptions"]
@@ -32,6 +33,9 @@ T = TypeVar("T")
 
 
 NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
+MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
+GUIDE = 0.2  # relative standard deviation that they are then given
+WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
@@ -263,9 +267,24 @@ class Search:
             ]
             for rank, f in zip(on, self.fitter.map(longer), strict=True):
                 running[rank] = f
+        running[:1] = [self._smoothed(f) for f in running[:1]]
         for f in running:
             self._keep(f)
         return running
+
+    def _smoothed(self, f: Fitted) -> Fitted:
+        """The winner of a race, once more by wide secants where its cost is rough: they see past the steps.
+
+        A body that sticks or strikes does so a sample sooner or later as a parameter moves, and the error jumps.
+        """
+        rough = f.fit.status is Status.STALLED or any(type(e).rough for e in f.effects)
+        if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n:
+            return f
+        for step in WIDE:
+            wide = self.fitter.fit(f.hypothesis, f.fit.x, iterations=8, step=step, tolerance=1e-4)
+            if wide.ok and wide.chi2 < f.chi2:
+                f = wide
+        return f
 
     def _done(self, task: Callable[[], T]) -> T:
         """The outcome of a rival's fit, counted."""
@@ -338,6 +357,7 @@ class Search:
         self._tell(current)
         if self.settled_by is not None and self.settled_by(current):
             return current
+        current = self._guided(current)
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
         stuck: set[tuple[str, ...]] = set()
@@ -366,20 +386,28 @@ class Search:
             if best.key == current.key:
                 beam = [] if current.key in stuck else self._promising(current, expanded)
                 stuck.add(current.key)
-                if not beam:
+                if beam:
+                    continue
+                if self.fitter.guide == 1.0 or self._spent():
                     break
+                # with the nominal parameters' help nothing more is found: without it, then
+                current = self._weigh(1.0, current)
+                beam = [current]
+                expanded.clear()
+                stuck.clear()
                 continue
-            current = best
+            current = self._guided(best)
             if self.effective_of is not None:
                 self.effective = self.effective_of(current)
             if self.orders_of is not None and current.chi2 > 1.02 * current.n:
                 self.fitter.set_orders(self.orders_of(current))
             self._tell(current)
             if self.settled_by is not None and self.settled_by(current):
-                return current
+                return self._weigh(1.0, current)
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
             beam = list({f.key: f for f in map(self._ground, [current, *near[: self.options.beam - 1]])}.values())
+        current = self._weigh(1.0, current)
         for _ in range(self.options.depth):
             kept = self._eliminate(current)
             if kept.key == current.key:
@@ -388,6 +416,36 @@ class Search:
             self.refine(kept)
             current = self._best(kept)
         return self._eliminate(current)
+
+    def _guided(self, f: Fitted) -> Fitted:
+        """A fit from which to go on, the nominal linear parameters weighing as much as is fair beside so large a misfit.
+
+        While physics is missing, refitted parameters stand in for it and lead away from it (an inertia three times the nominal
+        one, with friction and a lag not yet there). Such an error is correlated: its samples are worth few, by Bartlett's share,
+        of a variance as large as the misfit. By these weights a prior of ``GUIDE`` counts; it goes as the misfit goes.
+        """
+        misfit = f.chi2 / f.n
+        if not self.fitter.noise_known or misfit < MISFIT:
+            return self._weigh(1.0, f)
+        weight = misfit / effective_share(self.fitter, f) * (PRIOR / GUIDE) ** 2
+        old = self.fitter.guide
+        return self._weigh(weight, f) if old == 1.0 or weight < 0.5 * old else f
+
+    def _weigh(self, guide: float, current: Fitted) -> Fitted:
+        """Weigh the prior by ``guide`` from now on: the structures that are near the current one are fitted again, others go."""
+        if guide == self.fitter.guide:
+            return current
+        self.fitter.guide = guide
+        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2), key=self.criterion)[: self.options.width]
+        again = {f.key: f for f in (self.pool[()], current, *near)}
+        self.pool.clear()
+        self.held.clear()
+        self.retried.clear()
+        fits = [partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12) for f in again.values() if f.key]
+        fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
+        for f in self.fitter.map(fits):
+            self._keep(self._smoothed(f) if f.key == current.key else f)
+        return self.pool.get(current.key, current)
 
     def _ground(self, f: Fitted) -> Fitted:
         """The structure with its effects in the simplest forms that explain nearly as much.

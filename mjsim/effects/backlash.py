@@ -34,6 +34,7 @@ class Backlash(Effect):
     )
     tolerance: ClassVar[float] = 2e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("gap_rad",)
+    rough: ClassVar[bool] = True
     family: ClassVar[str] = "coupling"
     multistart: ClassVar[int] = 3
 

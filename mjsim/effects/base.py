@@ -110,7 +110,8 @@ class Effect(abc.ABC):
     the parameters and ``place``), ``citation``, ``tolerance`` (relative RMS within which the ODE and the MuJoCo realisation agree
     on motor velocity), ``family`` (effects of one family are rivals before they are partners), ``refines``
     (identifiers of the simpler effects that this one contains), ``multistart`` (from how many of its best starts a fit is
-    begun; more than one where the error has several minima), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
+    begun; more than one where the error has several minima), ``rough`` (whether bodies stick or strike by it, so that the error
+    jumps as a parameter moves), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
     whose angle a periodic law follows, its own when empty).
     """
 
@@ -121,6 +122,7 @@ class Effect(abc.ABC):
     tolerance: ClassVar[float] = 1e-4
     family: ClassVar[str] = ""
     multistart: ClassVar[int] = 1
+    rough: ClassVar[bool] = False
     refines: ClassVar[tuple[str, ...]] = ()
     amplitudes: ClassVar[tuple[str, ...]] = ()
     angle_of: ClassVar[str] = ""

@@ -40,6 +40,7 @@ class StaticFriction(Effect):
     citation: ClassVar[str] = "M. Otter, Modelica.Mechanics.Rotational.BearingFriction (1999)"
     tolerance: ClassVar[float] = 2e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
+    rough: ClassVar[bool] = True
     family: ClassVar[str] = "friction"
     multistart: ClassVar[int] = 4
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)

@@ -44,6 +44,7 @@ class StribeckFriction(Effect):
     citation: ClassVar[str] = "R. Stribeck 1902; Bo and Pavelescu, Wear 82 (1982) 277"
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "extra_static_torque_Nm")
+    rough: ClassVar[bool] = True
     family: ClassVar[str] = "friction"
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
