@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,11 +75,45 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
             share = 100 * np.mean(flat)
             raise InputError(recording.source, f"{name} stands at its limit {top:.4g} for {share:.0f} % of the time",
                              "an unclipped signal", "raise the sensor's range or lower the excitation")  # fmt: skip
+    _need_one_motion(recording)
     moving = _starts_in_motion(v, noise, spread)
     before = float(recording.torque[0]) if moving else 0.0
     return Experiment(
         recording, np.ones(n, bool) if counts is None else counts, max(noise, 1e-6 * spread), moving, before
     )  # fmt: skip
+
+
+def _need_one_motion(recording: Recording, window: float = 0.02) -> None:
+    """Refuse an angle that jumps (wrapped at a turn), or that does not move as the velocity says (unit, sign, other side of a gear).
+
+    Both are averaged over ``window`` [s], so that the noise of neither matters; an offset of one is no contradiction.
+    """
+    v, q = recording.velocity, recording.angle
+    if q is None:
+        return
+    step = np.abs(np.diff(q))
+    jump = int(np.argmax(step))
+    if step[jump] > 0.5 * np.ptp(q) > 0:
+        raise InputError(
+            recording.source, f"the angle jumps by {step[jump]:.4g} at sample {jump + 2}", "an angle that goes on past a turn",
+            "unwrap it (numpy.unwrap) first",
+        )  # fmt: skip
+    if v is None:
+        return
+    k = max(2, min(round(window / recording.dt), (len(q) - 1) // 25))
+    count = (len(q) - 1) // k
+    if count < 20:
+        return
+    speed = (0.5 * (v[1:] + v[:-1]))[: count * k].reshape(count, k).mean(axis=1)
+    rate = np.diff(q[: count * k + 1 : k]) / (k * recording.dt)
+    if min(np.std(speed), np.std(rate)) == 0:
+        return
+    alike, times = float(np.corrcoef(speed, rate)[0, 1]), float(np.std(rate) / np.std(speed))
+    if abs(alike) > 0.95 and not (alike > 0 and 0.7 < times < 1.4):
+        raise InputError(
+            recording.source, f"the angle moves {math.copysign(times, alike):.4g} times as fast as the velocity says",
+            "both of the motor, in rad and rad/s (m and m/s)", "state units and gains in the binding; a link's angle is second_angle",
+        )  # fmt: skip
 
 
 def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray, np.ndarray]:

@@ -36,6 +36,12 @@ def _csv(path: Path) -> Table:
     try:
         with path.open(newline="", encoding="utf-8-sig") as handle:
             header = [h.strip() for h in next(csv.reader(handle))]
+            other = next((c for c in ";\t|" if len(header) == 1 and c in header[0]), None)
+            if other is not None:
+                raise InputError(
+                    path, f"row 1: columns are separated by {other!r}", "commas, and points in the numbers",
+                    "export it with commas",
+                )  # fmt: skip
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # a table without rows is said below
