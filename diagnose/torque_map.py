@@ -242,7 +242,8 @@ def _solve(p: _Problem, without: float) -> _Solution:
     # directions of the map that the model's own numbers can mimic are left to them
     gram = p.D.T @ p.D
     rest = gram - (q.T @ p.D).T @ (q.T @ p.D)
-    gram = gram + 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram))
+    # a map that nothing answers to (a model that has run into its bounds) has a gram of zeros
+    gram = gram + max(1e-6 * float(np.trace(gram)) / len(gram), 1e-300) * np.eye(len(gram))
     low = np.linalg.cholesky(gram)
     inverse = np.linalg.inv(low)
     share, u = np.linalg.eigh(inverse @ rest @ inverse.T)

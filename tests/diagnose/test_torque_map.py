@@ -18,7 +18,7 @@ from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.report.page import render_report
 from diagnose.result import Verdict
-from diagnose.torque_map import fit_map
+from diagnose.torque_map import _Problem, _solve, fit_map
 from diagnose.view import MotionView
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.law import INPUT, RATE, law
@@ -193,6 +193,14 @@ def slide(seed, speed):
     run = simulate(axis, force, 1e-3)
     logged = force + 0.5 * np.random.default_rng(seed).standard_normal(len(force))
     return Recording(run.time, logged, None, 5e-8 * np.round(run.angle / 5e-8), 1e-3, source=f"slide_{seed}.csv", loop="closed")
+
+
+def test_a_map_that_nothing_answers_to_is_level():
+    rng = np.random.default_rng(0)
+    r, J, S = rng.standard_normal(300), rng.standard_normal((300, 2)), np.diff(np.eye(8), 2, axis=0)
+    solution = _solve(_Problem(r, np.zeros(8), J, np.zeros((300, 8)), S, np.arange(300) % 4), float(r @ r))
+    assert np.all(solution.c == 0)
+    assert solution.cost > 0.9
 
 
 def test_a_map_over_the_speed_judged_by_force():
