@@ -165,6 +165,7 @@ def _search(
             fitter.experiments[0].recording.source, "the nominal model diverges on this input", "a model that can be run",
             "check units, signs and the actuator's gain",
         )  # fmt: skip
+    _need_same_sign(fitter, base)
     fitter.set_orders(_orders(fitter, base))
     barred = excluded_by_angle(fitter.experiments)
     search.candidates = tuple(c for c in candidates(fitter, options.effects) if c.id not in barred)
@@ -174,6 +175,25 @@ def _search(
         search.effective_of = lambda f: effective_share(fitter, f)
         search.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
     return search, search.run()
+
+
+def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:
+    """Refuse a recording whose motion goes against its torque: a sign, and no physics.
+
+    The nominal model goes the other way, and refitted it does not follow either (which it does where a resonance was shifted).
+    """
+    for i, experiment in enumerate(fitter.experiments):
+        keep = fitter.counted(experiment)
+        alike = []
+        for axis in (fitter.nominal, base.hypothesis.axis(base.fit.x, i)):
+            s = fitter.view.signals(axis, experiment, None)
+            if s is not None and min(np.std(s.measured[keep]), np.std(s.predicted[keep])) > 0:
+                alike.append(float(np.corrcoef(s.measured[keep], s.predicted[keep])[0, 1]))
+        if alike and alike[0] < -clear and alike[-1] < clear:
+            raise InputError(
+                experiment.recording.source, f"the axis moves against its torque (correlation with the model {alike[0]:.2f})",
+                "torque and motion counted in one direction", "turn the sign of one: gain = -1 in the binding",
+            )  # fmt: skip
 
 
 def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
@@ -522,5 +542,6 @@ def _summary(
                 f"from {before:.4g} to {after:.4g} {unit}{closed}."
             )
         case Verdict.UNEXPLAINED:
-            part = f" {names} account for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""
+            accounts = "accounts" if len(findings) == 1 else "account"
+            part = f" {names} {accounts} for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""
             return f"The mismatch is not explained:{part} structure remains that none of the known effects accounts for."

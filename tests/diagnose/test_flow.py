@@ -17,6 +17,7 @@ from diagnose.flow import Options, choose_view, diagnose
 from diagnose.result import Verdict
 from diagnose.view import ForceView, MotionView
 from mjsim.effects import registered
+from mjsim.errors import InputError
 from mjsim.excitation import Cascade, close_loop, trapezoids
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
@@ -182,6 +183,16 @@ def test_asymmetric_friction_of_a_slide_judged_by_force():
     assert finding.parameters["asymmetry_Nm"].value == pytest.approx(3.0, rel=0.03)
     assert result.linear_parameters["Jm"].value == pytest.approx(97.0, rel=0.02)
     assert result.linear_parameters["fm"].value == pytest.approx(205.0, rel=0.03)
+
+
+@pytest.mark.parametrize("judge", ["motion", "force"])
+def test_a_torque_of_the_other_sign_is_said_to_be_one(judge):
+    axis = load_axis(shipped_model("emps"))
+    force = 100.0 * np.sign(np.sin(np.arange(4000) * 1e-3 * 2 * np.pi))
+    run = simulate(axis, force, 1e-3)
+    flipped = Recording(run.time, -force, run.velocity, run.angle, 1e-3, source="flipped.csv")
+    with pytest.raises(InputError, match=r"flipped\.csv: the axis moves against its torque"):
+        diagnose(axis, [flipped], options=Options(jobs=1, judge=judge))
 
 
 def test_the_view_is_chosen_by_what_is_asked_bound_or_recorded(record):
