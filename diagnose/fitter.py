@@ -96,7 +96,8 @@ class Fitted:
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
         s = np.maximum(s, 1e-10 * s[0])
         slope = np.array([abs(e.slope(v)) for e, v in zip(self.hypothesis.entries, self.fit.x, strict=True)])
-        return slope * np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
+        with np.errstate(over="ignore"):  # what the data do not answer to at all has no bound
+            return slope * np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
 
 
 @dataclass(frozen=True)
