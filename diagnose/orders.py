@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from diagnose.whiten import levinson
 from mjsim.axis import Axis
 from mjsim.system import assemble, state_matrix
 
 __all__ = ["find_orders", "torque_to_velocity"]
+
+WHITE = 8  # order of the autoregressive filter that levels the residual's spectrum
 
 
 def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -42,6 +45,16 @@ def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray
     return num[0], den
 
 
+def _waves(y: np.ndarray, angle: np.ndarray, low: float, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orders from low to top, four within the width of a line, and |sum y exp(i n angle)|^2 there, by an FFT over the angle."""
+    width = 2 * np.pi / (16 * top)
+    over = np.bincount(((angle - angle.min()) / width).astype(int), weights=y)
+    length = 4 * len(over)
+    orders = 2 * np.pi * np.arange(length // 2 + 1) / (length * width)
+    inside = (orders >= low) & (orders <= top)
+    return orders[inside], np.abs(np.fft.rfft(over, length)[inside]) ** 2
+
+
 def find_orders(
     residual: np.ndarray, angle: np.ndarray, velocity: np.ndarray, b: np.ndarray, a: np.ndarray, dt: float, *, most: int = 5,
     keep: np.ndarray | None = None,
@@ -58,25 +71,28 @@ def find_orders(
         return ()
     top = min(0.25 * 2 * np.pi / dt / max(float(np.percentile(np.abs(velocity), 90)), 1e-12), 60 * 2 * np.pi / travel * 20)
     low = 2 * np.pi / travel * 1.5
-    count = int(min(600, max(60, 3 * (top - low) * travel / (2 * np.pi))))
-    grid = np.geomspace(low, top, count) if top / low > 50 else np.linspace(low, top, count)
-    # integer orders are likely: a turn of the motor is a period of what is fixed to it
-    grid = np.unique(np.concatenate([grid, np.arange(1.0, min(top, 64.0) + 0.5)]))
     mask = np.ones(len(residual), bool) if keep is None else keep
-    y = (residual - residual.mean()) * mask
+    # an axis integrates: what is slow and large in the residual fits waves of many orders. It is whitened away, on both sides alike
+    level = residual - residual.mean()
+    white, _ = levinson(np.array([float(level[: len(level) - k] @ level[k:]) for k in range(WHITE + 1)]), WHITE)
+    y, b = lfilter(white, [1.0], level) * mask, np.convolve(b, white)
     # correlating with a filtered wave is correlating the wave with what the transposed filter makes of the residual
     z = lfilter(b, a, y[::-1])[::-1]
     near = np.geomspace(1e-4, np.pi, 400)
     response = np.abs(freqz(b, a, near)[1]) ** 2
     found: list[tuple[float, float]] = []
     weights = (np.ones(len(angle)), np.sign(velocity))
-    numerators = np.stack([weight * z for weight in weights], axis=1)
-    roughs = np.empty((len(grid), 2))
-    for i, n in enumerate(grid):
-        # the energy behind the filter, where the speed changes slowly
-        energy = 0.5 * float(np.interp(n * np.abs(velocity) * dt, near, response) @ mask)
-        c, s = np.cos(n * angle) @ numerators, np.sin(n * angle) @ numerators
-        roughs[i] = (c**2 + s**2) / max(energy, 1e-300)
+    waves = [_waves(weight * z, angle, low, top) for weight in weights]
+    grid = waves[0][0]
+    # the energy behind the filter, where the speed changes slowly: a smooth function of the order
+    few = np.geomspace(low, top, 60)
+    energies = [0.5 * float(np.interp(n * np.abs(velocity) * dt, near, response) @ mask) for n in few]
+    energy = np.maximum(np.interp(grid, few, energies), 1e-300)
+    # integer orders are likely: a turn of the motor is a period of what is fixed to it
+    whole = np.arange(1.0, min(top, 64.0) + 0.5)
+    nearest = np.unique(np.searchsorted(grid, whole).clip(0, len(grid) - 1))
+    grid[nearest] = np.array([whole[np.argmin(np.abs(whole - grid[i]))] for i in nearest])
+    roughs = np.stack([power / energy for _, power in waves], axis=1)
     for weight, rough in zip(weights, roughs.T, strict=True):
         at_top = [i for i in range(len(grid)) if rough[i] >= max(rough[max(i - 1, 0)], rough[min(i + 1, len(grid) - 1)])]
         for i in sorted(at_top, key=lambda i: -rough[i])[: 3 * most]:
