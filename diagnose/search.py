@@ -186,10 +186,8 @@ class Search:
         floor = 0.4 * self.options.entry
         visible = base.chi2 > 1.05 * base.n or not self.fitter.noise_known
         promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
-        # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is
-        # something to explain
-        if visible:
-            promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
+        # a structure's response is not linear in its amplitude: fit it whatever the secant says
+        promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
         return self._race(base, [(base.effects, s) for s in promising])
 
     def refine(self, base: Fitted) -> list[Fitted]:
@@ -310,7 +308,12 @@ class Search:
         q, _ = np.linalg.qr(base.fit.J / (np.linalg.norm(base.fit.J, axis=0) + 1e-300))
         cost = [math.inf if r is None else float(r @ r) - float(np.sum((q.T @ r) ** 2)) if len(r) == len(q) else float(r @ r)
                 for r in residuals]  # fmt: skip
-        order = sorted(range(len(guesses)), key=lambda i: cost[i])[: cls.multistart]
+        order = sorted(range(len(guesses)), key=lambda i: cost[i])
+        if stiff:  # one that the screen has shrunk to nothing costs no more than the base: both kinds go on
+            half = (cls.multistart + 1) // 2
+            order = [i for i in order if i < borrowing][:half] + [i for i in order if i >= borrowing][:half]
+        else:
+            order = order[: cls.multistart]
         if far and borrowing < len(guesses) and max(order) < borrowing:
             # far off, the refitted parameters may have gone where no way leads back from
             order.append(min(range(borrowing, len(guesses)), key=lambda i: cost[i]))
@@ -462,6 +465,29 @@ class Search:
                 if simple is not None and simple.chi2 < NEARLY * f.chi2:
                     return self._ground(simple)
         return f
+
+    def _unfold(self, best: Fitted, most: int = 2) -> None:
+        """The best structures once more over stretches of growing length, while they miss what the noise does not explain."""
+        if not self.fitter.noise_known:
+            return
+        ranked = sorted((f for f in self.pool.values() if f.effects), key=self.criterion)[:most]
+        for f in {f.key: f for f in (best, *ranked) if f.effects}.values():
+            if f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or self._spent():
+                continue
+            self.unfolded.add(f.key)
+            spent = self.fitter.runs
+            for linear in (f.linear, None):
+                now = self.fitter.unfolded(f, linear)
+                for _ in range(UNFOLDS - 1):
+                    last = self.pool[f.key].chi2
+                    self._keep(now)
+                    if not now.ok or now.chi2 > 0.98 * last or now.chi2 < UNEXPLAINED * now.n:
+                        break
+                    now = self.fitter.unfolded(now, now.linear)
+                self._keep(now)
+                if self.pool[f.key].chi2 < UNEXPLAINED * f.n:
+                    break
+            self._runs += self.fitter.runs - spent  # not at the cost of other structures
 
     def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data, though held-out data do not bear them out alone.

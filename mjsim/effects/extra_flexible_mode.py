@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.ports import Port, SplitInertia
 from mjsim.effects.registry import register
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
     from mjsim.mjcf import MjcfEditor
 
 __all__ = ["ExtraFlexibleMode"]
+
+
+STARTS = 18
 
 
 @register
@@ -36,7 +41,7 @@ class ExtraFlexibleMode(Effect):
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("inertia_kgm2", "stiffness_Nm_rad", "damping_Nms_rad")
     family: ClassVar[str] = "structure"
-    multistart: ClassVar[int] = 6
+    multistart: ClassVar[int] = 8
 
     inertia_kgm2: float = parameter(Quantity.INERTIA, "inertia behind the spring, split off the arm", lower=1e-12)
     stiffness_Nm_rad: float = parameter(Quantity.STIFFNESS, "stiffness of the spring", lower=1e-12)
@@ -59,7 +64,9 @@ class ExtraFlexibleMode(Effect):
         """Starts of a fit."""
         j = 0.25 * scales.inertia
         out = []
-        for hz in (4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 40.0, 55.0, 80.0):
+        # what a recording can show: from three turns in all of it to a tenth of its sampling rate
+        low, high = 3.0 / scales.duration, 0.1 / scales.dt
+        for hz in low * (high / low) ** (np.arange(STARTS) / (STARTS - 1)):
             w = 2 * math.pi * hz
             out.append({"inertia_kgm2": j, "stiffness_Nm_rad": j * w * w, "damping_Nms_rad": 0.06 * j * w})
         return out
