@@ -8,6 +8,7 @@ or not, is not predicted by it; physics that was left out is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,9 @@ from mjsim.axis import Axis
 from mjsim.ode import simulate
 
 __all__ = ["Structure", "motion_error", "remaining_structure"]
+
+
+WINDOWS = (0.02, 0.006, 0.002)  # over which missed motion is looked for [s]
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,17 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
     return Structure(float(np.sum(g)) / before, float(student.sf(t, len(g) - 1)))
 
 
-def motion_error(fitter: Fitter, fitted: Fitted, window: float = 0.02) -> float | None:
+def motion_error(fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WINDOWS) -> float | None:
+    """How much of the error is motion that really took place: the most that any of ``windows`` [s] shows.
+
+    Over a long window little noise is left, and no motion faster than it; over a short one it is the other way round.
+    """
+    found = [_motion_error(fitter, fitted, window) for window in windows]
+    known = [x for x in found if x is not None]
+    return max(known) if known else None
+
+
+def _motion_error(fitter: Fitter, fitted: Fitted, window: float) -> float | None:
     """How much of the error is motion that really took place.
 
     In units of the velocity noise variance; None where it cannot be told, 0 where it is within four standard errors of none.
@@ -133,7 +147,7 @@ def motion_error(fitter: Fitter, fitted: Fitted, window: float = 0.02) -> float 
         if solved is None:
             return None
         y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
-        k = max(4, round(window / r.dt))
+        k = max(2, round(window / r.dt))
         count = (len(r) - 1) // k
         speed = 0.5 * (r.velocity[1:] + r.velocity[:-1]) - np.diff(y.angle) / r.dt
         # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
