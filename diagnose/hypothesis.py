@@ -108,6 +108,10 @@ class Hypothesis:
                 if spec.quantity is Quantity.STIFFNESS and type(effect).family == "friction":
                     # a stiffer contact rings faster than the fitting engine may step, and is a level of friction by then
                     high = max(value, min(high, s.inertia * (STIFFEST / s.dt) ** 2))
+                if spec.quantity is Quantity.TIME and type(effect).family == "friction":
+                    # what is over within a fiftieth of the recording is the start of it, and no drift
+                    low = max(low, 0.02 * s.duration)
+                    value = max(value, low)
                 if spec.quantity is Quantity.CYCLES and effect.place != "arm":
                     # what does not repeat within the travel is not periodic: one and a half periods at least
                     low = max(low, 3 * math.pi / max(turning.travel, 1e-12))
