@@ -43,7 +43,7 @@ class AsymmetricFriction(Effect):
     tolerance: ClassVar[float] = 2e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "asymmetry_Nm")
     family: ClassVar[str] = "friction"
-    refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
+    refines: ClassVar[tuple[str, ...]] = ("coulomb_friction", "torque_offset")
 
     torque_Nm: float = parameter(Quantity.TORQUE, "mean of the two levels", lower=0.0)
     asymmetry_Nm: float = parameter(Quantity.TORQUE, "added for v > 0, taken off for v < 0")
