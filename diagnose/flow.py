@@ -37,7 +37,7 @@ from diagnose.search import Search, SearchOptions
 from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
-from diagnose.view import ForceView, MotionView, View
+from diagnose.view import ForceView, MotionView, View, clean_band
 from diagnose.whiten import alike, effective_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
@@ -72,7 +72,7 @@ class Options:
     left_of_all: float = 0.01
 
 
-def choose_view(recordings: Sequence[Recording], judge: str | None) -> View:
+def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axis | None = None) -> View:
     """Motion or force.
 
     As asked, as the binding says, else force when there is only a position (a servo under a position loop).
@@ -84,7 +84,9 @@ def choose_view(recordings: Sequence[Recording], judge: str | None) -> View:
         return MotionView()
     dt = recordings[0].dt
     decimate = max(1, round(0.01 / dt)) if dt < 0.005 else 1
-    return ForceView(decimate=decimate)
+    if nominal is None:
+        return ForceView(decimate=decimate)
+    return ForceView(cutoff_hz=min(clean_band(nominal, r) for r in recordings), decimate=decimate)
 
 
 def _experiments(
@@ -131,7 +133,7 @@ def diagnose(
     """
     options = options or Options()
     began = time.monotonic()
-    view = choose_view(recordings, options.judge)
+    view = choose_view(recordings, options.judge, nominal)
     estimation, held = _experiments(recordings, held_out)
     fitter = Fitter(nominal, view, estimation, held, options.jobs, _varies(nominal, recordings[0]), memory=memory)
     try:

@@ -107,4 +107,4 @@ def test_what_is_over_at_the_start_of_a_recording_is_no_drift(scales):
     drift = make("friction_drift", "motor", {"torque_Nm": 0.1, "relative_change": 0.5, "time_constant_s": 1e-3})
     h = Hypothesis.build(AXIS, (drift,), scales, 1, (False,))
     entry = next(e for e in h.entries if e.name == "time_constant_s")
-    assert entry.lower == entry.start == pytest.approx(0.05 * scales["motor"].duration)
+    assert entry.lower == entry.start == pytest.approx(0.02 * scales["motor"].duration)

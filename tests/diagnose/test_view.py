@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnose.experiment import prepare
-from diagnose.view import ForceView
+from diagnose.view import ForceView, clean_band
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis
@@ -50,3 +50,12 @@ def test_signal_path(effect, place, value):
     rival = effect_class(other[0])(place=other[1], **{other[2]: length})
     assert missed(axis + late) < 0.01 * missed(axis)
     assert missed(axis + late) < 0.5 * missed(axis + rival)
+
+
+def test_the_band_ends_where_the_encoder_makes_torque_of_its_own():
+    axis = load_axis(shipped_model("emps"))
+    force = chirp(8.0, DT, 60.0, 0.5, 12.0)
+    run = simulate(axis, force, DT)
+    fine, coarse = (Recording(run.time, force, None, step * np.round(run.angle / step), DT) for step in (1e-8, 2e-5))
+    assert clean_band(axis, fine) == pytest.approx(0.1 / DT)
+    assert 12.0 < clean_band(axis, coarse) < 60.0
