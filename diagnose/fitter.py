@@ -28,6 +28,7 @@ T = TypeVar("T")
 Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
+UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -114,6 +115,12 @@ class HeldOut:
     def chi2(self) -> float:
         """Weighted sum of squares."""
         return float(np.sum(self.sse))
+
+
+def _first(experiment: Experiment, share: float) -> Experiment:
+    """The first part of an experiment."""
+    n = max(200, math.ceil(share * len(experiment.recording)))
+    return dataclasses.replace(experiment, recording=experiment.recording.slice(0, n), counts=experiment.counts[:n])
 
 
 class _Counted:
@@ -380,6 +387,28 @@ class Fitter:
         own = {k: v for k, v in joint.own.items() if k[2] < len(self.experiments)}
         h = self.hypothesis(joint.effects, joint.linear, own)
         return dataclasses.replace(fitted, hypothesis=h, fit=dataclasses.replace(fitted.fit, x=h.start))
+
+    def unfolded(self, fitted: Fitted, linear: Mapping[str, float] | None, iterations: int = 12) -> Fitted:
+        """The same structure fitted to the first stretch of each recording, then to ever longer ones, and then to all of it.
+
+        A long free run has many minima: an oscillation that is off by a turn fits worse on the way to the right one than where it
+        is. Over a short stretch it is not yet off by a turn.
+        """
+        effects, own = fitted.effects, fitted.own
+        for share in UNFOLD:
+            part = Fitter(self.nominal, self.view, tuple(_first(e, share) for e in self.experiments), (), self.jobs, self.varies)
+            try:
+                part.orders, part.scales, part.whitening = self.orders, self.scales, self.whitening
+                part._sigma = {id(p): self.sigma(e) for p, e in zip(part.experiments, self.experiments, strict=True)}
+                found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
+            finally:
+                part.close()
+            with self._counting:
+                self.runs += math.ceil(share * part.runs)
+            if not found.ok:
+                return fitted
+            effects, linear, own = found.effects, found.linear, found.own
+        return self.fit(self.hypothesis(effects, linear, own), iterations=20)
 
     def refined(self, fitted: Fitted, step: float = 2e-4) -> Fitted:
         """The same fit with a two-sided Jacobian at its solution, for covariances."""

@@ -36,6 +36,8 @@ NEARLY = 2.0  # a simpler form that leaves at most so many times the error of it
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 GUIDE = 0.2  # relative standard deviation that they are then given
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
+UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
+UNFOLDS = 5  # times in a row, while it gains
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
@@ -119,6 +121,7 @@ class Search:
     failed: dict[str, str] = field(default_factory=dict)
     screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
     retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)
+    unfolded: set[tuple[str, ...]] = field(default_factory=set)
     tested: int = 0
     effective: float = 1.0
     effective_of: Callable[[Fitted], float] | None = None
@@ -376,6 +379,7 @@ class Search:
                     break  # nothing can be added to the best structure: its rivals are not built on either
             best = self._best(current)
             self.refine(best)
+            self._unfold(self._best(current))
             best = self._best(current)
             self.progress.end_round()
             if best.key == current.key and best.chi2 < 0.9 * current.chi2:
