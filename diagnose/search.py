@@ -136,7 +136,11 @@ class Search:
 
     def _spent(self) -> bool:
         """Whether the budget of runs (the same on every machine) or of seconds is used up."""
-        return self.fitter.runs - self._runs > self.options.runs or time.monotonic() - self._began > self.options.seconds
+        return self.fitter.runs - self._runs > self.options.runs or self._late()
+
+    def _late(self) -> bool:
+        """Whether the budget of seconds is used up."""
+        return time.monotonic() - self._began > self.options.seconds
 
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
@@ -476,7 +480,7 @@ class Search:
             return
         ranked = sorted((f for f in self.pool.values() if f.effects), key=self.criterion)[:most]
         for f in {f.key: f for f in (best, *ranked) if f.effects}.values():
-            if f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or self._spent():
+            if f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or self._late():
                 continue
             self.unfolded.add(f.key)
             spent = self.fitter.runs
