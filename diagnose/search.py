@@ -571,6 +571,8 @@ class Search:
             h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
             simple = self.fitter.fit(h, iterations=30)
             self._keep(simple)
+            if self.fitter.noise_known and simple.ok and simple.chi2 > UNEXPLAINED * simple.n:
+                self._keep(self.fitter.unfolded(simple, simple.linear))  # a rival that has stalled is not beaten
             return self.pool.get(simple.key, simple)
 
         return [
