@@ -84,7 +84,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
 
 
 def _need_one_motion(recording: Recording, window: float = 0.02) -> None:
-    """Refuse an angle that jumps (wrapped at a turn), or that does not move as the velocity says (unit, sign, other side of a gear).
+    """Refuse an angle that jumps (wrapped at a turn), or moves otherwise than the velocity says (unit, sign, side of a gear).
 
     Both are averaged over ``window`` [s], so that the noise of neither matters; an offset of one is no contradiction.
     """
@@ -112,7 +112,7 @@ def _need_one_motion(recording: Recording, window: float = 0.02) -> None:
     if abs(alike) > 0.95 and not (alike > 0 and 0.7 < times < 1.4):
         raise InputError(
             recording.source, f"the angle moves {math.copysign(times, alike):.4g} times as fast as the velocity says",
-            "both of the motor, in rad and rad/s (m and m/s)", "state units and gains in the binding; a link's angle is second_angle",
+            "both of the motor, in rad and rad/s (m and m/s)", "state units and gains in the binding (link side: second_angle)",
         )  # fmt: skip
 
 

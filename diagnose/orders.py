@@ -72,7 +72,7 @@ def find_orders(
     top = min(0.25 * 2 * np.pi / dt / max(float(np.percentile(np.abs(velocity), 90)), 1e-12), 60 * 2 * np.pi / travel * 20)
     low = 2 * np.pi / travel * 1.5
     mask = np.ones(len(residual), bool) if keep is None else keep
-    # an axis integrates: what is slow and large in the residual fits waves of many orders. It is whitened away, on both sides alike
+    # an axis integrates: what is slow and large in the residual fits waves of many orders: whitened away on both sides
     level = residual - residual.mean()
     white, _ = levinson(np.array([float(level[: len(level) - k] @ level[k:]) for k in range(WHITE + 1)]), WHITE)
     y, b = lfilter(white, [1.0], level) * mask, np.convolve(b, white)

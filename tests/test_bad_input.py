@@ -115,7 +115,8 @@ TABLES = {
     "opposite signs of motion": (table(velocity_rad_s=-10 * np.sin(40 * TIME)), ["log.csv", "-1 times", "velocity"]),
     "angle in degrees": (table(angle_rad=-14.3239 * np.cos(40 * TIME)), ["log.csv", "57.", "velocity", "rad"]),
     "wrapped angle": (
-        table(velocity_rad_s=50 + np.sin(40 * TIME), angle_rad=np.mod(50 * TIME, 2 * np.pi)), ["log.csv", "jumps", "6.2", "unwrap"]
+        table(velocity_rad_s=50 + np.sin(40 * TIME), angle_rad=np.mod(50 * TIME, 2 * np.pi)),
+        ["log.csv", "jumps", "6.2", "unwrap"],
     ),
     "no header": ("\n".join(GOOD.splitlines()[1:]), ["log.csv", "row 1", "header"]),
     "too short": ("\n".join(GOOD.splitlines()[:120]) + "\n", ["log.csv", "119 samples", "at least"]),
