@@ -398,7 +398,7 @@ class Fitter:
         for share in UNFOLD:
             part = Fitter(self.nominal, self.view, tuple(_first(e, share) for e in self.experiments), (), self.jobs, self.varies)
             try:
-                part.orders, part.scales, part.whitening = self.orders, self.scales, self.whitening
+                part.orders, part.scales, part.whitening, part.guide = self.orders, self.scales, self.whitening, self.guide
                 part._sigma = {id(p): self.sigma(e) for p, e in zip(part.experiments, self.experiments, strict=True)}
                 found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
             finally:

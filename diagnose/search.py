@@ -37,7 +37,7 @@ MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the sear
 GUIDE = 0.2  # relative standard deviation that they are then given
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
-UNFOLDS = 5  # times in a row, while it gains
+UNFOLDS = 3  # times in a row, while it gains
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
@@ -193,8 +193,10 @@ class Search:
         floor = 0.4 * self.options.entry
         visible = base.chi2 > 1.05 * base.n or not self.fitter.noise_known
         promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
-        # a structure's response is not linear in its amplitude: fit it whatever the secant says
-        promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
+        # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is something to
+        # explain, or a filter that may have taken it in
+        if visible or len(self.fitter.whitening) > 1:
+            promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
         return self._race(base, [(base.effects, s) for s in promising])
 
     def refine(self, base: Fitted) -> list[Fitted]:
@@ -383,7 +385,7 @@ class Search:
                     break  # nothing can be added to the best structure: its rivals are not built on either
             best = self._best(current)
             self.refine(best)
-            self._unfold(self._best(current))
+            self._unfold([self._best(current)])
             best = self._best(current)
             self.progress.end_round()
             if best.key == current.key and best.chi2 < 0.9 * current.chi2:
@@ -398,6 +400,10 @@ class Search:
                 beam = [] if current.key in stuck else self._promising(current, expanded)
                 stuck.add(current.key)
                 if beam:
+                    continue
+                folded = sorted((f for f in self.pool.values() if _folded(f)), key=self.criterion)[: self.options.beam]
+                self._unfold(folded)
+                if self._best(current).key != current.key:
                     continue
                 if self.fitter.guide == 1.0 or self._spent():
                     break
@@ -474,28 +480,24 @@ class Search:
                     return self._ground(simple)
         return f
 
-    def _unfold(self, best: Fitted, most: int = 2) -> None:
-        """The best structures once more over stretches of growing length, while they miss what the noise does not explain."""
-        if not self.fitter.noise_known:
-            return
-        ranked = sorted((f for f in self.pool.values() if f.effects), key=self.criterion)[:most]
-        for f in {f.key: f for f in (best, *ranked) if f.effects}.values():
-            if f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or self._late():
+    def _unfold(self, structures: Sequence[Fitted]) -> None:
+        """Structures once more over stretches of growing length, where they leave more than noise and their error is folded."""
+        for f in structures:
+            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or not _folded(f):
                 continue
             self.unfolded.add(f.key)
             spent = self.fitter.runs
             for linear in (f.linear, None):
-                now = self.fitter.unfolded(f, linear)
-                for _ in range(UNFOLDS - 1):
-                    last = self.pool[f.key].chi2
-                    self._keep(now)
-                    if not now.ok or now.chi2 > 0.98 * last or now.chi2 < UNEXPLAINED * now.n:
+                for _ in range(UNFOLDS):
+                    last = self.pool[f.key]
+                    if self._late() or last.chi2 < UNEXPLAINED * last.n:
                         break
-                    now = self.fitter.unfolded(now, now.linear)
-                self._keep(now)
-                if self.pool[f.key].chi2 < UNEXPLAINED * f.n:
-                    break
-            self._runs += self.fitter.runs - spent  # not at the cost of other structures
+                    now = self.fitter.unfolded(last, linear)
+                    self._keep(now)
+                    if not now.ok or now.chi2 > 0.9 * last.chi2:
+                        break
+                    linear = now.linear
+            self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 
     def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data, though held-out data do not bear them out alone.
@@ -571,14 +573,19 @@ class Search:
             h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
             simple = self.fitter.fit(h, iterations=30)
             self._keep(simple)
-            if self.fitter.noise_known and simple.ok and simple.chi2 > UNEXPLAINED * simple.n:
-                self._keep(self.fitter.unfolded(simple, simple.linear))  # a rival that has stalled is not beaten
+            if simple.ok:
+                self._unfold([simple])  # a rival that has stalled is not beaten
             return self.pool.get(simple.key, simple)
 
         return [
             partial(fit, name) for name in type(effect).refines
             if effect.place in effect_class(name).places and not any(e.key == f"{name}@{effect.place}" for e in rest)
         ]  # fmt: skip
+
+
+def _folded(f: Fitted) -> bool:
+    """Whether the error of a structure has several minima."""
+    return any(type(e).multistart > 1 or type(e).rough for e in f.effects)
 
 
 def _related(name: str, effect: Effect) -> bool:
