@@ -22,9 +22,8 @@ class BestLinearApproximation:
     """Best linear approximation (BLA) with its disturbance levels.
 
     frequency_hz, response: at the excited lines. noise_db, odd_db, even_db: output level per line [dB re output unit] at the
-    excited
-    lines (noise) and at the detection lines at odd_hz, even_hz. p_odd, p_even: p values of "no distortion" from F tests of the
-    power on the detection lines against the noise between periods. false_alarm_rate: of the joint verdict.
+    excited lines (noise) and at the detection lines at odd_hz, even_hz. p_odd, p_even: p values of "no distortion" from the power
+    on the detection lines against the noise between periods. false_alarm_rate: of the joint verdict.
     """
 
     frequency_hz: NDArray
@@ -60,6 +59,17 @@ class BestLinearApproximation:
         )
 
 
+ROUNDING = 1e-26
+"""Power relative to the largest line's below which a detection line holds rounding, not distortion."""
+
+
+def _together(p: NDArray) -> float:
+    """One p value out of independent ones, (K,): Fisher's combination, ``-2 sum ln p ~ chi2(2 K)``."""
+    from scipy.stats import chi2
+
+    return float(chi2.sf(-2 * float(np.sum(np.log(np.maximum(p, 1e-300)))), 2 * p.size))
+
+
 def _db(power: NDArray) -> NDArray:
     return 10 * np.log10(np.maximum(power, 1e-300))
 
@@ -68,10 +78,16 @@ def detection_lines(data: IOData, multisine: Multisine, false_alarm_rate: float 
     """Analyse whole periods of a multisine response; the first ``skip`` periods (transient) are dropped, at least two must
     remain.
 
-    The noise variance per line is the scatter between periods; on each set of detection lines
-    ``F = mean(P abs(Ybar)^2) / mean(var) ~ F(2 K, 2 K (P - 1))`` when the system is linear, P periods and K lines.
+    The noise variance per line is the scatter between periods. When the system is linear, ``F_k = P abs(Ybar_k)^2 / var_k`` is
+    F(2, 2 (P - 1)) on each detection line, P periods (Pintelon & Schoukens, 2nd ed., section 4.3); the lines of a set are put
+    together by Fisher's combination, so that each is judged against its own noise and coloured noise raises no alarm. Assumes
+    noise that is stationary with a memory short against a period, and a steady response.
+
+    Raises InputError for fewer than two periods after the skipped ones, and for another sampling interval than the multisine's.
     """
     period = multisine.period
+    if abs(data.dt / multisine.dt - 1) > 1e-9:
+        raise InputError(data.source, f"dt = {data.dt:g} s, the multisine's is {multisine.dt:g} s", "equal sampling intervals")
     periods = len(data) // period - skip
     if periods < 2:
         raise InputError(
@@ -88,9 +104,9 @@ def detection_lines(data: IOData, multisine: Multisine, false_alarm_rate: float 
     peak = float(np.max(np.abs(mean_y[multisine.excited]) ** 2))
 
     def test(lines: NDArray) -> float:
-        signal = periods * float(np.mean(np.abs(mean_y[lines]) ** 2))
-        noise = float(np.mean(variance[lines])) + 1e-26 * peak  # rounding is no distortion
-        return float(f_distribution.sf(signal / noise, 2 * lines.size, 2 * lines.size * (periods - 1)))
+        signal = periods * np.abs(mean_y[lines]) ** 2
+        noise = variance[lines] + ROUNDING * peak
+        return _together(f_distribution.sf(signal / noise, 2, 2 * (periods - 1)))
 
     odd, even, on = multisine.odd_detection, multisine.even_detection, multisine.excited
     return BestLinearApproximation(
@@ -147,23 +163,29 @@ def _fit(columns: NDArray, target: NDArray) -> tuple[NDArray, float]:
     return weights, float(np.sum(np.abs(target - columns @ weights) ** 2))
 
 
+SMALLEST_BLOCK = 14
+"""Lines per block: six coefficients, and as many degrees of freedom again for the noise."""
+
+
 def amplitude_test(low: IOData, high: IOData, false_alarm_rate: float = 0.01, block: int = 24) -> AmplitudeTest:
     """Test whether one excitation (a chirp, a multisine) at two levels sees one frequency response.
 
-    In each block of ``block`` excited lines both records are fitted by ``Y = G U + T`` with G and the transient term T
-    parabolas in
-    frequency (local polynomial method: Pintelon & Schoukens, 2nd ed., chapter 7), once with a common G and once with a G each.
-    The
-    loss of the common one gives ``F ~ F(6, 2 (2 block - 12))`` per block when the system is linear; the record's noise powers are
-    brought to one level first, by their ratio over all blocks. Records of equal length and sampling interval, noise Gaussian.
+    With one G at both levels, ``D = Y_high - Y_low U_high / U_low`` holds noise and transients only, whatever the shape of G: a
+    resonance between two lines is no nonlinearity. In each block of ``block`` excited lines D is fitted by ``dG U_high + T`` with
+    the change dG of the response and the transient term T parabolas in frequency (after the local polynomial method: Pintelon &
+    Schoukens, 2nd ed., chapter 7). What dG takes off the residual gives ``F ~ F(6, 2 (block - 6))`` per block when the system is
+    linear; Fisher's combination joins the blocks. Lines count by ``1 / (1 + abs(U_high / U_low)^2)``, exact when both records
+    have one noise level and when their inputs are proportional.
+
+    Assumes records that start in one state (at rest), inputs known without noise, stationary Gaussian noise that is flat over a
+    block. Raises InputError for records of unequal length or sampling interval and for too few excited lines.
     """
     if len(low) != len(high) or abs(low.dt / high.dt - 1) > 1e-9:
         raise InputError(
             "amplitude test", f"{len(low)} samples of {low.dt:g} s and {len(high)} of {high.dt:g} s", "equal records"
         )
-    if block < 14:
-        raise InputError("amplitude test", f"blocks of {block} lines", "at least 14")
-    from scipy.stats import chi2
+    if block < SMALLEST_BLOCK:
+        raise InputError("amplitude test", f"blocks of {block} lines", f"at least {SMALLEST_BLOCK}")
     from scipy.stats import f as f_distribution
 
     ul, yl, uh, yh = (np.fft.rfft(x) for x in (low.u, low.y, high.u, high.y))
@@ -175,25 +197,20 @@ def amplitude_test(low: IOData, high: IOData, false_alarm_rate: float = 0.01, bl
         raise InputError("amplitude test", f"{lines.size} excited lines", f"at least {block}", "record longer")
     blocks = [lines[i * block : (i + 1) * block] for i in range(count)]
     powers = np.vander(np.linspace(-1, 1, block), 3, increasing=True)
+    free = 2 * (block - 6)
 
-    # per block: separate fits of both records
-    own = [[_fit(np.hstack([powers * u[k, None], powers]), y[k]) for u, y in ((ul, yl), (uh, yh))] for k in blocks]
-    ratio = np.sqrt(sum(o[0][1] for o in own) / max(sum(o[1][1] for o in own), 1e-300))
-    if not np.isfinite(ratio) or ratio == 0.0:
-        ratio = 1.0
     p, change = [], []
-    none = np.zeros((block, 3))
-    for k, (fit_low, fit_high) in zip(blocks, own, strict=True):
-        common = np.vstack(
-            [np.hstack([powers * ul[k, None], powers, none]), ratio * np.hstack([powers * uh[k, None], none, powers])]
-        )
-        _, together = _fit(common, np.r_[yl[k], ratio * yh[k]])
-        apart = fit_low[1] + ratio**2 * fit_high[1]
-        rounding = 1e-24 * float(np.sum(np.abs(yl[k]) ** 2) + ratio**2 * np.sum(np.abs(yh[k]) ** 2))
-        free = 2 * (2 * block - 12)
+    for k in blocks:
+        ratio = uh[k] / ul[k]
+        weight = 1.0 / np.sqrt(1.0 + np.abs(ratio) ** 2)
+        difference = weight * (yh[k] - ratio * yl[k])
+        transient = weight[:, None] * powers
+        moved, apart = _fit(np.hstack([transient * uh[k, None], transient]), difference)
+        _, together = _fit(transient, difference)
+        rounding = 1e-24 * float(np.sum(np.abs(weight * yh[k]) ** 2 + np.abs(weight * ratio * yl[k]) ** 2))
         statistic = max(0.0, together - apart) / 6 / ((apart + rounding) / free)
         p.append(float(f_distribution.sf(statistic, 6, free)))
-        change.append(20 * np.log10(max(abs(fit_high[0][0]), 1e-300) / max(abs(fit_low[0][0]), 1e-300)))
-    joint = float(chi2.sf(-2 * float(np.sum(np.log(np.maximum(p, 1e-300)))), 2 * count))
+        own = _fit(np.hstack([powers * ul[k, None], powers]), yl[k])[0][0]
+        change.append(20 * np.log10(max(abs(own + moved[0]), 1e-300) / max(abs(own), 1e-300)))
     centres = np.array([frequency[k].mean() for k in blocks])
-    return AmplitudeTest(frozen(centres), frozen(change), frozen(p), joint, false_alarm_rate)
+    return AmplitudeTest(frozen(centres), frozen(change), frozen(p), _together(np.array(p)), false_alarm_rate)

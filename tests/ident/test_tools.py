@@ -1,4 +1,4 @@
-"""Filter, residual tests, prediction, spectra, nonlinearity tests, JSON, control, figures."""
+"""Filter, residual tests, prediction, spectra, JSON, control, figures."""
 
 from __future__ import annotations
 
@@ -19,18 +19,15 @@ from ident import (
     Phase,
     PolyModel,
     Structure,
-    amplitude_test,
     bj,
     bode,
     check_residuals,
     compare,
     decimate,
-    detection_lines,
     etfe,
     fit_percent,
     load,
     low_pass,
-    odd_multisine,
     oe,
     pole_zero,
     predicted,
@@ -268,63 +265,6 @@ def test_extrema_of_a_resonance():
     found = bode(PolyModel(Structure.oe(1, 2, 1), 0.005, [1], [1], [1], [1], f)).extrema()
     assert [e.kind for e in found] == ["peak"]
     assert found[0].frequency_hz == pytest.approx(20, rel=0.01)
-
-
-def _multisine_record(seed, even=0.0, odd=0.0, sigma=0.05, periods=6):
-    rng = np.random.default_rng(seed)
-    ms = odd_multisine(1000, 0.01, (0.5, 20.0), 1.0, rng)
-    u = ms.repeated(periods)
-    x = signal.lfilter([0, 1.0], [1, -0.8], u)
-    y = x + even * x**2 + odd * x**3 + sigma * rng.standard_normal(x.size)
-    return ms, IOData(u, y, 0.01)
-
-
-def test_detection_lines_name_the_kind_of_distortion():
-    ms, data = _multisine_record(0)
-    assert not detection_lines(data, ms).nonlinear
-    ms, data = _multisine_record(1, even=0.02)
-    result = detection_lines(data, ms)
-    assert result.nonlinear
-    assert "even" in result.sentence
-    assert "odd" not in result.sentence
-    ms, data = _multisine_record(2, odd=0.01)
-    result = detection_lines(data, ms)
-    assert "odd" in result.sentence
-    assert_allclose(np.abs(_multisine_record(3)[1].y).max() > 0, True)
-
-
-def test_detection_lines_keep_their_false_alarm_rate():
-    alarms = sum(detection_lines(d, m, 0.05).nonlinear for m, d in (_multisine_record(s) for s in range(300)))
-    assert alarms / 300 < 0.095  # 5 % nominal; 99.9 % binomial limit
-
-
-def test_detection_lines_without_noise():
-    ms, data = _multisine_record(4, sigma=0.0)
-    assert not detection_lines(data, ms, skip=2).nonlinear
-
-
-def _chirps(seed, law, sigma=0.05):
-    rng = np.random.default_rng(seed)
-    t = np.arange(4000) * 0.005
-    records = []
-    for level in (0.5, 2.0):
-        u = level * signal.chirp(t, 0.5, 20, 30)
-        y = law(signal.lfilter([0, 0.5], [1, -0.8], u)) + sigma * rng.standard_normal(t.size)
-        records.append(IOData(u, y, 0.005))
-    return records
-
-
-def test_amplitude_test_finds_a_dead_band_and_passes_a_linear_system():
-    assert not amplitude_test(*_chirps(0, lambda x: x)).nonlinear
-    bent = amplitude_test(*_chirps(0, lambda x: x - 0.1 * np.clip(x / 0.1, -1, 1)))
-    assert bent.nonlinear
-    assert "moves with the level" in bent.sentence
-    assert not amplitude_test(*_chirps(0, lambda x: x, sigma=0.0)).nonlinear
-
-
-def test_amplitude_test_keeps_its_false_alarm_rate():
-    alarms = sum(amplitude_test(*_chirps(s, lambda x: x), false_alarm_rate=0.05).nonlinear for s in range(150))
-    assert alarms / 150 < 0.12
 
 
 def test_figures_are_drawn(bj_truth):
