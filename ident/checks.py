@@ -11,7 +11,23 @@ from ident.data import IOData
 from ident.structure import Structure
 from mjsim.errors import InputError
 
-__all__ = ["check_clipping", "check_estimation_data", "excited_bins", "missing_bands"]
+__all__ = [
+    "check_clipping",
+    "check_diverging",
+    "check_estimation_data",
+    "check_moving",
+    "check_recording",
+    "excited_bins",
+    "held_stretch",
+    "missing_bands",
+]
+
+CONSTANT = 1e-14
+"""Range relative to its size below which a channel is constant."""
+FEW_LEVELS = 12
+"""A channel of fewer distinct values is a switching or coarsely quantised signal."""
+HELD_SAMPLES = 10
+"""Equal samples in a row from which on a channel that never repeats is said to be held."""
 
 
 def excited_bins(u: NDArray, floor: float = 1e-10) -> tuple[NDArray, NDArray]:
@@ -49,12 +65,29 @@ def _rank(u: NDArray, order: int) -> int:
     return int(np.sum(values > 1e-14 * max(float(values[-1]), 1e-300)))
 
 
-def check_clipping(data: IOData) -> None:
-    """Raise when a channel sits at its own largest or smallest value for runs of samples, as a clipped one does."""
-    for x, what in ((data.y, f"output {data.y_name}"),):
+def check_moving(data: IOData) -> None:
+    """Raise InputError when a channel never moves."""
+    for x, what in _channels(data):
+        if float(np.ptp(x)) <= CONSTANT * max(float(np.max(np.abs(x))), 1e-300):
+            raise InputError(data.source, f"{what} is constant ({x[0]:.6g})", "a signal that moves", "excite the system")
+
+
+def _channels(data: IOData) -> tuple[tuple[NDArray, str], ...]:
+    return (data.u, f"input {data.u_name}"), (data.y, f"output {data.y_name}")
+
+
+def check_clipping(data: IOData, *, channels: str = "uy") -> None:
+    """Raise InputError when a channel sits at its own largest or smallest value for runs of samples, as a clipped one does.
+
+    A signal of few levels (a binary input, a coarse quantiser) is not clipped, nor is one that rests at zero, nor an input that
+    dwells on other levels as long.
+    ``channels``: which of u and y to look at.
+    """
+    for (x, what), name in zip(_channels(data), "uy", strict=True):
         span = float(np.ptp(x))
-        if span == 0.0 or np.unique(x[:4096]).size < 12:
-            continue  # constant is told elsewhere; a few levels only is a switching signal, not a clipped one
+        if name not in channels or span == 0.0 or np.unique(x[:4096]).size < FEW_LEVELS:
+            continue  # constant is told elsewhere
+        inside = (x < x.max() - 1e-12 * span) & (x > x.min() + 1e-12 * span)
         for limit in (float(x.max()), float(x.min())):
             at = np.abs(x - limit) <= 1e-12 * span
             runs = np.flatnonzero(at[:-1] & at[1:] & np.r_[at[2:], False])
@@ -62,41 +95,108 @@ def check_clipping(data: IOData) -> None:
             entries = np.flatnonzero(~at[:-1] & at[1:])
             if runs.size <= 3 or share <= 0.005 or limit == 0.0 or entries.size == 0:
                 continue
+            if name == "u" and _longest_run(x, inside) >= share * x.size / (entries.size + 1):
+                continue  # it dwells on other levels as long: a staircase
             # a quantised signal dwells on its top step too, but gets there by one step; a clipped one arrives at speed
             step = float(np.min(np.diff(np.unique(x))))
             if float(np.median(np.abs(x[entries + 1] - x[entries]))) > 1.5 * step:
                 raise InputError(
                     data.source,
                     f"{what} sits at its limit {limit:.6g} in {100 * share:.1f} % of the samples, "
-                    f"first at sample {runs[0]} (clipped)",
+                    f"first at sample {runs[0] + 1} (clipped)",
                     "a signal within its range",
-                    "record with less amplitude or a wider range",
+                    "record with less amplitude or a wider range"
+                    if name == "y"
+                    else "log what was applied after the limit; if this is it, say so (--clipping accept)",
                 )
 
 
-def check_estimation_data(data: IOData, s: Structure) -> None:
-    """Raise InputError for data that are too short, constant, rank-poor, clipped or diverging."""
-    n, need = len(data), 2 * (s.n_parameters + s.n_plant_state + s.n_noise_state) + s.reach
-    if n < max(need, 10):
+def _longest_run(x: NDArray, where: NDArray) -> int:
+    """Most samples in a row that are equal and lie in ``where``."""
+    same = (np.diff(x) == 0.0) & where[1:] & where[:-1]
+    edges = np.flatnonzero(np.diff(np.r_[0, same.astype(int), 0]))
+    return int(np.max(edges[1::2] - edges[::2], initial=-1)) + 1
+
+
+def held_stretch(x: NDArray) -> tuple[int, int] | None:
+    """(first sample, count) of the longest stretch over which a channel that else never repeats holds one value, or None.
+
+    That is what dropped samples look like after a logger filled them in. Rest at zero does not count, nor does a channel that
+    often repeats its value (a quantised one).
+    """
+    same = np.diff(x) == 0.0
+    edges = np.flatnonzero(np.diff(np.r_[0, same.astype(int), 0]))
+    if edges.size == 0:
+        return None
+    first, length = edges[::2], edges[1::2] - edges[::2]
+    longest = int(np.argmax(length))
+    elsewhere = int(same.sum()) - int(length[longest])
+    if length[longest] + 1 < HELD_SAMPLES or elsewhere > 0.01 * x.size or x[first[longest]] == 0.0:
+        return None
+    return int(first[longest]), int(length[longest]) + 1
+
+
+def check_recording(data: IOData, s: Structure, factor: int = 1, *, clipping: bool = True) -> None:
+    """What a recording must have before a filter hides it: channels that move, are not clipped, and an input rich enough.
+
+    The excitation is judged on every ``factor``-th sample as recorded, for the transient of a filter would pass for excitation.
+    ``clipping=False`` accepts channels that sit at their limits. Raises InputError with the sample, the limit or the missing
+    frequencies.
+    """
+    _check_length(data, len(data) // factor, s)
+    check_moving(data)
+    if clipping:
+        check_clipping(data)
+    check_diverging(data)
+    _check_excitation(data, np.asarray(data.u)[::factor], s)
+
+
+def check_diverging(data: IOData) -> None:
+    """Raise InputError when the output runs away by itself.
+
+    Two signs together: the standard deviation over sixteenths of the record keeps growing to the end, far beyond its usual size
+    and without the input growing; and a least-squares ARX model of order four has a pole outside the unit circle that alone
+    accounts for that growth. A resonance that a chirp reaches at last shows the first only.
+    """
+    n = len(data)
+    if n < 16 * 8:
+        return
+    edges = np.linspace(0, n, 17).astype(int)
+    out, into = (np.array([np.std(x[a:b]) for a, b in pairwise(edges)]) for x in (data.y, data.u))
+    usual = float(np.median(out[:12]))
+    if not (np.all(out[13:] > 1.3 * out[12:-1]) and out[-1] > 30 * usual and into[-1] < 10 * float(np.median(into)) + 1e-300):
+        return
+    stride = max(1, n // 4000)  # decimated by taking every so many samples: a growing mode stays one
+    y, u = (np.asarray(x)[::stride] / (float(np.max(np.abs(x))) or 1.0) for x in (data.y, data.u))
+    order = 4
+    rows = np.column_stack(
+        [y[order - i : y.size - i] for i in range(1, order + 1)] + [u[order - i : u.size - i] for i in range(5)]
+    )
+    poly = np.r_[1.0, -np.linalg.lstsq(rows, y[order:], rcond=None)[0][:order]]
+    radius = float(np.max(np.abs(np.roots(poly))))
+    if radius > 1.0 and y.size / 4 * np.log(radius) > np.log(10.0):
+        rate = np.log(radius) / (stride * data.dt)
         raise InputError(
-            data.source, f"{n} samples", f"at least {max(need, 10)} for {s}", "record longer, decimate less or lower the orders"
+            data.source,
+            f"output {data.y_name} grows without limit (unstable, about e^({rate:.3g} t) in the end)",
+            "data of a stable or stabilised system",
+            f"cut the record before sample {int(edges[int(np.argmax(out > 10 * usual))])}, or close a loop",
         )
-    for x, what in ((data.u, f"input {data.u_name}"), (data.y, f"output {data.y_name}")):
-        if float(np.ptp(x)) <= 1e-14 * max(float(np.max(np.abs(x))), 1e-300):
-            raise InputError(data.source, f"{what} is constant ({x[0]:.6g})", "a signal that moves", "excite the system")
-    check_clipping(data)
-    quarter = max(1, n // 8)
-    sizes = [float(np.std(data.y[i * quarter : (i + 1) * quarter])) for i in range(8)]
-    inputs = [float(np.std(data.u[i * quarter : (i + 1) * quarter])) for i in range(8)]
-    grows = all(b > 4.0 * a for a, b in pairwise(sizes))
-    if grows and sizes[-1] > 1e4 * sizes[0] and max(inputs) < 1e3 * max(min(inputs), 1e-300):
-        raise InputError(
-            data.source, f"output {data.y_name} grows without limit (unstable)", "a stable or stabilised system", "close a loop"
-        )
-    order = min(s.nb + s.na + s.nf, n // 3)
-    rank = _rank(np.asarray(data.u), order)
+
+
+def _check_length(data: IOData, n: int, s: Structure) -> None:
+    need = max(10, 2 * (s.n_parameters + s.n_plant_state + s.n_noise_state) + s.reach)
+    if n < need:
+        every = data.every * max(1, len(data) // max(1, n))
+        kept = f"{n} samples" + (f" (every {every}th of the recording)" if every > 1 else "")
+        raise InputError(data.source, kept, f"at least {need} for {s}", "record longer, decimate less or lower the orders")
+
+
+def _check_excitation(data: IOData, u: NDArray, s: Structure) -> None:
+    order = min(s.nb + s.na + s.nf, u.size // 3)
+    rank = _rank(u, order)
     if rank < order:
-        bands = missing_bands(np.asarray(data.u), data.dt)
+        bands = missing_bands(u, data.dt * (len(data) / u.size))
         where = ", ".join(f"{low:.3g}-{high:.3g} Hz" for low, high in bands[:6]) or "between its few lines"
         raise InputError(
             data.source,
@@ -104,3 +204,13 @@ def check_estimation_data(data: IOData, s: Structure) -> None:
             "an input with power at more frequencies",
             "use a chirp or a multisine, or lower the orders",
         )
+
+
+def check_estimation_data(data: IOData, s: Structure, *, clipping: bool = True) -> None:
+    """Raise InputError for data that are too short, constant, rank-poor, diverging, or (``clipping``) clipped in their output."""
+    _check_length(data, len(data), s)
+    check_moving(data)
+    if clipping:
+        check_clipping(data, channels="y")
+    check_diverging(data)
+    _check_excitation(data, np.asarray(data.u), s)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mjsim.errors import InputError
+
+if TYPE_CHECKING:
+    from mjsim.recording import Recording
 
 __all__ = ["Detrend", "IOData", "frozen"]
 
@@ -28,9 +32,25 @@ class Detrend(Enum):
     LINEAR = "linear"
 
 
+_SUFFIXES = (
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_Nm", "Nm"),
+    ("_N", "N"),
+    ("_rad", "rad"),
+    ("_deg", "deg"),
+    ("_m", "m"),
+    ("_V", "V"),
+    ("_A", "A"),
+)
+"""How a column's name ends -> its unit."""
+
+
 @dataclass(frozen=True)
 class IOData:
     """Input u and output y, both of shape (N,), sampled every dt seconds; MATLAB ``iddata(y, u, dt)``.
+
+    every: one sample here stands for so many of the recording (a message about N samples says so).
 
     Raises InputError for channels of unequal length, samples that are missing (NaN) or infinite, and a dt that is not positive.
     """
@@ -43,6 +63,7 @@ class IOData:
     u_unit: str = ""
     y_unit: str = ""
     source: str = "data"
+    every: int = 1
 
     def __post_init__(self) -> None:
         for name in ("u", "y"):
@@ -65,6 +86,18 @@ class IOData:
             raise InputError(self.source, f"{self.u.size} input and {self.y.size} output samples", "equal numbers")
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InputError(self.source, f"sampling interval {self.dt} s", "a positive number of seconds")
+
+    @classmethod
+    def from_recording(cls, recording: Recording, input_name: str | None = None, output_name: str | None = None) -> IOData:
+        """Two channels of a recording, in SI as it holds them.
+
+        input_name, output_name: a role (``torque``, ``velocity``, ``angle``, ...) or a column of the file, as it stands there;
+        default: the torque, and the velocity where there is one, else the angle. Raises InputError, which lists the columns, for
+        one that is not there, and for missing samples.
+        """
+        names = (input_name or "torque", output_name or ("velocity" if recording.velocity is not None else "angle"))
+        units = [recording.units.get(n) or next((unit for suffix, unit in _SUFFIXES if n.endswith(suffix)), "") for n in names]
+        return cls(*(recording.column(n) for n in names), recording.dt, *names, *units, recording.source)
 
     def _label(self, name: str) -> str:
         return f"{'input' if name == 'u' else 'output'} {getattr(self, name + '_name')}"

@@ -223,7 +223,7 @@ def pem(data: IOData, structure: Structure, options: Options | None = None, star
     ``start``: a further initial value (MATLAB ``bj(data, init_sys)``). Raises InputError for data that cannot carry the model.
     """
     options = options or Options()
-    check_estimation_data(data, structure)
+    check_estimation_data(data, structure, clipping=not options.accept_clipping)
     began = time.perf_counter()
     data = _prefiltered(data, options)
     if options.focus is Focus.SIMULATION and structure.name != "oe":

@@ -18,7 +18,7 @@ rad/s, that is 251 rad/s = 40 Hz.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from numpy.typing import NDArray
@@ -118,7 +118,7 @@ def decimate(data: IOData, decimation: Decimation | None = None) -> IOData:
         return data
     s = d.sections()
     u, y = (_apply(s, x, d.phase, data.source)[:: d.factor] for x in (data.u, data.y))
-    return data.with_signals(u, y, data.dt * d.factor)
+    return replace(data.with_signals(u, y, data.dt * d.factor), every=data.every * d.factor)
 
 
 def shared_filter(

@@ -66,12 +66,14 @@ class Options:
     initial_condition: MATLAB ``InitialCondition``, default 'auto'.
     focus: MATLAB ``Focus``, default 'prediction'.
     prefilter: numerator and denominator in q^-1 of a filter put on both channels first (MATLAB ``WeightingFilter``), or None.
+    accept_clipping: fit an output that sits at its limits for runs of samples too (MATLAB does not look).
     """
 
     initial_condition: InitialCondition = InitialCondition.AUTO
     focus: Focus = Focus.PREDICTION
     prefilter: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     search: SearchOptions = field(default_factory=SearchOptions)
+    accept_clipping: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.initial_condition, InitialCondition):

@@ -51,10 +51,13 @@ left }
 <img alt="Measured and simulated output over time" src="data:image/png;base64,{{ comparison }}">
 <h2>Poles and zeros</h2>
 <img alt="Pole-zero map with 95 % regions" src="data:image/png;base64,{{ polezero }}">
-<table><caption>Natural frequency and damping, by s = ln(z) / dt</caption>
-<tr><th></th><th>z</th><th>frequency [Hz]</th><th>damping ratio</th></tr>
-{% for r in roots %}<tr><td>{{ r.kind }}</td><td>{{ r.z }}</td><td>{{ r.frequency }}</td><td>{{ r.damping }}</td></tr>{% endfor
-%}</table> <h2>Numbers</h2>
+<table><caption>Natural frequency and damping by s = ln(z) / dt, with standard errors</caption>
+<tr><th></th><th>z</th><th>frequency [Hz]</th><th>damping ratio</th><th></th></tr>
+{% for r in roots %}<tr><td>{{ r.kind }}</td><td>{{ r.z }}</td><td>{{ r.frequency }}</td><td>{{ r.damping }}</td>
+<td>{{ r.note }}</td></tr>{% endfor %}</table>
+{% if orders %}<h2>Orders</h2>
+<img alt="Criteria of every order that was tried" src="data:image/png;base64,{{ orders }}">
+{% endif %}<h2>Numbers</h2>
 <div class="wide"><table><caption>Coefficients with standard errors, rising powers of q<sup>-1</sup></caption>
 {% for row in coefficients %}<tr><td>{{ row.name }}</td>{% for c in row.cells %}<td>{{ c }}</td>{% endfor %}</tr>{% endfor
 %}</table></div> <table>{% for name, value in figures %}<tr><td>{{ name }}</td><td>{{ value }}</td></tr>{% endfor %}</table>
@@ -74,9 +77,22 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
+def _with_error(value: float, error: float, form: str) -> str:
+    return f"{value:{form}}" + (f" ± {error:.1g}" if np.isfinite(error) and error > 0 else "")
+
+
 def _root_row(kind: str, r: Root) -> dict[str, str]:
     z = f"{r.z.real:.4f}" if abs(r.z.imag) < 1e-12 else f"{r.z.real:.4f} ± {abs(r.z.imag):.4f}i"
-    return {"kind": kind, "z": z, "frequency": f"{r.frequency_hz:.3g}", "damping": f"{r.damping:.3f}"}
+    note = "outside the unit circle" if abs(r.z) > 1.0 else ""
+    if note and kind == "zero":
+        note = "non-minimum phase"
+    return {
+        "kind": kind,
+        "z": z,
+        "frequency": _with_error(r.frequency_hz, r.frequency_std_hz, ".4g"),
+        "damping": _with_error(r.damping, r.damping_std, ".4f"),
+        "note": note,
+    }
 
 
 def _channel(name: str, unit: str) -> str:
@@ -93,7 +109,7 @@ def render_page(
     images: dict[str, bytes],
     preprocessing: str,
 ) -> str:
-    """The page as text; ``images`` holds bode, residuals, comparison and polezero as PNG bytes."""
+    """The page as text; ``images`` holds bode, residuals, comparison, polezero and, if orders were tried, orders as PNG bytes."""
     from jinja2 import Environment, StrictUndefined
 
     model, data = estimate.model, estimate.data
@@ -139,5 +155,5 @@ def render_page(
         figures=numbers,
         starts=estimate.starts,
         preprocessing=preprocessing,
-        **{name: base64.b64encode(data_).decode() for name, data_ in images.items()},
+        **{"orders": ""} | {name: base64.b64encode(data_).decode() for name, data_ in images.items()},
     )

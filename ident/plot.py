@@ -14,6 +14,7 @@ from ident.residuals import ResidualTests, p_text
 from ident.spectral import SpectralEstimate
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot_bode", "plot_comparison", "plot_orders", "plot_pole_zero", "plot_residuals"]
@@ -155,42 +156,79 @@ def plot_pole_zero(*sets: PoleZero, level: float = 0.95) -> Figure:
 
 
 def plot_orders(selection: OrderSelection) -> Figure:
-    """Loss, AIC and BIC of every structure; the smallest of each marked."""
-    figure = _figure(7.5, 4.2)
-    axis = figure.subplots()
+    """AIC and BIC of every structure, and below the simulation fit on held-out data (the loss where there are none).
+
+    The best by each is ringed; MATLAB's ``selstruc`` picture.
+    """
+    figure = _figure(7.5, 5.4)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     choices = sorted(selection.choices, key=lambda c: (c.structure.n_parameters, c.structure.listed))
     x = np.arange(len(choices))
+
+    def draw(axis: Axes, values: np.ndarray, best: int, style: str, marker: str, label: str) -> None:
+        axis.plot(x, values, color="black", linestyle=style, marker=marker, markersize=4, linewidth=1, label=label)
+        axis.plot(best, values[best], marker=marker, markersize=12, markerfacecolor="none", color="black", linestyle="none")
+        axis.grid(True, color="0.92", linewidth=0.6)
+        axis.set_axisbelow(True)
+
     for key, style, marker in (("bic", "-", "o"), ("aic", "--", "s")):
         values = np.array([getattr(c, key) for c in choices])
-        values = values - values.min()
-        axis.plot(x, values, color="black", linestyle=style, marker=marker, markersize=4, linewidth=1, label=key.upper())
-        best = int(np.argmin(values))
-        axis.plot(best, values[best], marker=marker, markersize=12, markerfacecolor="none", color="black", linestyle="none")
-    axis.set_yscale("symlog", linthresh=10)
-    axis.set_ylim(bottom=-3)
-    axis.set_xticks(x, [" ".join(map(str, c.structure.listed)) for c in choices], rotation=90 if len(x) > 8 else 0, fontsize=8)
-    axis.set_xlabel(f"orders of {choices[0].structure.name}; ringed: smallest")
-    axis.set_ylabel("above the smallest")
-    axis.grid(True, color="0.92", linewidth=0.6)
-    axis.legend(fontsize=8)
+        draw(top, values - values.min(), int(np.argmin(values)), style, marker, key.upper())
+    top.set_yscale("symlog", linthresh=10)
+    top.set_ylim(bottom=-3)
+    top.set_ylabel("above the smallest")
+    top.legend(fontsize=8)
+    fits = np.array([np.nan if c.validation_percent is None else c.validation_percent for c in choices])
+    if np.any(np.isfinite(fits)):
+        draw(bottom, np.maximum(fits, 0.0), int(np.nanargmax(fits)), "-", "D", "held-out")
+        bottom.set_ylabel("simulation fit,\nheld-out data [%]")
+    else:
+        loss = np.array([c.loss for c in choices])
+        draw(bottom, loss, int(np.argmin(loss)), "-", "D", "loss")
+        bottom.set_yscale("log")
+        bottom.set_ylabel("loss (mean of e²)")
+    crowded = len(x) > 8
+    bottom.set_xticks(x, [" ".join(map(str, c.structure.listed)) for c in choices], rotation=90 if crowded else 0, fontsize=8)
+    bottom.set_xlabel(f"orders of {choices[0].structure.name}; ringed: best")
     return figure
 
 
-def plot_comparison(comparison: Comparison, most: int = 2000) -> Figure:
-    """Measured and modelled output over time (at most ``most`` samples are shown, from the start)."""
-    figure = _figure(7.5, 3.6)
-    axis = figure.subplots()
+def plot_comparison(comparison: Comparison, most: int = 20_000) -> Figure:
+    """Measured and modelled output over time, a stretch of it enlarged where it moves most, and what is left over.
+
+    At most ``most`` samples are drawn, from the start.
+    """
+    figure = _figure(7.5, 6.4)
+    axes = figure.subplots(3, 1)
     d = comparison.data
     shown = slice(0, min(len(d), most))
-    axis.plot(d.time[shown], d.y[shown], color="0.6", linewidth=2.2, label="measured")
-    for name, fit, y, style in zip(
+    y = np.asarray(d.y)[shown]
+    width = int(min(y.size, max(40, min(240, y.size // 12))))
+    power = np.convolve((y - y.mean()) ** 2, np.ones(width), "valid")
+    first = int(np.argmax(power))
+    near = slice(first, first + width)
+    unit = f"{d.y_name} [{d.y_unit}]" if d.y_unit else d.y_name
+    for axis, part in ((axes[0], shown), (axes[1], near)):
+        axis.plot(d.time[part], d.y[part], color="0.6", linewidth=2.2 if part is near else 1.0, label="measured")
+    kind = "simulated" if comparison.horizon is None else f"predicted {comparison.horizon} samples ahead"
+    for name, fit, modelled, style in zip(
         comparison.names, comparison.fit_percent, comparison.outputs, _cycle(len(comparison.names)), strict=True
     ):
-        axis.plot(d.time[shown], y[shown], color="black", linestyle=style, linewidth=0.9, label=f"{name}: {fit:.1f} %")
-    kind = "simulated" if comparison.horizon is None else f"{comparison.horizon}-step prediction"
-    axis.set_title(kind, fontsize=10)
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel(f"{d.y_name} [{d.y_unit}]" if d.y_unit else d.y_name)
-    axis.legend(loc="upper right", fontsize=8)
-    axis.grid(True, color="0.92", linewidth=0.6)
+        for axis, part, values in ((axes[0], shown, modelled), (axes[1], near, modelled), (axes[2], shown, d.y - modelled)):
+            line = {"color": "black", "linestyle": style, "linewidth": 1.0 if part is near else 0.5}
+            axis.plot(d.time[part], values[part], label=f"{name}: {fit:.1f} %", **line)
+    if np.all(np.isfinite(comparison.outputs)):
+        reach = max(1.05 * float(np.max(np.abs(y - y.mean()))), 1e-300)
+        axes[2].set_ylim(-reach, reach)
+    axes[0].axvspan(d.time[near.start], d.time[near.stop - 1], color="0.85", linewidth=0, zorder=0)
+    for axis, title in zip(
+        axes, (f"{kind}; grey: enlarged below", "enlarged", "left over, on the scale of the output"), strict=True
+    ):
+        axis.set_title(title, fontsize=9)
+        axis.set_ylabel(unit)
+        axis.grid(True, color="0.92", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.margins(x=0.01)
+    axes[1].legend(loc="upper right", fontsize=8, framealpha=0.95)
+    axes[2].set_xlabel("time [s]")
     return figure

@@ -15,12 +15,18 @@ __all__ = ["PoleZero", "Root", "pole_zero"]
 
 @dataclass(frozen=True)
 class Root:
-    """A root z with the covariance (2, 2) of its real and imaginary part, its frequency [Hz] and damping ratio."""
+    """A root z with the covariance (2, 2) of its real and imaginary part.
+
+    frequency_hz, damping: natural frequency [Hz] and damping ratio of ``s = ln(z) / dt`` (MATLAB ``damp``), with their standard
+    errors frequency_std_hz [Hz] and damping_std by the delta method (zero without a covariance).
+    """
 
     z: complex
     covariance: NDArray
     frequency_hz: float
     damping: float
+    frequency_std_hz: float = 0.0
+    damping_std: float = 0.0
 
     def ellipse(self, level: float = 0.95, points: int = 73) -> NDArray:
         """Outline of the confidence region, complex (points,): chi-square with two degrees of freedom (one for a real root)."""
@@ -60,7 +66,25 @@ def _roots(poly: NDArray, covariance: NDArray | None, monic: bool, dt: float) ->
                 spread = real @ covariance @ real.T
         s = np.log(complex(z)) / dt if z != 0 else complex(-np.inf)
         size = abs(s)
-        out.append(Root(complex(z), frozen(spread), float(size / 2 / np.pi), float(-s.real / size) if 0 < size < np.inf else 1.0))
+        if not 0 < size < np.inf:
+            out.append(Root(complex(z), frozen(spread), float(size / 2 / np.pi), 1.0))
+            continue
+        # d s = d z / (z dt); with s = x + i w: d abs(s) = (x dx + w dw) / abs(s), d zeta = -dx / abs(s) + x d abs(s) / abs(s)^2
+        turn = 1.0 / (complex(z) * dt)
+        move = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]]) @ spread
+        move = move @ np.array([[turn.real, -turn.imag], [turn.imag, turn.real]]).T
+        d_size = np.array([s.real, s.imag]) / size
+        d_damping = np.array([-1.0 / size, 0.0]) + s.real / size**2 * d_size
+        out.append(
+            Root(
+                complex(z),
+                frozen(spread),
+                float(size / 2 / np.pi),
+                float(-s.real / size),
+                float(np.sqrt(max(d_size @ move @ d_size, 0.0)) / 2 / np.pi),
+                float(np.sqrt(max(d_damping @ move @ d_damping, 0.0))),
+            )
+        )
     return tuple(sorted(out, key=lambda r: (r.frequency_hz, r.z.imag)))
 
 

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ident.data import IOData
 from ident.estimate import Estimate
 from mjsim.errors import InputError
 
-__all__ = ["Quality", "fit_percent", "nrmse", "quality"]
+__all__ = ["Quality", "fit_percent", "input_effect_p", "nrmse", "quality"]
+
+EFFECT_LAGS = 30
+"""Lags of either channel in the regression by which the input's effect is tested."""
 
 
 def nrmse(measured: ArrayLike, modelled: ArrayLike) -> float:
@@ -63,3 +67,28 @@ def quality(estimate: Estimate) -> Quality:
     simulation = simulated(estimate.model, estimate.data)
     sim = fit_percent(y, simulation) if np.all(np.isfinite(simulation)) else float("-inf")
     return Quality(fit_percent(y, y - estimate.residuals), sim, estimate.loss, float(fpe), float(aic), float(bic), float(naic))
+
+
+def input_effect_p(data: IOData) -> float:
+    """p value of "the input does nothing to the output": F test of the lags of u (from 0 on) in a high-order ARX model.
+
+    The lags of y take up noise of any colour, so the test holds its size where the residual tests have nothing to test
+    (Granger, Econometrica 37, 1969). Directions in which u has no power do not count.
+    """
+    from scipy.stats import f as f_distribution
+
+    from ident.kernel import factor_lags
+
+    n = len(data)
+    lags = min(EFFECT_LAGS, n // 20)
+    y, u = np.asarray(data.y) - np.mean(data.y), np.asarray(data.u) - np.mean(data.u)
+    y, u = y / (np.std(y) or 1.0), u / (np.std(u) or 1.0)
+    r = factor_lags(np.stack([y, u]), np.ones(2), np.array([1, 0]), np.array([lags, lags + 1]), y, lags)
+    block, target = r[lags:-1, lags:-1], r[lags:-1, -1]
+    left, values, _ = np.linalg.svd(block)
+    keep = values > 1e-6 * values[0]
+    rank = int(keep.sum())
+    explained = float(np.sum((left[:, keep].T @ target) ** 2))
+    rest = float(target @ target) - explained + float(r[-1, -1] ** 2)
+    free = n - 2 * lags - rank
+    return float(f_distribution.sf(explained / rank / max(rest / free, 1e-300), rank, free)) if free > 0 else 0.0

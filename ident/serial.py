@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,13 @@ import numpy as np
 from ident.bode import bode
 from ident.estimate import Estimate
 from ident.model import PolyModel
+from ident.polezero import Root, pole_zero
 from ident.quality import quality
 from ident.residuals import ResidualTests, residual_tests
 from ident.structure import Structure
 from mjsim.errors import InputError
 
-__all__ = ["from_json", "load", "model_from_dict", "model_to_dict", "save", "to_dict", "write_atomic"]
+__all__ = ["from_json", "load", "model_from_dict", "model_to_dict", "save", "to_dict", "write_atomic", "write_set"]
 
 
 def _clean(value: Any) -> Any:
@@ -80,12 +83,25 @@ def tests_to_dict(t: ResidualTests) -> dict[str, Any]:
     )
 
 
+def _root(r: Root) -> dict[str, Any]:
+    return {
+        "re": r.z.real,
+        "im": r.z.imag,
+        "covariance": r.covariance,
+        "frequency_hz": r.frequency_hz,
+        "frequency_std_hz": r.frequency_std_hz,
+        "damping": r.damping,
+        "damping_std": r.damping_std,
+    }
+
+
 def to_dict(estimate: Estimate, tests: ResidualTests | None = None) -> dict[str, Any]:
     """Everything that ``identification.json`` holds."""
     tests = tests or residual_tests(estimate)
     q = quality(estimate)
     response = bode(estimate.model)
     low, high = response.magnitude_db_interval()
+    roots = pole_zero(estimate.model)
     phase_low, phase_high = response.phase_deg_interval()
     out = model_to_dict(estimate.model) | {
         "fit_percent": q.fit_percent,
@@ -109,6 +125,8 @@ def to_dict(estimate: Estimate, tests: ResidualTests | None = None) -> dict[str,
                 {"kind": e.kind, "frequency_hz": e.frequency_hz, "magnitude_db": e.magnitude_db} for e in response.extrema()
             ],
         },
+        "poles": [_root(r) for r in roots.poles],
+        "zeros": [_root(r) for r in roots.zeros],
         "input": {"name": estimate.data.u_name, "unit": estimate.data.u_unit},
         "output": {"name": estimate.data.y_name, "unit": estimate.data.y_unit},
         "source": estimate.data.source,
@@ -126,6 +144,51 @@ def write_atomic(path: Path, content: str | bytes) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_set(contents: Mapping[Path, str | bytes]) -> None:
+    """Write files that belong together: all of them, or none.
+
+    Every file is written under a temporary name beside its place first, then all are renamed. What stood there before is moved
+    aside and comes back when anything fails, Ctrl-C included; folders that were made are then taken away again. Raises OSError.
+    """
+    tag = f"{os.getpid()}"
+    staged: list[tuple[Path, Path]] = []
+    aside: list[tuple[Path, Path]] = []
+    placed: list[Path] = []
+    made: list[Path] = []
+    try:
+        for path, content in contents.items():
+            missing = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made += reversed(missing)
+            temporary = path.with_name(f".{path.name}.{tag}.part")
+            staged.append((temporary, path))
+            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        for temporary, path in staged:
+            if path.exists():
+                old = path.with_name(f".{path.name}.{tag}.old")
+                aside.append((old, path))
+                path.replace(old)
+            placed.append(path)
+            temporary.replace(path)
+    except BaseException:
+        for path in placed:
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+        for old, path in aside:
+            with contextlib.suppress(OSError):
+                old.replace(path)
+        for temporary, _ in staged:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        for folder in reversed(made):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
+    for old, _ in aside:
+        with contextlib.suppress(OSError):
+            old.unlink()
 
 
 def save(estimate: Estimate | PolyModel, path: str | Path) -> None:

@@ -9,11 +9,19 @@ import numpy as np
 
 from ident.checks import missing_bands
 from ident.estimate import Estimate, Status, pem
-from ident.quality import Quality, quality
+from ident.quality import Quality, input_effect_p, quality
 from ident.residuals import ResidualTests, p_text, residual_tests
 from mjsim.errors import InputError
 
 __all__ = ["Grade", "Verdict", "alternative", "excited_band", "judge"]
+
+
+SURE = 0.01
+"""p value below which the input is said to have an effect."""
+NOISY = 50.0
+"""Simulation fit [%] below which a good model's output is mostly noise."""
+CLOSE = 80.0
+"""Simulation fit [%] from which a model with dependent residuals is still usable."""
 
 
 class Grade(Enum):
@@ -27,6 +35,8 @@ class Grade(Enum):
     """The model follows the data closely, yet the residuals still hold something of the input."""
     POOR = "poor"
     """The model does not describe the data."""
+    NO_EFFECT = "no effect of the input"
+    """The data do not show that the input does anything to the output."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,7 @@ def alternative(estimate: Estimate, figures: Quality) -> str | None:
 
 
 def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quality | None = None) -> Verdict:
-    """Weigh residual tests, fit and the end of the search.
+    """Weigh the input's effect, residual tests, fit and the end of the search.
 
     The fit that counts is the simulation's: one-step prediction is close to the data for any model when they are sampled fast.
     """
@@ -81,15 +91,22 @@ def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quali
     unexplained = 100 * min(1.0, max(0.0, 1 - fit / 100) ** 2) if np.isfinite(fit) else 100.0
     s = estimate.model.structure
     words: list[str] = []
-    if tests.independent and tests.white:
+    effect_p = input_effect_p(estimate.data)
+    if effect_p > SURE:
+        grade = Grade.NO_EFFECT
+        words.append(
+            f"The data do not show that the input does anything to the output ({p_text(effect_p)}): this is no model of a plant. "
+            "Check that the right columns were taken, or record with more amplitude or for longer."
+        )
+    elif tests.independent and tests.white:
         grade = Grade.GOOD
         words.append(f"The model is good: {s} describes the data to within noise.")
-    elif tests.independent:
+    elif tests.independent and fit > 0.0:
         grade = Grade.PLANT_GOOD
         words.append(
             "The plant model is good, the noise model is not complete: the residuals are free of the input, but not white."
         )
-    elif fit >= 80.0:
+    elif fit >= CLOSE:
         grade = Grade.INCOMPLETE
         words.append(
             "The model is usable with care: it follows the data, but the residuals still depend on the input, so something "
@@ -98,6 +115,8 @@ def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quali
     else:
         grade = Grade.POOR
         words.append("The model is poor: much of what the input does to the output is not in it.")
+    if grade in (Grade.GOOD, Grade.PLANT_GOOD) and fit < NOISY:
+        words.append("Most of the output is noise: the plant is known no better than the bands say.")
     words.append(
         f"Simulated from the input alone, it reproduces {fit:.1f} % of the output (NRMSE fit; {unexplained:.2g} % of the "
         f"output's variance is left over); predicted one step ahead, {q.fit_percent:.4g} %."
@@ -118,7 +137,7 @@ def judge(estimate: Estimate, tests: ResidualTests | None = None, figures: Quali
         )
     if tests.mean_p < 0.001:
         words.append("The residuals have an offset: remove the means first (--detrend mean).")
-    trusted = tests.independent and tests.white and estimate.status is not Status.ITERATION_LIMIT
+    trusted = grade is Grade.GOOD and estimate.status is not Status.ITERATION_LIMIT
     words.append(
         "The confidence bands may be believed."
         if trusted

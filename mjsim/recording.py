@@ -25,6 +25,7 @@ from mjsim.readers import read_table
 __all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "load"]
 
 DEFAULT_COLUMNS = {"time": "time_s", "torque": "torque_Nm", "velocity": "velocity_rad_s", "angle": "angle_rad"}
+DEFAULT_UNITS = {"time": "s", "torque": "Nm", "velocity": "rad/s", "angle": "rad"}
 
 # unit -> (factor to SI, what it measures)
 UNITS: dict[str, tuple[float, str]] = {
@@ -37,6 +38,13 @@ UNITS: dict[str, tuple[float, str]] = {
     "N": (1.0, "torque"), "kN": (1e3, "torque"),
     "V": (math.nan, "torque"), "A": (math.nan, "torque"), "1": (math.nan, "torque"),
 }  # fmt: skip
+
+SI_UNITS = {
+    "m": "m", "mm": "m", "um": "m", "m/s": "m/s", "mm/s": "m/s", "N": "N", "kN": "N", "V": "", "A": "", "1": "",
+    "Nm": "Nm", "N m": "Nm", "mNm": "Nm", "kNm": "Nm", "rad/s": "rad/s", "deg/s": "rad/s", "rpm": "rad/s",
+    "rad": "rad", "deg": "rad", "rev": "rad", "mrad": "rad", "s": "s", "ms": "s", "us": "s", "ns": "s",
+}  # fmt: skip
+"""Unit of a binding -> that of the values once they are in SI; empty where the gain decides (newton or newton metre)."""
 
 
 @dataclass(frozen=True)
@@ -169,8 +177,8 @@ class Recording:
     """One experiment on one axis, sampled uniformly; arrays (N,) are read-only and in SI.
 
     time [s]; torque: commanded input [N m | N]; velocity [rad/s | m/s] and angle [rad | m] of body 0, either may be None;
-    columns: every numeric column as it stands in the file; dt [s]; source: file name; sha256 of the file; loop, judge: what the
-    binding states.
+    columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...) where the binding
+    tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states.
     """
 
     time: np.ndarray
@@ -186,6 +194,7 @@ class Recording:
     loop: str | None = None
     judge: str | None = None
     varies: tuple[str, ...] = ()
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -198,7 +207,8 @@ class Recording:
                 raise ValueError(f"{name} has shape {array.shape}; expected ({n},)")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+        for name in ("columns", "units"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -284,12 +294,15 @@ def load(path: str | Path, *, model: str | Path | None = None, binding: Binding 
                 path, f"{role} is not finite in {_row(path, bad[0])}", "a number", "remove or interpolate these samples"
             )
     dt = _sample_time(path, arrays["time"])
+    units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
+    if is_default:
+        units = dict(DEFAULT_UNITS)
     flat = {k: v for k, v in table.items() if v.ndim == 1 and len(v) == count}
     return Recording(
         time=arrays["time"], torque=arrays["torque"], velocity=arrays.get("velocity"), angle=arrays.get("angle"), dt=dt,
         source=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest(), columns=flat,
         second_angle=arrays.get("second_angle"), second_velocity=arrays.get("second_velocity"),
-        loop=binding.loop, judge=binding.judge, varies=binding.varies,
+        loop=binding.loop, judge=binding.judge, varies=binding.varies, units=units,
     )  # fmt: skip
 
 

@@ -16,18 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_UNITS = {"torque": "Nm", "velocity": "rad/s", "angle": "rad"}
-_SUFFIXES = (
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_Nm", "Nm"),
-    ("_N", "N"),
-    ("_rad", "rad"),
-    ("_deg", "deg"),
-    ("_m", "m"),
-    ("_V", "V"),
-    ("_A", "A"),
-)
+MOST_ORDERS = 20
 
 
 def _orders(text: str) -> tuple[int, int, int, int, int]:
@@ -54,31 +43,30 @@ def _cutoff(text: str) -> float | None:
     return value
 
 
-def _unit(name: str) -> str:
-    return _UNITS.get(name) or next((unit for suffix, unit in _SUFFIXES if name.endswith(suffix)), "")
+def _scan(text: str) -> range:
+    parts = text.split(":")
+    try:
+        low, high = (int(p) for p in parts)
+    except ValueError:
+        low, high = 0, 0
+    if not 1 <= low <= high <= MOST_ORDERS:
+        raise InputError("--scan", repr(text), f"two whole numbers LOW:HIGH from 1 to {MOST_ORDERS}, such as 2:8")
+    return range(low, high + 1)
 
 
-def _read(path: Path, input_column: str | None, output_column: str | None) -> IOData:
-    """The two channels of a recording, checked for clipping before any filter hides it."""
-    from ident.checks import check_clipping
-    from ident.data import IOData
-    from mjsim.recording import load
+def _held(data: IOData) -> list[str]:
+    """A sentence for each channel that stands still as if samples had been lost."""
+    from ident.checks import held_stretch
 
-    recording = load(path)
-    name_in = input_column or "torque"
-    name_out = output_column or ("velocity" if recording.velocity is not None else "angle")
-    data = IOData(
-        recording.column(name_in),
-        recording.column(name_out),
-        recording.dt,
-        name_in,
-        name_out,
-        _unit(name_in),
-        _unit(name_out),
-        recording.source,
-    )
-    check_clipping(data)
-    return data
+    out = []
+    for x, name in ((data.u, data.u_name), (data.y, data.y_name)):
+        if (found := held_stretch(x)) is not None:
+            first, count = found
+            out.append(
+                f"In {data.source} {name} holds one value for {count} samples from sample {first + 1} on, "
+                "and else never repeats: if samples were lost there, cut the record."
+            )
+    return out
 
 
 @click.command("identify", short_help="Filter, decimate and fit a Box-Jenkins model to a recording.")
@@ -96,6 +84,22 @@ def _read(path: Path, input_column: str | None, output_column: str | None) -> IO
     "--detrend", type=click.Choice(["none", "mean", "linear"]), default="none", show_default=True, help="Taken off both channels."
 )
 @click.option("--validate", type=click.Path(path_type=Path), metavar="RECORDING", help="Another recording to simulate.")
+@click.option(
+    "--scan", metavar="LOW:HIGH", help="Try N,N,N,N,NK for every N of the range, take the one with the smallest BIC; orders.png."
+)
+@click.option(
+    "--level", type=click.Path(path_type=Path), metavar="RECORDING", help="The same excitation at another level: is it linear?"
+)
+@click.option(
+    "--model", type=click.Path(path_type=Path), metavar="MODEL", help="A machine's model, whose TOML names the columns."
+)
+@click.option(
+    "--clipping",
+    type=click.Choice(["refuse", "accept"]),
+    default="refuse",
+    show_default=True,
+    help="Of a channel that sits at its limit.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json on standard output.")
 def command(
     recording: Path,
@@ -108,49 +112,82 @@ def command(
     phase: str,
     detrend: str,
     validate: Path | None,
+    scan: str | None,
+    level: Path | None,
+    model: Path | None,
+    clipping: str,
     as_json: bool,
 ) -> None:
     """Fit a Box-Jenkins model to RECORDING and say whether it is good.
 
     The recording is decimated (anti-alias filter), both channels are low-passed alike (order 8),
     then y = B/F u + C/D e is fitted.
-    Writes identification.json, bode.png, residuals.png and identification.html.
+    Writes identification.json, bode.png, residuals.png and identification.html, all or none.
 
     Example: simgap identify log.csv --out identified/
     """
     wanted, edge = _orders(orders), _cutoff(cutoff)
+    grid = _scan(scan) if scan else None
     from ident.bode import bode
-    from ident.data import Detrend
+    from ident.checks import check_recording
+    from ident.data import Detrend, IOData
     from ident.estimate import bj
     from ident.filter import Decimation, LowPass, Phase, shared_filter
+    from ident.nonlinearity import amplitude_test
+    from ident.options import Options
+    from ident.order import select_order
     from ident.page import png, render_page
-    from ident.plot import plot_bode, plot_comparison, plot_pole_zero, plot_residuals
+    from ident.plot import plot_bode, plot_comparison, plot_orders, plot_pole_zero, plot_residuals
     from ident.polezero import pole_zero
     from ident.predict import compare
     from ident.quality import quality
     from ident.residuals import residual_tests
-    from ident.serial import to_dict, write_atomic
+    from ident.serial import to_dict, write_set
     from ident.spectral import spectral
+    from ident.structure import Structure
     from ident.verdict import Grade, alternative, excited_band, judge
+    from mjsim.recording import load
 
     decimation = Decimation(factor)
     low = None if edge is None else LowPass(8, edge, Phase(phase))
-
-    def prepared(path: Path) -> IOData:
-        raw = _read(path, input_column, output_column).detrended(Detrend(detrend))
-        return shared_filter(raw, decimation, low, filtered=low is not None)
-
-    data = prepared(recording)
-    held_out = prepared(validate) if validate else None
+    structure = Structure.bj(*wanted)
+    accept = clipping == "accept"
+    options = Options(accept_clipping=accept)
     if out.exists() and not out.is_dir():
         raise InputError(out, "it is a file", "a folder", "name another --out")
-    estimate = bj(data, wanted)
+
+    def read(path: Path) -> IOData:
+        raw = IOData.from_recording(load(path, model=model), input_column, output_column)
+        check_recording(raw, structure, decimation.factor, clipping=not accept)
+        return raw
+
+    def prepared(raw: IOData) -> IOData:
+        return shared_filter(raw.detrended(Detrend(detrend)), decimation, low, filtered=low is not None)
+
+    raw = read(recording)
+    data = prepared(raw)
+    held_out = prepared(read(validate)) if validate else None
+    other = prepared(read(level)) if level else None
+    selection = None
+    if grid is not None:
+        selection = select_order(data, [Structure.bj(n, n, n, n, wanted[4]) for n in grid], options, held_out)
+        estimate = selection.best.estimate
+    else:
+        estimate = bj(data, wanted, options)
     tests, figures = residual_tests(estimate), quality(estimate)
     verdict = judge(estimate, tests, figures)
-    if verdict.grade is not Grade.GOOD and (hint := alternative(estimate, figures)):
-        verdict = replace(verdict, sentences=(*verdict.sentences, hint))
+    sentences = [*verdict.sentences, *_held(raw)]
+    if verdict.grade not in (Grade.GOOD, Grade.NO_EFFECT) and (hint := alternative(estimate, figures)):
+        sentences.append(hint)
+    nonlinear = None
+    if other is not None:
+        quiet, loud = sorted((data, other), key=lambda d: float(d.u.std()))
+        nonlinear = amplitude_test(quiet, loud)
+        sentences.append(f"Against {other.source}: {nonlinear.sentence}")
+    verdict = replace(verdict, sentences=tuple(sentences))
     response, roots = bode(estimate.model), pole_zero(estimate.model)
-    comparison = compare(held_out or data, {str(estimate.model.structure): estimate.model})
+    name = str(estimate.model.structure)
+    comparison = compare(held_out or data, {name: estimate.model})
     steps = [f"decimated by {factor} (Chebyshev I, order 8, 0.05 dB, zero phase)" if factor > 1 else "not decimated"]
     steps.append(
         f"low-pass Butterworth order 8 at {edge:g} of Nyquist ({edge * data.nyquist_hz:.4g} Hz), {phase}"
@@ -162,22 +199,43 @@ def command(
     band = excited_band(estimate)
     check = spectral(data) if len(data) >= 64 else None
     images = {
-        "bode": png(plot_bode({str(estimate.model.structure): response}, check, band, unit)),
+        "bode": png(plot_bode({name: response}, check, band, unit)),
         "residuals": png(plot_residuals(tests)),
         "comparison": png(plot_comparison(comparison)),
         "polezero": png(plot_pole_zero(roots)),
     }
+    if selection is not None:
+        images["orders"] = png(plot_orders(selection))
     values = to_dict(estimate, tests) | {"verdict": {"grade": verdict.grade.name.lower(), "sentences": list(verdict.sentences)}}
     values["preprocessing"] = steps
     if held_out is not None:
         values["validation"] = {"source": held_out.source, "simulation_fit_percent": comparison.fit_percent[0]}
+    if nonlinear is not None and other is not None:
+        values["amplitude_test"] = {
+            "source": other.source,
+            "nonlinear": nonlinear.nonlinear,
+            "p_value": nonlinear.p_value,
+            "false_alarm_rate": nonlinear.false_alarm_rate,
+            "frequency_hz": nonlinear.frequency_hz.tolist(),
+            "change_db": nonlinear.change_db.tolist(),
+        }
+    if selection is not None:
+        values["orders_tried"] = [
+            {
+                "orders": list(c.structure.listed),
+                "loss": c.loss,
+                "aic": c.aic,
+                "bic": c.bic,
+                "held_out_percent": c.validation_percent,
+            }
+            for c in selection.choices
+        ]
     text = json.dumps(values, indent=1) + "\n"
     page = render_page(estimate, verdict, response, roots, figures, comparison, images, "; ".join(steps))
+    files: dict[Path, str | bytes] = {out / f"{n}.png": images[n] for n in ("bode", "residuals", "orders") if n in images}
+    files |= {out / "identification.html": page, out / "identification.json": text}
     try:
-        write_atomic(out / "bode.png", images["bode"])
-        write_atomic(out / "residuals.png", images["residuals"])
-        write_atomic(out / "identification.html", page)
-        write_atomic(out / "identification.json", text)
+        write_set(files)
     except OSError as error:
         raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None
     if as_json:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
 
 from ident import (
     Decimation,
@@ -16,10 +19,12 @@ from ident import (
     bode,
     check_residuals,
     compare,
+    decimate,
     oe,
     predicted,
     spectral,
 )
+from ident.checks import check_clipping, check_diverging, check_recording, held_stretch
 from mjsim.errors import InputError
 
 rng = np.random.default_rng(0)
@@ -97,3 +102,71 @@ def test_uses_out_of_range():
     one_line(lambda: compare(IOData(U, U, 0.02), {"m": model}), "sampling interval")
     one_line(lambda: spectral(IOData(U, U, 0.01), 400), "window")
     assert check_residuals(U, np.ones(500)).lags == 25
+
+
+def chirp_record(n=4000, dt=0.005, seed=0):
+    t = dt * np.arange(n)
+    u = signal.chirp(t, 0.5, t[-1], 30)
+    return u, signal.lfilter([0.1], [1, -0.9], u) + 0.01 * np.random.default_rng(seed).standard_normal(n)
+
+
+BJ5 = Structure.bj(5, 5, 5, 5, 1)
+
+
+def test_a_recording_is_judged_before_a_filter_hides_what_it_lacks():
+    u, y = chirp_record()
+    one_line(lambda: check_recording(IOData(np.ones_like(u), y, 0.005), BJ5), "input u is constant (1)")
+    one_line(lambda: check_recording(IOData(u, np.full_like(y, 3.0), 0.005), BJ5), "output y is constant (3)")
+    one_line(lambda: check_recording(IOData(u, y, 0.005), BJ5, 100), "40 samples (every 100th of the recording)")
+    t = 0.005 * np.arange(u.size)
+    three = sum(np.sin(2 * np.pi * f * t) for f in (3, 7, 11))
+    one_line(lambda: check_recording(IOData(three, y, 0.005), BJ5), "only 6 of the 10", "no power at", "-100 Hz")
+    check_recording(IOData(u, y, 0.005), BJ5)
+
+
+def test_decimated_data_say_what_their_samples_are():
+    u, y = chirp_record(400)
+    one_line(lambda: bj(decimate(IOData(u, y, 0.005)), (5, 5, 5, 5, 1)), "40 samples (every 10th of the recording)")
+
+
+def test_clipped_input_is_refused_and_may_be_accepted():
+    u, y = chirp_record()
+    data = IOData(np.clip(u, -0.6, 0.6), y, 0.005)
+    one_line(lambda: check_recording(data, BJ5), "input u", "limit 0.6", "clipped", "--clipping accept")
+    check_recording(data, BJ5, clipping=False)
+    clipped = IOData(u, np.clip(y, -0.5, 0.5), 0.005)
+    one_line(lambda: oe(clipped, (2, 2, 1)), "output y", "clipped")
+    assert oe(clipped, (2, 2, 1), Options(accept_clipping=True)).loss > 0
+
+
+@pytest.mark.parametrize("levels", [2, 40])
+def test_a_switching_or_staircase_input_is_not_clipped(levels):
+    steps = np.round(rng.uniform(-2, 2, 400), 1) if levels > 2 else np.sign(rng.standard_normal(400))
+    u = np.repeat(steps, 10)
+    check_clipping(IOData(u, chirp_record()[1], 0.005))
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(0.3, 3.0), st.floats(1e-3, 1e3), st.integers(0, 1000))
+def test_growth_is_told_from_a_resonance_reached_at_last(rate, scale, seed):
+    u, y = chirp_record(seed=seed)
+    t = 0.005 * np.arange(u.size)
+    diverging = IOData(u, scale * (y + 1e-3 * np.exp(rate * t)), 0.005)
+    if 1e-3 * np.exp(rate * t[-1]) > 1e3:
+        one_line(lambda: check_diverging(diverging), "unstable", "cut the record before sample")
+    check_diverging(IOData(u, scale * y, 0.005))
+    pole = np.exp((-2 + 2j * np.pi * 30) * 0.005)  # a sharp resonance at the chirp's end
+    ring = signal.lfilter([1.0], np.real(np.poly([pole, pole.conj()])), u)
+    check_diverging(IOData(u, scale * ring, 0.005))
+    check_diverging(IOData(u, scale * np.cumsum(np.cumsum(u + 1.0)), 0.005))  # a ramp's square is no instability
+
+
+def test_a_held_stretch_is_found_where_values_else_never_repeat():
+    _, y = chirp_record()
+    assert held_stretch(y) is None
+    lost = y.copy()
+    lost[700:760] = lost[700]
+    assert held_stretch(lost) == (700, 60)
+    lost[700:760] = 0.0
+    assert held_stretch(lost) is None  # rest
+    assert held_stretch(np.round(y, 1)) is None  # quantised

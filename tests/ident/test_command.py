@@ -68,6 +68,9 @@ def test_json_goes_to_standard_output(log, tmp_path):
         (("--decimate", "0"), "decimation"),
         (("--decimate", "100"), "samples"),
         (("--input", "nothing"), "nothing"),
+        (("--scan", "3"), "LOW:HIGH"),
+        (("--scan", "5:2"), "LOW:HIGH"),
+        (("--level", "none.csv"), "none.csv"),
     ],
 )
 def test_bad_use_is_one_line_and_leaves_nothing(log, tmp_path, args, said):
@@ -82,3 +85,76 @@ def test_a_missing_file_is_one_line(tmp_path):
     result = run(tmp_path / "no.csv", "--out", tmp_path / "out")
     assert isinstance(result.exception, InputError)
     assert "no.csv" in str(result.exception)
+
+
+def test_a_range_of_orders_is_tried_and_pictured(log, tmp_path):
+    out = tmp_path / "out"
+    result = run(log, "--out", out, "--decimate", 1, "--cutoff", "none", "--scan", "1:4")
+    assert result.exit_code == 0, result.output
+    values = json.loads((out / "identification.json").read_text())
+    assert values["orders"] == [2, 2, 2, 2, 1]
+    assert [c["orders"][0] for c in values["orders_tried"]] == [1, 2, 3, 4]
+    assert (out / "orders.png").stat().st_size > 1000
+    assert "<h2>Orders</h2>" in (out / "identification.html").read_text()
+
+
+def test_another_level_answers_whether_it_is_linear(log, tmp_path, bj_truth):
+    data = bj_truth.record(1200, 2)
+    for name, law in (("linear", lambda y: y), ("bent", lambda y: y - 0.3 * np.tanh(y))):
+        quiet = bj_truth.model.simulate(0.5 * data.u) + 0.3 * np.random.default_rng(5).standard_normal(1200)
+        path = tmp_path / f"{name}.csv"
+        table = np.column_stack([data.time, 0.5 * data.u, law(quiet)])
+        np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
+        loud = tmp_path / f"loud_{name}.csv"
+        table = np.column_stack([data.time, data.u, law(data.y)])
+        np.savetxt(loud, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
+        args = ("--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
+        result = run(loud, "--out", tmp_path / name, *args, "--level", path, "--json")
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["amplitude_test"]["nonlinear"] is (name == "bent")
+
+
+def test_a_machines_model_names_the_columns(log, tmp_path):
+    (tmp_path / "sub").mkdir()
+    text = log.read_text().replace("torque_Nm", "force", 1).replace("velocity_rad_s", "speed", 1)
+    other = tmp_path / "sub" / "drive.csv"
+    other.write_text(text)
+    (tmp_path / "machine.toml").write_text(
+        '[recording]\ntime="time_s"\ntorque={column="force",unit="N"}\nvelocity={column="speed",unit="m/s"}\n'
+    )
+    args = ("--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none", "--json")
+    result = run(other, "--out", tmp_path / "out", *args, "--model", tmp_path / "machine.xml")
+    assert json.loads(result.stdout)["output"] == {"name": "velocity", "unit": "m/s"}
+
+
+def test_a_failure_in_the_middle_leaves_no_half_written_set(log, tmp_path, monkeypatch):
+    from pathlib import Path
+
+    out = tmp_path / "out"
+    args = ("--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
+    real, calls = Path.replace, [0]
+
+    def sometimes(self, target):
+        calls[0] += 1
+        if calls[0] == 3:
+            raise OSError(28, "No space left on device")
+        return real(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", sometimes)
+        result = run(log, "--out", out, *args)
+    assert isinstance(result.exception, InputError)
+    assert "No space left" in str(result.exception)
+    assert not out.exists()
+    assert run(log, "--out", out, *args).exit_code == 0
+
+
+def test_lost_samples_are_told(tmp_path, bj_truth):
+    data = bj_truth.record(1200, 1)
+    y = np.array(data.y)
+    y[500:540] = y[500]
+    path = tmp_path / "held.csv"
+    table = np.column_stack([data.time, data.u, y])
+    np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
+    result = run(path, "--out", tmp_path / "out", "--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
+    assert "velocity holds one value for 40 samples from sample 501 on" in result.output
