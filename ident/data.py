@@ -95,9 +95,15 @@ class IOData:
         default: the torque, and the velocity where there is one, else the angle. Raises InputError, which lists the columns, for
         one that is not there, and for missing samples.
         """
-        names = (input_name or "torque", output_name or ("velocity" if recording.velocity is not None else "angle"))
-        units = [recording.units.get(n) or next((unit for suffix, unit in _SUFFIXES if n.endswith(suffix)), "") for n in names]
-        return cls(*(recording.column(n) for n in names), recording.dt, *names, *units, recording.source)
+        into = input_name or "torque"
+        out = output_name or ("velocity" if recording.velocity is not None else "angle")
+
+        def unit(name: str) -> str:
+            return recording.units.get(name) or next((u for suffix, u in _SUFFIXES if name.endswith(suffix)), "")
+
+        return cls(
+            recording.column(into), recording.column(out), recording.dt, into, out, unit(into), unit(out), recording.source
+        )
 
     def _label(self, name: str) -> str:
         return f"{'input' if name == 'u' else 'output'} {getattr(self, name + '_name')}"

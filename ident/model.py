@@ -149,7 +149,11 @@ class PolyModel:
 
     @classmethod
     def from_control(cls, system: Any, noise_variance: float = 0.0) -> PolyModel:
-        """An output-error model from a discrete single-channel ``control`` system (transfer function or state space)."""
+        """An output-error model from a discrete single-channel ``control`` system (transfer function or state space).
+
+        Coefficients below 1e-12 of the largest are what a conversion from state space left by rounding: they count as zero, so
+        that the delay nk comes back. Raises InputError for more channels, no definite dt, or a numerator of higher degree.
+        """
         import control
 
         tf = control.tf(system)
@@ -160,7 +164,9 @@ class PolyModel:
                 "control system", f"dt = {tf.dt}", "a discrete system with its sampling interval", "use control.sample_system"
             )
         num, den = np.asarray(tf.num[0][0], float), np.asarray(tf.den[0][0], float)
-        num, den = num / den[0], den / den[0]
+        num, den = (np.where(np.abs(p) > 1e-12 * np.max(np.abs(p)), p, 0.0) / den[0] for p in (num, den))
+        if np.trim_zeros(num, "f").size > den.size:
+            raise InputError("control system", "a numerator of higher degree than the denominator", "a causal system")
         delay = den.size - np.trim_zeros(num, "f").size
         b = np.trim_zeros(num, "f")
         nb = max(1, np.trim_zeros(b, "b").size)

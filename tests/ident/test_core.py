@@ -189,6 +189,20 @@ def test_a_common_prefilter_leaves_the_plant(bj_truth):
     assert_allclose(plant.F, bj_truth.model.F, atol=0.02)
 
 
+def test_a_box_jenkins_model_ends_no_higher_than_the_output_error_model_in_it():
+    """Oversampled, with white noise: C and D are not needed, cancel, and stalled every start but the nested one."""
+    rng = np.random.default_rng(0)
+    f = np.real(
+        np.poly([0.985, 0.996 * np.exp(0.0785j), 0.996 * np.exp(-0.0785j), 0.995 * np.exp(0.103j), 0.995 * np.exp(-0.103j)])
+    )
+    zeros = [0.9997 * np.exp(s * 0.0537j) for s in (1, -1)] + [0.998 * np.exp(s * 0.0919j) for s in (1, -1)]
+    u = np.repeat(rng.choice([-2.0, 2.0], 1500), 10)
+    x = lfilter(np.r_[0.0, np.real(np.poly(zeros))], f, u)
+    data = IOData(u, x + 0.01 * np.std(x) * rng.standard_normal(u.size), 5e-4)
+    full, plain = bj(data, (5, 5, 5, 5, 1)), oe(data, (5, 5, 1))
+    assert full.loss <= plain.loss
+
+
 def test_scaling_the_data_scales_the_model(bj_truth):
     data = bj_truth.record(800, 15)
     scaled = IOData(1e6 * data.u, 1e-5 * data.y, data.dt)

@@ -104,6 +104,37 @@ def test_residual_tests_hold_their_size_under_the_null():
         assert rejected / trials < 0.025  # 1 % nominal; 99.9 % binomial limit is 2.4 %
 
 
+SLOW = np.real(np.poly([0.98, 0.985 * np.exp(0.05j), 0.985 * np.exp(-0.05j)]))
+"""A plant whose memory is long against the 25 lags of the tests."""
+
+
+def _slow_record(seed, colour, n=3000):
+    rng = np.random.default_rng(seed)
+    u = np.repeat(np.sign(rng.standard_normal(n // 10)), 10)
+    x = signal.lfilter([0, 0.001, 0.002, 0.001], SLOW, u)
+    v = signal.lfilter([1], colour, rng.standard_normal(n))
+    return IOData(u, x + 0.05 * np.std(x) * v / np.std(v), 0.001)
+
+
+@pytest.mark.parametrize(
+    ("colour", "structure"),
+    [([1], Structure.oe(3, 3, 1)), ([1, -0.97], Structure.bj(3, 0, 1, 3, 1)), ([1, -0.97], Structure.oe(3, 3, 1))],
+    ids=["white", "coloured", "coloured, no noise model"],
+)
+def test_independence_holds_its_size_on_the_data_of_the_fit(colour, structure):
+    """Also on a slow plant, and with residuals that are coloured: good plants are not called poor."""
+    tests = [residual_tests(ident.pem(_slow_record(s, colour), structure)) for s in range(150)]
+    assert np.mean([t.independence_p < 0.05 for t in tests]) < 0.12  # 5 % nominal; 99.9 % binomial limit
+    assert np.mean([t.feedback_p < 0.05 for t in tests]) < 0.12
+    if structure.nd or colour == [1]:
+        assert np.mean([t.whiteness_p < 0.05 for t in tests]) < 0.12
+
+
+def test_independence_sees_what_a_slow_model_lacks():
+    found = sum(not residual_tests(ident.pem(_slow_record(s, [1]), Structure.oe(2, 2, 1))).independent for s in range(20))
+    assert found >= 18
+
+
 def test_residual_tests_find_what_is_left():
     rng = np.random.default_rng(6)
     u, e = rng.standard_normal(2000), rng.standard_normal(2000)
@@ -242,6 +273,24 @@ def test_any_model_survives_json_and_control(b, f, nk):
     system = model.to_control()
     assert_allclose(system(np.exp(2j * np.pi * grid * 0.01)), answer, rtol=1e-8, atol=1e-10)
     assert_allclose(PolyModel.from_control(system).frequency_response(grid), answer, rtol=1e-6, atol=1e-9)
+
+
+def test_a_delay_comes_back_from_state_space_and_dt_is_kept():
+    model = PolyModel(Structure.bj(2, 1, 1, 2, 3), 0.005, [1], [1, 0.5], [1, 0.3], [1, -0.2], [1, -1.5, 0.7])
+    for system in (model.to_control(), control.ss(model.to_control())):
+        back = PolyModel.from_control(system)
+        assert (back.structure, back.dt, system.dt) == (Structure.oe(2, 2, 3), 0.005, 0.005)
+        assert_allclose(back.B, model.B, rtol=1e-9)
+    u = np.sign(np.random.default_rng(0).standard_normal(50))
+    again = control.forced_response(model.to_control(), 0.005 * np.arange(50), u)
+    assert_allclose(again.outputs, model.simulate(u), atol=1e-12)
+    z = np.exp(2j * np.pi * np.array([1.0, 40.0]) * 0.005)
+    assert_allclose(model.noise_to_control()(z), model.noise_response([1.0, 40.0]))
+
+
+def test_from_control_wants_a_causal_system():
+    with pytest.raises(InputError, match="causal"):
+        PolyModel.from_control(control.tf([1, 0, 0], [1, 0.5], 0.1))
 
 
 def test_from_control_wants_a_discrete_single_channel_system():
