@@ -19,7 +19,7 @@ from simgap.study.variants import Variant
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Curve", "Picture", "bode_figure", "damping_figure", "ladder_figure", "map_figure", "save", "time_figure"]
+__all__ = ["Curve", "Picture", "bode_figure", "damping_figure", "files", "ladder_figure", "map_figure", "time_figure"]
 
 DASH, DOT, DASH_DOT = (0, (6, 2.2)), (0, (1, 1.6)), (0, (6, 2, 1, 2))
 _STYLE: Any = {
@@ -282,17 +282,17 @@ def damping_figure(name: str, caption: str, study: DampingStudy) -> Picture:
     return Picture(name, caption, figure, {"delay_s": delay, "dg_found": dg, "relative_error": error})
 
 
-def save(picture: Picture, folder: Path) -> None:
-    """PNG, PDF and CSV under the figure's name; nothing half-written stands under a final name."""
-    from ident.serial import write_atomic
-
+def files(picture: Picture, folder: Path) -> dict[Path, str | bytes]:
+    """PNG, PDF and CSV under the figure's name in ``folder``, as contents to be written."""
+    out: dict[Path, str | bytes] = {}
     with _context():
         for kind, meta in (("png", {"Software": None}), ("pdf", {"CreationDate": None, "Producer": None, "Creator": None})):
             buffer = io.BytesIO()
             picture.figure.savefig(buffer, format=kind, metadata=meta)
-            write_atomic(folder / f"{picture.name}.{kind}", buffer.getvalue())
+            out[folder / f"{picture.name}.{kind}"] = buffer.getvalue()
     names = list(picture.data)
     rows = zip(*(picture.data[n] for n in names), strict=True)
     lines = [",".join(names)]
     lines += [",".join(f"{v:.8g}" if isinstance(v, float | np.floating) else str(v) for v in row) for row in rows]
-    write_atomic(folder / f"{picture.name}.csv", "\n".join(lines) + "\n")
+    out[folder / f"{picture.name}.csv"] = "\n".join(lines) + "\n"
+    return out

@@ -74,14 +74,10 @@ def run_study(
     known = sum(store.path(c.inputs()).is_file() for c in wanted)
     say("figure 4", 0, 0)
     robot, robot_results = _robot(store, given)  # first, for a recording may be unusable
-    done = 0
 
-    def tick() -> None:
-        nonlocal done
-        done += 1
+    def tick(done: int) -> None:
         say("simulate, filter, fit", done, len(wanted))
 
-    say("simulate, filter, fit", 0, len(wanted))
     results = compute(wanted, store, jobs, tick)
     say("what the negative damping may stand for", 0, 0)
     damping = _damping(store, quick)
@@ -238,16 +234,20 @@ def _top(torque: np.ndarray, dt: float) -> float:
 
 
 def _write(study: Study, out: Path) -> None:
-    from ident.serial import write_atomic
+    from ident.serial import write_set
     from simgap.study.page import page_html, page_markdown
 
+    contents: dict[Path, str | bytes] = {}
+    for picture in study.pictures:
+        contents |= fig.files(picture, out)
+    if study.robot.truth:
+        contents[out / "figure4_truth.json"] = json.dumps(study.robot.truth, indent=1) + "\n"
+    contents |= {
+        out / "study.md": page_markdown(study),
+        out / "study.html": page_html(study),
+        out / "claims.json": json.dumps(study.claims, indent=1) + "\n",
+    }
     try:
-        for picture in study.pictures:
-            fig.save(picture, out)
-        if study.robot.truth:
-            write_atomic(out / "figure4_truth.json", json.dumps(study.robot.truth, indent=1) + "\n")
-        write_atomic(out / "study.md", page_markdown(study))
-        write_atomic(out / "study.html", page_html(study))
-        write_atomic(out / "claims.json", json.dumps(study.claims, indent=1) + "\n")
+        write_set(contents)
     except OSError as error:
         raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None

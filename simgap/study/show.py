@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,15 +15,44 @@ from simgap.study.run import Study
 __all__ = ["progress", "show", "write_docs"]
 
 
+SPARING = 10.0
+"""Seconds between two lines of one stage, where lines stay."""
+
+
+def _lines() -> Callable[[str, int, int], None]:
+    """A line when the stage changes and otherwise no more than one in a while, with what is left to do."""
+    began = time.monotonic()
+    stage, last, first_done, first_time = "", -SPARING, 0, 0.0
+
+    def tell(text: str, done: int, total: int) -> None:
+        nonlocal stage, last, first_done, first_time
+        now = time.monotonic() - began
+        if text != stage:
+            first_done, first_time = done, now
+        elif now - last < SPARING and done != total:
+            return
+        stage, last = text, now
+        line = f"simgap: {now:4.0f} s  {text}"
+        if total:
+            line += f"  {done} of {total}"
+            if first_done < done < total and now > first_time:
+                line += f", about {(total - done) * (now - first_time) / (done - first_done):.0f} s left"
+        print(line, file=sys.stderr, flush=True)
+
+    return tell
+
+
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar on standard error."""
+    """A bar on standard error; where that is no terminal, a line now and then."""
+    if not sys.stderr.isatty():
+        yield _lines()
+        return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)
 
         def say(text: str, done: int, total: int) -> None:
@@ -50,11 +81,12 @@ def show(study: Study, out: Path) -> None:
 
 def write_docs(study: Study, out: Path, docs: Path) -> None:
     """The ledger as Markdown at ``docs``, its figures in a folder of the same name beside it."""
-    from ident.serial import write_atomic
+    from ident.serial import write_set
 
     try:
-        for picture in study.pictures:
-            write_atomic(docs.with_suffix("") / f"{picture.name}.png", (out / f"{picture.name}.png").read_bytes())
-        write_atomic(docs, page_markdown(study, f"{docs.stem}/"))
+        contents: dict[Path, str | bytes] = {
+            docs.with_suffix("") / f"{p.name}.png": (out / f"{p.name}.png").read_bytes() for p in study.pictures
+        }
+        write_set(contents | {docs: page_markdown(study, f"{docs.stem}/")})
     except OSError as error:
         raise InputError(docs, f"cannot write there ({error.strerror})", "a file that can be written") from None

@@ -92,8 +92,13 @@ class Store:
             return result
 
 
-def compute(cells: Iterable[Cell], store: Store, jobs: int = 1, tick: Callable[[], None] = lambda: None) -> dict[Cell, Result]:
-    """Results of all cells, from the store or new, ``jobs`` side by side; ``tick`` after each. Safe to break off."""
+def compute(
+    cells: Iterable[Cell], store: Store, jobs: int = 1, tick: Callable[[int], None] = lambda done: None
+) -> dict[Cell, Result]:
+    """Results of all cells, from the store or new, ``jobs`` side by side. Safe to break off.
+
+    ``tick``: called with the number of cells there are, first with those that were kept, then after each new one.
+    """
     wanted = list(dict.fromkeys(cells))
     store.open()
     out: dict[Cell, Result] = {}
@@ -101,13 +106,13 @@ def compute(cells: Iterable[Cell], store: Store, jobs: int = 1, tick: Callable[[
         kept = store.get(cell)
         if kept is not None:
             out[cell] = kept
-            tick()
+    tick(len(out))
     left = [c for c in wanted if c not in out]
 
     def keep(cell: Cell, result: Result) -> None:
         store.put(cell, result)
         out[cell] = result
-        tick()
+        tick(len(out))
 
     if jobs <= 1 or len(left) < 2 * jobs:
         for cell in left:

@@ -156,8 +156,8 @@ def test_a_cell_is_kept_resumed_and_told_apart_by_its_inputs(tmp_path: Path) -> 
     cell = Cell("linear", TINY, BETTER)
     store = Store(tmp_path / "cells", "stamp")
     ticks: list[int] = []
-    first = compute([cell, cell], store, tick=lambda: ticks.append(1))[cell]
-    assert len(ticks) == 1
+    first = compute([cell, cell], store, tick=ticks.append)[cell]
+    assert ticks == [0, 1]
     assert store.get(cell) == first
     assert compute([cell], store)[cell] == first
     assert store.get(dataclasses.replace(cell, plant="gap_1")) is None
@@ -259,6 +259,46 @@ def test_bad_recordings_are_one_clear_line(tmp_path: Path) -> None:
 
 def test_data_without_a_model_are_void() -> None:
     assert "constant" in analyse(np.ones(4000), np.zeros(4000), 5e-4, FAITHFUL, "still").void
+
+
+def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from simgap.study import store as module
+
+    cells = [Cell(p, TINY, BETTER) for p in ("linear", "gap_1", "gap_5")]
+    store = Store(tmp_path / "cells", "stamp")
+    real, asked = module.run_cell, []
+
+    def run(cell: Cell) -> Result:
+        asked.append(cell.plant)
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        return real(cell)
+
+    monkeypatch.setattr(module, "run_cell", run)
+    with pytest.raises(KeyboardInterrupt):
+        compute(cells, store)
+    assert len(list(store.folder.iterdir())) == 1
+    ticks: list[int] = []
+    assert set(compute(cells, store, tick=ticks.append)) == set(cells)
+    assert asked == ["linear", "gap_1", "gap_1", "gap_5"]
+    assert ticks == [1, 2, 3]
+
+
+def test_progress_is_told_where_no_terminal_is(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from simgap.study import show
+
+    now = [0.0]
+    monkeypatch.setattr(show.time, "monotonic", lambda: now[0])
+    with show.progress() as say:
+        for done in range(11):
+            say("fit", 50 + done, 60)
+            now[0] += 4.0
+        say("pages", 0, 0)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "simgap:    0 s  fit  50 of 60"
+    assert lines[1] == "simgap:   12 s  fit  53 of 60, about 28 s left"
+    assert lines[-2:] == ["simgap:   40 s  fit  60 of 60", "simgap:   44 s  pages"]
+    assert len(lines) == 6
 
 
 @pytest.mark.slow
