@@ -1,12 +1,15 @@
-"""What the estimator promises about itself: coverage of its bands, the Cramer-Rao bound, time and memory over N.
+"""What the estimator promises about itself: coverage of its bands, the Cramer-Rao bound, false alarms, time and memory over N.
 
     OMP_NUM_THREADS=1 python benchmarks/ident_statistics.py coverage --seeds 400
     OMP_NUM_THREADS=1 python benchmarks/ident_statistics.py bound --seeds 2000
+    OMP_NUM_THREADS=1 python benchmarks/ident_statistics.py alarms --seeds 1000
     OMP_NUM_THREADS=1 python benchmarks/ident_statistics.py scaling
 
 coverage: share of (seed, frequency) at which the 95 % magnitude band holds the truth, N = 4000.
 bound: variance of each coefficient over seeds against the Cramer-Rao bound at the true coefficients (Gauss-Newton Hessian at the
 truth over a record of the same length, mean over 20 records; Gaussian noise, so that the bound is s^2 (J'J)^-1).
+alarms: how often the residual tests reject complete models, and the nonlinearity tests linear systems, at 1 and 5 %: each
+system with white and coloured noise; detection lines on six periods of a multisine, the amplitude test on two chirps.
 scaling: seconds and peak memory per fit from 1e3 to 1e6 samples, five orders each, after warm-up.
 """
 
@@ -18,8 +21,9 @@ import time
 
 import numpy as np
 from ident_systems import SYSTEMS, System
+from scipy.signal import lfilter
 
-from ident import IOData, bj, bode
+from ident import IOData, amplitude_test, bj, bode, detection_lines, odd_multisine, residual_tests
 from ident.search import factor, residual
 
 
@@ -78,6 +82,43 @@ def bound(systems: list[System], seeds: int, n: int) -> None:
         )
 
 
+COLOURS = {"white": ([1], [1]), "slow": ([1], [1, -0.9]), "peaked": ([1], [1, -1.8 * np.cos(0.9), 0.81])}
+LEVELS = (0.01, 0.05)
+
+
+def alarms(systems: list[System], seeds: int, n: int) -> None:
+    def show(name: str, what: str, p: list[float]) -> None:
+        rates = "".join(f"{100 * np.mean(np.array(p) < level):9.2f} %" for level in LEVELS)
+        print(f"{name:8s} {what:34s} {len(p):6d}{rates}", flush=True)
+
+    print(f"{'system':8s} {'test':34s} {'runs':>6s}" + "".join(f"{f'at {100 * x:g} %':>11s}" for x in LEVELS))
+    for s in systems:
+        white, independent = [], []
+        for seed in range(seeds):
+            u, y, _ = s.record(30_000 + seed, n)
+            tests = residual_tests(bj(IOData(u, y, s.dt), s.orders))
+            white.append(tests.whiteness_p)
+            independent.append(tests.independence_p)
+        show(s.name, "whiteness of the residuals", white)
+        show(s.name, "independence of the input", independent)
+        for colour, (num, den) in COLOURS.items():
+            lines, levels = [], []
+            for seed in range(seeds):
+                rng = np.random.default_rng(40_000 + seed)
+
+                def noisy(u: np.ndarray, rng: np.random.Generator = rng) -> IOData:
+                    y = lfilter(np.r_[0.0, s.B], s.F, u)  # noqa: B023
+                    v = lfilter(num, den, rng.standard_normal(u.size))  # noqa: B023
+                    return IOData(u, y + 0.1 * np.std(y) * v / np.std(v), s.dt)  # noqa: B023
+
+                m = odd_multisine(1000, s.dt, (0.0025 / s.dt, 0.2 / s.dt), 1.0, rng)
+                lines.append(detection_lines(noisy(m.repeated(7)), m).p_value)
+                chirp = np.sin(np.pi * np.arange(n) ** 2 * 0.15 / n)
+                levels.append(amplitude_test(noisy(0.5 * chirp), noisy(2.0 * chirp)).p_value)
+            show(s.name, f"detection lines, {colour} noise", lines)
+            show(s.name, f"amplitude test, {colour} noise", levels)
+
+
 def scaling() -> None:
     s = SYSTEMS["axis"]
     bj(IOData(*s.record(0, 1000)[:2], s.dt), s.orders)
@@ -97,7 +138,7 @@ def scaling() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["coverage", "bound", "scaling"])
+    parser.add_argument("what", choices=["coverage", "bound", "alarms", "scaling"])
     parser.add_argument("--seeds", type=int, default=400)
     parser.add_argument("--samples", type=int, default=4000)
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=list(SYSTEMS))
@@ -106,7 +147,7 @@ def main() -> None:
     if args.what == "scaling":
         scaling()
     else:
-        {"coverage": coverage, "bound": bound}[args.what](systems, args.seeds, args.samples)
+        {"coverage": coverage, "bound": bound, "alarms": alarms}[args.what](systems, args.seeds, args.samples)
 
 
 if __name__ == "__main__":

@@ -18,12 +18,19 @@ __all__ = [
     "check_moving",
     "check_recording",
     "excited_bins",
+    "excited_directions",
     "held_stretch",
     "missing_bands",
 ]
 
 CONSTANT = 1e-14
 """Range relative to its size below which a channel is constant."""
+WELL_CONDITIONED = 1e-5
+"""Relative size above which a direction of the input's lags counts, whatever its spectrum."""
+LINE_FLOOR = 1e-7
+"""Power relative to the largest line's above which a bin counts as excited; the window's sidelobes lie below 1e-9."""
+BINS_PER_LINE = 7
+"""Bins above the floor under one sine."""
 FEW_LEVELS = 12
 """A channel of fewer distinct values is a switching or coarsely quantised signal."""
 HELD_SAMPLES = 10
@@ -57,12 +64,23 @@ def missing_bands(u: NDArray, dt: float, floor: float = 1e-6) -> list[tuple[floa
     return bands
 
 
-def _rank(u: NDArray, order: int) -> int:
-    """Order of persistent excitation up to ``order``: numerical rank of the covariance of ``order`` lags of u."""
+def excited_directions(u: NDArray, order: int) -> int:
+    """How many coefficients of a model the input can tell apart, at most ``order``: its order of persistent excitation.
+
+    The larger of two counts. The rank of the covariance of ``order`` lags of u, down to ``WELL_CONDITIONED``: enough for any
+    broadband input. And two for every spectral line, a line being as wide as a sine's under a Blackman-Harris window: a chirp
+    sampled fast has lags that are nearly alike, but power at hundreds of lines; three sines have six directions, however finely
+    they are printed.
+    """
+    from scipy.signal.windows import blackmanharris
+
     n = u.size
     columns = np.stack([u[order - i : n - i] for i in range(order)])
-    values = np.linalg.eigvalsh(columns @ columns.T)
-    return int(np.sum(values > 1e-14 * max(float(values[-1]), 1e-300)))
+    values = np.sqrt(np.maximum(np.linalg.eigvalsh(columns @ columns.T), 0.0))
+    rank = int(np.sum(values > WELL_CONDITIONED * max(float(values[-1]), 1e-300)))
+    power = np.abs(np.fft.rfft((u - u.mean()) * blackmanharris(n))) ** 2
+    lines = int(np.sum(power > LINE_FLOOR * max(float(power.max()), 1e-300))) / BINS_PER_LINE
+    return min(order, max(rank, 2 * int(lines + 0.5)))
 
 
 def check_moving(data: IOData) -> None:
@@ -194,7 +212,7 @@ def _check_length(data: IOData, n: int, s: Structure) -> None:
 
 def _check_excitation(data: IOData, u: NDArray, s: Structure) -> None:
     order = min(s.nb + s.na + s.nf, u.size // 3)
-    rank = _rank(u, order)
+    rank = excited_directions(u, order)
     if rank < order:
         bands = missing_bands(u, data.dt * (len(data) / u.size))
         where = ", ".join(f"{low:.3g}-{high:.3g} Hz" for low, high in bands[:6]) or "between its few lines"

@@ -39,7 +39,9 @@ left }
 <div class="verdict"><span class="grade">{{ grade }}</span><br><strong>{{ verdict[0] }}</strong>
 {% for sentence in verdict[1:] %}<p>{{ sentence }}</p>{% endfor %}</div>
 <h2>Frequency response</h2>
-<img alt="Bode plot of the model with its 95 % band over the spectral estimate" src="data:image/png;base64,{{ bode }}">
+<img alt="Bode plot of the model with its 95 % band, spectral estimate, coherence" src="data:image/png;base64,{{ bode }}">
+<p>Where the coherence is near one, the output follows the input linearly; where it falls, noise, a nonlinearity or another input
+decides, and no linear model of any order will do there.</p>
 {% if extrema %}<table><caption>Peaks and notches</caption>
 <tr><th></th><th>frequency [Hz]</th><th>magnitude [dB]</th><th></th></tr>
 {% for e in extrema %}<tr><td>{{ e.kind }}</td><td>{{ "%.2f"|format(e.frequency_hz) }}</td>

@@ -39,10 +39,11 @@ def plot_bode(
     unit: str = "",
     level: float = 0.95,
 ) -> Figure:
-    """Magnitude and phase with confidence bands; ``check``: dots of a nonparametric estimate; outside ``excited_hz`` is
-    hatched."""
-    figure = _figure(7.0, 6.0)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    """Magnitude and phase with confidence bands; ``check``: dots of a nonparametric estimate, its coherence below; outside
+    ``excited_hz`` is hatched."""
+    coherent = check is not None and bool(np.any(np.isfinite(check.coherence)))
+    figure = _figure(7.0, 7.2 if coherent else 6.0)
+    top, bottom, *rest = figure.subplots(2 + coherent, 1, sharex=True, height_ratios=(3, 2, 1)[: 2 + coherent])
     low_edge = min(float(b.frequency_hz[0]) for b in responses.values())
     high_edge = max(float(b.frequency_hz[-1]) for b in responses.values())
     if excited_hz is not None:
@@ -71,10 +72,15 @@ def plot_bode(
         smooth = np.interp(check.frequency_hz, reference.frequency_hz, reference.phase_deg)
         near = smooth + (check.phase_deg - smooth + 180) % 360 - 180
         bottom.plot(check.frequency_hz[keep], near[keep], **dots)
+        for axis in rest:
+            there = check.frequency_hz >= low_edge
+            axis.plot(check.frequency_hz[there], check.coherence[there], color="black", linewidth=0.9)
+            axis.set_ylim(0, 1.05)
+            axis.set_ylabel("coherence")
     everything = np.concatenate(limits)
     span = max(10.0, float(np.ptp(everything)))
     top.set_ylim(everything.min() - 0.12 * span, everything.max() + 0.15 * span)
-    for axis in (top, bottom):
+    for axis in (top, bottom, *rest):
         axis.set_xscale("log")
         axis.grid(True, which="both", color="0.9", linewidth=0.6)
         axis.set_axisbelow(True)
@@ -88,7 +94,7 @@ def plot_bode(
     top.set_xlim(low_edge, high_edge)
     top.set_ylabel(f"magnitude [dB{' re ' + unit if unit else ''}]")
     bottom.set_ylabel("phase [deg]")
-    bottom.set_xlabel("frequency [Hz]")
+    (rest or [bottom])[-1].set_xlabel("frequency [Hz]")
     top.legend(loc="best", fontsize=8, framealpha=0.95)
     return figure
 

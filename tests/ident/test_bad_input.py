@@ -24,7 +24,7 @@ from ident import (
     predicted,
     spectral,
 )
-from ident.checks import check_clipping, check_diverging, check_recording, held_stretch
+from ident.checks import check_clipping, check_diverging, check_recording, excited_directions, held_stretch
 from mjsim.errors import InputError
 
 rng = np.random.default_rng(0)
@@ -122,6 +122,23 @@ def test_a_recording_is_judged_before_a_filter_hides_what_it_lacks():
     three = sum(np.sin(2 * np.pi * f * t) for f in (3, 7, 11))
     one_line(lambda: check_recording(IOData(three, y, 0.005), BJ5), "only 6 of the 10", "no power at", "-100 Hz")
     check_recording(IOData(u, y, 0.005), BJ5)
+
+
+@pytest.mark.parametrize("digits", [6, 10, 17])
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_sines_excite_two_directions_each_however_they_are_printed(count, digits):
+    t = 0.005 * np.arange(4000)
+    u = sum(np.sin(2 * np.pi * f * t) for f in (3.3, 7.1, 11.7, 20.2)[:count])
+    printed = np.array([float(f"%.{digits}g" % x) for x in u])
+    assert excited_directions(printed, 10) == 2 * count
+
+
+@pytest.mark.parametrize("every", [1, 2, 5, 10])
+def test_a_chirp_and_noise_excite_every_direction(every):
+    t = 5e-4 * np.arange(40_000)
+    assert excited_directions(signal.chirp(t, 0.5, 20, 30)[::every], 13) == 13
+    assert excited_directions(rng.standard_normal(80), 10) == 10
+    assert excited_directions(np.sin(t) + 1e-3 * rng.standard_normal(t.size), 10) == 10
 
 
 def test_decimated_data_say_what_their_samples_are():
