@@ -84,10 +84,11 @@ def _quantile(level: float) -> float:
     return float(ndtri(0.5 + level / 2))
 
 
-def default_frequencies(dt: float, points: int = 400, decades: float = 3.0) -> NDArray:
-    """``points`` frequencies [Hz] on a log grid up to Nyquist."""
+def default_frequencies(dt: float, points: int = 400, low_hz: float | None = None) -> NDArray:
+    """``points`` frequencies [Hz] on a log grid up to Nyquist, over three decades or from ``low_hz`` if that is lower."""
     top = 0.5 / dt
-    return np.geomspace(top * 10**-decades, top * (1 - 1e-9), points)
+    low = top * 1e-3 if low_hz is None or low_hz <= 0 else min(top * 1e-3, low_hz)
+    return np.geomspace(low, top * (1 - 1e-9), points)
 
 
 def bode(model: PolyModel, frequency_hz: ArrayLike | None = None) -> Bode:

@@ -37,14 +37,14 @@ class SearchOptions:
 
     max_iterations: per start (MATLAB ``SearchOptions.MaxIterations`` = 20; here 100, as an iteration costs milliseconds).
     tolerance: stop when the relative loss decrease that Gauss-Newton predicts falls below it (MATLAB ``Tolerance`` 0.01 is in per
-    cent, that is 1e-4; here 1e-9).
+    cent, that is 1e-4; here 1e-11: one iteration more, and the response is that of the minimum to six digits).
     starts: at most so many initial values are followed to their minimum. The search ends early when two agree.
     noise_radius: the roots of C stay within it. On data without power in a band (a low-pass before, a simulation without
     noise) the best C runs to the unit circle and beyond use; the limit keeps the problem well posed. MATLAB limits it to 1.
     """
 
     max_iterations: int = 100
-    tolerance: float = 1e-9
+    tolerance: float = 1e-11
     starts: int = 4
     noise_radius: float = 0.98
 

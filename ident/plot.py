@@ -199,7 +199,7 @@ def plot_orders(selection: OrderSelection) -> Figure:
     return figure
 
 
-def plot_comparison(comparison: Comparison, most: int = 20_000) -> Figure:
+def plot_comparison(comparison: Comparison, most: int = 60_000) -> Figure:
     """Measured and modelled output over time, a stretch of it enlarged where it moves most, and what is left over.
 
     At most ``most`` samples are drawn, from the start.
@@ -209,7 +209,7 @@ def plot_comparison(comparison: Comparison, most: int = 20_000) -> Figure:
     d = comparison.data
     shown = slice(0, min(len(d), most))
     y = np.asarray(d.y)[shown]
-    width = int(min(y.size, max(40, min(240, y.size // 12))))
+    width = int(min(y.size, max(40, y.size // 15)))
     power = np.convolve((y - y.mean()) ** 2, np.ones(width), "valid")
     first = int(np.argmax(power))
     near = slice(first, first + width)

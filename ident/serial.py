@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.bode import bode
+from ident.bode import Bode, bode
 from ident.estimate import Estimate
 from ident.model import PolyModel
 from ident.polezero import Root, pole_zero
@@ -95,11 +95,11 @@ def _root(r: Root) -> dict[str, Any]:
     }
 
 
-def to_dict(estimate: Estimate, tests: ResidualTests | None = None) -> dict[str, Any]:
-    """Everything that ``identification.json`` holds."""
+def to_dict(estimate: Estimate, tests: ResidualTests | None = None, response: Bode | None = None) -> dict[str, Any]:
+    """Everything that ``identification.json`` holds; ``response``: on which frequencies, default three decades up to Nyquist."""
     tests = tests or residual_tests(estimate)
     q = quality(estimate)
-    response = bode(estimate.model)
+    response = response or bode(estimate.model)
     low, high = response.magnitude_db_interval()
     roots = pole_zero(estimate.model)
     phase_low, phase_high = response.phase_deg_interval()

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 MOST_ORDERS = 20
+BODE_POINTS = 1200
 
 
 def _orders(text: str) -> tuple[int, int, int, int, int]:
@@ -128,7 +129,7 @@ def command(
     """
     wanted, edge = _orders(orders), _cutoff(cutoff)
     grid = _scan(scan) if scan else None
-    from ident.bode import bode
+    from ident.bode import bode, default_frequencies
     from ident.checks import check_recording
     from ident.data import Detrend, IOData
     from ident.estimate import bj
@@ -185,7 +186,9 @@ def command(
         nonlinear = amplitude_test(quiet, loud)
         sentences.append(f"Against {other.source}: {nonlinear.sentence}")
     verdict = replace(verdict, sentences=tuple(sentences))
-    response, roots = bode(estimate.model), pole_zero(estimate.model)
+    band = excited_band(estimate)
+    response = bode(estimate.model, default_frequencies(data.dt, BODE_POINTS, band[0]))
+    roots = pole_zero(estimate.model)
     name = str(estimate.model.structure)
     comparison = compare(held_out or data, {name: estimate.model})
     steps = [f"decimated by {factor} (Chebyshev I, order 8, 0.05 dB, zero phase)" if factor > 1 else "not decimated"]
@@ -196,7 +199,6 @@ def command(
     )
     steps.append(f"detrend: {detrend}")
     unit = f"{data.y_unit}/{data.u_unit}" if data.u_unit and data.y_unit else ""
-    band = excited_band(estimate)
     check = spectral(data) if len(data) >= 64 else None
     images = {
         "bode": png(plot_bode({name: response}, check, band, unit)),
@@ -206,7 +208,9 @@ def command(
     }
     if selection is not None:
         images["orders"] = png(plot_orders(selection))
-    values = to_dict(estimate, tests) | {"verdict": {"grade": verdict.grade.name.lower(), "sentences": list(verdict.sentences)}}
+    values = to_dict(estimate, tests, response) | {
+        "verdict": {"grade": verdict.grade.name.lower(), "sentences": list(verdict.sentences)}
+    }
     values["preprocessing"] = steps
     if held_out is not None:
         values["validation"] = {"source": held_out.source, "simulation_fit_percent": comparison.fit_percent[0]}
