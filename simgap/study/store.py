@@ -92,6 +92,23 @@ class Store:
             return result
 
 
+WATCH_SECONDS = 1.0
+"""How often a worker looks whether its run is still there."""
+
+
+def _end_with(parent: int) -> None:
+    """In a worker: end when the process that started it has gone, killed for instance, instead of waiting for ever."""
+    import threading
+    import time
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def compute(
     cells: Iterable[Cell], store: Store, jobs: int = 1, tick: Callable[[int], None] = lambda done: None
 ) -> dict[Cell, Result]:
@@ -125,7 +142,7 @@ def compute(
     before = {k: os.environ.get(k) for k in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     os.environ.update(dict.fromkeys(before, "1"))
     try:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(jobs, get_context("spawn"), _end_with, (os.getpid(),)) as pool:
             futures = {pool.submit(run_cell, c): c for c in left}
             try:
                 for future in as_completed(futures):

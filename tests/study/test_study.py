@@ -284,6 +284,18 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert ticks == [1, 2, 3]
 
 
+def test_a_worker_ends_with_the_run_that_started_it() -> None:
+    """One whose parent was killed would wait for work for ever."""
+    import subprocess
+    import sys
+
+    code = "import time; from simgap.study.store import _end_with; _end_with({}); time.sleep({}); print('done')"
+    alone = subprocess.run([sys.executable, "-c", code.format(1, 60)], capture_output=True, timeout=50, check=False)
+    assert alone.returncode == 1
+    kept = subprocess.run([sys.executable, "-c", code.format("__import__('os').getppid()", 2)], capture_output=True, check=False)
+    assert kept.stdout.strip() == b"done"
+
+
 def test_progress_is_told_where_no_terminal_is(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from simgap.study import show
 
