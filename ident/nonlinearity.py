@@ -182,7 +182,10 @@ def amplitude_test(low: IOData, high: IOData, false_alarm_rate: float = 0.01, bl
     """
     if len(low) != len(high) or abs(low.dt / high.dt - 1) > 1e-9:
         raise InputError(
-            "amplitude test", f"{len(low)} samples of {low.dt:g} s and {len(high)} of {high.dt:g} s", "equal records"
+            f"{low.source} against {high.source}",
+            f"{len(low)} samples of {low.dt:g} s and {len(high)} of {high.dt:g} s",
+            "equal records of one excitation at two levels",
+            "cut the longer one",
         )
     if block < SMALLEST_BLOCK:
         raise InputError("amplitude test", f"blocks of {block} lines", f"at least {SMALLEST_BLOCK}")

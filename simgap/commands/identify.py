@@ -130,7 +130,7 @@ def command(
     wanted, edge = _orders(orders), _cutoff(cutoff)
     grid = _scan(scan) if scan else None
     from ident.bode import bode, default_frequencies
-    from ident.checks import check_recording
+    from ident.checks import check_clipping, check_moving, check_recording
     from ident.data import Detrend, IOData
     from ident.estimate import bj
     from ident.filter import Decimation, LowPass, Phase, shared_filter
@@ -156,16 +156,23 @@ def command(
     options = Options(accept_clipping=accept)
     if out.exists() and not out.is_dir():
         raise InputError(out, "it is a file", "a folder", "name another --out")
+    if model is not None and not (model.is_file() or model.with_suffix(".toml").is_file()):
+        raise InputError(model, "no such file", "a model, or the .toml beside it", "check the path")
 
     def read(path: Path) -> IOData:
         raw = IOData.from_recording(load(path, model=model), input_column, output_column)
-        check_recording(raw, structure, decimation.factor, clipping=not accept)
+        if raw.u_name == raw.y_name:
+            raise InputError(raw.source, f"input and output are both {raw.u_name}", "two channels", "name another --output")
+        check_moving(raw)
+        if not accept:
+            check_clipping(raw)
         return raw
 
     def prepared(raw: IOData) -> IOData:
         return shared_filter(raw.detrended(Detrend(detrend)), decimation, low, filtered=low is not None)
 
     raw = read(recording)
+    check_recording(raw, structure, decimation.factor, clipping=not accept)
     data = prepared(raw)
     held_out = prepared(read(validate)) if validate else None
     other = prepared(read(level)) if level else None

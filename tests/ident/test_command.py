@@ -71,6 +71,8 @@ def test_json_goes_to_standard_output(log, tmp_path):
         (("--scan", "3"), "LOW:HIGH"),
         (("--scan", "5:2"), "LOW:HIGH"),
         (("--level", "none.csv"), "none.csv"),
+        (("--model", "none.xml"), "none.xml: no such file"),
+        (("--input", "torque", "--output", "torque"), "both torque"),
     ],
 )
 def test_bad_use_is_one_line_and_leaves_nothing(log, tmp_path, args, said):
@@ -112,6 +114,18 @@ def test_another_level_answers_whether_it_is_linear(log, tmp_path, bj_truth):
         result = run(loud, "--out", tmp_path / name, *args, "--level", path, "--json")
         assert result.exit_code == 0, result.output
         assert json.loads(result.stdout)["amplitude_test"]["nonlinear"] is (name == "bent")
+
+
+def test_what_validates_need_not_excite_every_direction(log, tmp_path, bj_truth):
+    t = 0.1 * np.arange(400)
+    u = np.sin(t)
+    path = tmp_path / "sine.csv"
+    table = np.column_stack([t, u, bj_truth.model.simulate(u)])
+    np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
+    args = ("--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
+    result = run(log, "--out", tmp_path / "out", *args, "--validate", path)
+    assert "On sine.csv its simulation fits" in result.output
+    assert "excites only" in str(run(path, "--out", tmp_path / "out", *args).exception)
 
 
 def test_a_machines_model_names_the_columns(log, tmp_path):
