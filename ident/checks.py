@@ -78,9 +78,10 @@ def excited_directions(u: NDArray, order: int) -> int:
     columns = np.stack([u[order - i : n - i] for i in range(order)])
     values = np.sqrt(np.maximum(np.linalg.eigvalsh(columns @ columns.T), 0.0))
     rank = int(np.sum(values > WELL_CONDITIONED * max(float(values[-1]), 1e-300)))
-    power = np.abs(np.fft.rfft((u - u.mean()) * blackmanharris(n))) ** 2
-    lines = int(np.sum(power > LINE_FLOOR * max(float(power.max()), 1e-300))) / BINS_PER_LINE
-    return min(order, max(rank, 2 * int(lines + 0.5)))
+    power = np.abs(np.fft.rfft(u * blackmanharris(n))) ** 2
+    excited = power > LINE_FLOOR * max(float(power.max()), 1e-300)
+    lines = int(np.sum(excited) / BINS_PER_LINE + 0.5)
+    return min(order, max(rank, 2 * lines - int(excited[0])))  # a constant is one direction, a sine two
 
 
 def check_moving(data: IOData) -> None:

@@ -133,6 +133,12 @@ def test_sines_excite_two_directions_each_however_they_are_printed(count, digits
     assert excited_directions(printed, 10) == 2 * count
 
 
+def test_a_slow_sine_excites_two_directions_and_three_with_an_offset():
+    u = np.sin(0.1 * np.arange(400))
+    assert excited_directions(u, 10) == 2
+    assert excited_directions(u + 1, 10) == 3
+
+
 @pytest.mark.parametrize("every", [1, 2, 5, 10])
 def test_a_chirp_and_noise_excite_every_direction(every):
     t = 5e-4 * np.arange(40_000)
