@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ident.data import IOData, frozen
 from ident.multisine import Multisine
+from ident.residuals import p_text
 from mjsim.errors import InputError
 
 __all__ = ["AmplitudeTest", "BestLinearApproximation", "amplitude_test", "detection_lines"]
@@ -51,11 +52,11 @@ class BestLinearApproximation:
     def sentence(self) -> str:
         """The verdict in words."""
         if not self.nonlinear:
-            return f"No nonlinear distortion found (p = {self.p_value:.2g}, false-alarm rate {self.false_alarm_rate:g})."
+            return f"No nonlinear distortion found ({p_text(self.p_value)}, false-alarm rate {self.false_alarm_rate:g})."
         a = self.false_alarm_rate / 2
         kinds = [k for k, p in (("odd", self.p_odd), ("even", self.p_even)) if p < a]
         return (
-            f"Nonlinear: {' and '.join(kinds)} distortion (p = {self.p_value:.2g}, false-alarm rate {self.false_alarm_rate:g})."
+            f"Nonlinear: {' and '.join(kinds)} distortion ({p_text(self.p_value)}, false-alarm rate {self.false_alarm_rate:g})."
         )
 
 
@@ -145,7 +146,7 @@ class AmplitudeTest:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        tail = f"(p = {self.p_value:.2g}, false-alarm rate {self.false_alarm_rate:g})"
+        tail = f"({p_text(self.p_value)}, false-alarm rate {self.false_alarm_rate:g})"
         if not self.nonlinear:
             return f"The frequency response does not move with the level {tail}."
         sure = np.where(self.block_p < self.false_alarm_rate, np.abs(self.change_db), 0.0)
