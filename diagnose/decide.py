@@ -67,7 +67,8 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10
 def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
     """Effects that the angle channel contradicts without any model.
 
-    An offset of the velocity sensor shows as its drift from the angle.
+    An offset of the velocity sensor shows as its drift from the angle; where it does, the axis itself does not move so, as by
+    an offset of the torque it would.
     """
     verdicts = []
     for experiment in experiments:
@@ -81,7 +82,9 @@ def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
         offset = float(np.mean(r.velocity[:-1] * 0.5 + r.velocity[1:] * 0.5) - (r.angle[-1] - r.angle[0]) / r.duration)
         error = experiment.sigma / math.sqrt(len(r)) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
         verdicts.append(abs(offset) > 5 * error)
-    return {"sensor_offset"} if verdicts and not any(verdicts) else set()
+    if not verdicts or any(verdicts) != all(verdicts):
+        return set()
+    return {"torque_offset"} if all(verdicts) else {"sensor_offset"}
 
 
 def unphysical(axis: Axis) -> tuple[str, ...]:

@@ -38,7 +38,7 @@ from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band
-from diagnose.whiten import alike, effective_share, settle, whitening_filter, worth
+from diagnose.whiten import alike, effective_share, offset_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -46,6 +46,7 @@ from mjsim.recording import Recording
 __all__ = ["Options", "diagnose"]
 
 MOST_FILTERS = 2  # whitened searches
+OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
 
 @dataclass(frozen=True)
@@ -230,8 +231,9 @@ def _searched(fitter: Fitter, options: Options, progress: Progress, began: float
         return unknown if missed is None else missed < options.missed
 
     def settled_by(f: Fitted) -> bool:
-        # more colour than the motion that may be missed can give
-        return noise_only(f, unknown=False) and whitening_filter(fitter, f, material=2 * options.missed) is not None
+        # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
+        coloured = noise_only(f, unknown=False) and whitening_filter(fitter, f, material=2 * options.missed) is not None
+        return coloured and offset_share(fitter, f) < OFFSET
 
     known = fitter.noise_known
     search, best = _search(fitter, options, progress, began, settled_by if known else None)

@@ -20,6 +20,7 @@ from typing import TypeVar
 import numpy as np
 
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, screen
+from diagnose.encoder import encoder_gain
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
@@ -38,6 +39,7 @@ GUIDE = 0.2  # relative standard deviation that they are then given
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
 UNFOLDS = 3  # times in a row, while it gains
+AS_MUCH = 0.9  # of an effect's gain, from which a rival that is noise does as much
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
@@ -133,6 +135,7 @@ class Search:
         self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
         self._began = time.monotonic()
         self._runs = self.fitter.runs
+        self._unguided: Fitted | None = None
 
     def _spent(self) -> bool:
         """Whether the budget of runs (the same on every machine) or of seconds is used up."""
@@ -361,7 +364,16 @@ class Search:
             return False
         c = compare(self.held_out(before), self.held_out(after), known=self.fitter.noise_known)
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
-        return c.relative_gain > self.options.material and c.p_value * asked < self.options.p_enter
+        if c.relative_gain <= self.options.material or c.p_value * asked >= self.options.p_enter:
+            return False
+        return not self._encoder_errs(before, after)
+
+    def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:
+        """Whether an encoder that errs over its turn does as much as the one position-locked effect that was added."""
+        new = [e for e in after.effects if e.key not in before.key]
+        if len(new) != 1 or len(after.key) != len(before.key) + 1:
+            return False
+        return encoder_gain(self.fitter, before, new[0]) > AS_MUCH * (before.chi2 - after.chi2)
 
     def run(self) -> Fitted:
         """The best structure that the search finds."""
@@ -452,6 +464,8 @@ class Search:
         """Weigh the prior by ``guide`` from now on: the structures that are near the current one are fitted again, others go."""
         if guide == self.fitter.guide:
             return current
+        if self.fitter.guide == 1.0:
+            self._unguided = self.pool[()]
         self.fitter.guide = guide
         near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2), key=self.criterion)[: self.options.width]
         again = {f.key: f for f in (self.pool[()], current, *near)}
@@ -459,7 +473,10 @@ class Search:
         self.held.clear()
         self.retried.clear()
         fits = [partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12) for f in again.values() if f.key]
-        fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
+        if guide != 1.0:
+            fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
+        elif self._unguided is not None:
+            self._keep(self._unguided)
         for f in self.fitter.map(fits):
             self._keep(self._smoothed(f) if f.key == current.key else f)
         return self.pool.get(current.key, current)

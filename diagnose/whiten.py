@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 
-__all__ = ["alike", "effective_share", "levinson", "settle", "whitening_filter", "worth"]
+__all__ = ["alike", "effective_share", "levinson", "offset_share", "settle", "whitening_filter", "worth"]
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +86,17 @@ def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material
     if order == 0 or 1 - variance[order] / variance[0] < material:
         return None
     return levinson(r, order)[0]
+
+
+def offset_share(fitter: Fitter, fitted: Fitted) -> float:
+    """Largest share of a residual's mean square, over the experiments, that its mean has."""
+    shares = [0.0]
+    for i, experiment in enumerate(fitter.experiments):
+        e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, i), experiment, fitted.hypothesis.initial(fitted.fit.x, i))
+        if e is not None:
+            e = e[fitter.counted(experiment)]
+            shares.append(float(np.mean(e) ** 2 / max(np.mean(e**2), 1e-300)))
+    return max(shares)
 
 
 def alike(a: np.ndarray, b: np.ndarray, tolerance: float = 0.02) -> bool:
