@@ -35,6 +35,13 @@ Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, second
     help="Diagnose and score the first so many cases only; they are shuffled, so that these are a sample of all.",
 )
 @click.option(
+    "--skip",
+    default=0,
+    show_default=True,
+    type=click.IntRange(0),
+    help="Leave out the first so many cases: those that were looked at while the search was mended.",
+)
+@click.option(
     "--arms",
     "arm_list",
     default="none",
@@ -58,6 +65,7 @@ def command(
     levels: str | None,
     budget: float | None,
     first: int | None,
+    skip: int,
     arm_list: str,
     arm_cases: int,
     calibration: Path | None,
@@ -90,7 +98,7 @@ def command(
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
     seconds = BUDGETS[grade] if budget is None else budget or math.inf
     processes = jobs or min(2, os.cpu_count() or 1)
-    results = diagnose_all(out, processes, seconds, first=first)
+    results = diagnose_all(out, processes, seconds, first=first, skip=skip)
     opened = open_envelope(out / "recordings", out / "envelope" / "truth.json")
     truths = {name: opened[name] for name in results}
     versions: dict[str, str] = next((r["versions"] for r in results.values() if "versions" in r), {})
@@ -99,6 +107,7 @@ def command(
         "seed": seed,
         "counts": counts,
         "first": first,
+        "skip": skip,
         "envelope_sha256": digest,
         "versions": versions,
         "budget_s": seconds,
@@ -199,9 +208,10 @@ def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) ->
 
 
 def diagnose_all(
-    out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case, first: int | None = None
-) -> dict[str, dict]:
-    """Results of all cases, or the ``first`` so many, by name.
+    out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case, first: int | None = None,
+    skip: int = 0,
+) -> dict[str, dict]:  # fmt: skip
+    """Results of all cases, or the ``first`` so many after the ``skip`` first ones, by name.
 
     Those that stand in ``out/diagnoses``, by this code and budget, are not computed again.
     """
@@ -210,7 +220,7 @@ def diagnose_all(
     recordings = out / "recordings"
     sealed = sealed_hashes(recordings)
     shelf = Shelf(out / "diagnoses", f"{stamp()} {seconds:g} s", sealed)
-    return shelf.results([Job(n, work, (recordings, n, seconds)) for n in list(sealed)[:first]], jobs)
+    return shelf.results([Job(n, work, (recordings, n, seconds)) for n in list(sealed)[skip:][:first]], jobs)
 
 
 def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, Any]) -> dict[str, Any]:
