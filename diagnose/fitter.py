@@ -20,7 +20,8 @@ from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
 from diagnose.view import View
 from mjsim.axis import Axis
-from mjsim.effects import Effect, Scales
+from mjsim.effects import Effect, NotApplicableError, Scales
+from mjsim.system import assemble
 
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
 
@@ -28,6 +29,7 @@ T = TypeVar("T")
 Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
+STEP = 0.12  # angle by which the fastest motion of a model with events may turn in a step (`mjsim.system.System.substeps`)
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
@@ -162,6 +164,7 @@ class Fitter:
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
         self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
         self.scales = scales_by_place(self.nominal, self.experiments[0], self.orders)
+        self._steps = max(1, math.ceil(self.experiments[0].recording.dt * assemble(self.nominal).omega / STEP))
 
     def close(self) -> None:
         """Stop the threads: what they are at comes to nothing, and is not remembered."""
@@ -334,8 +337,20 @@ class Fitter:
             fit = Fit(known.x, known.cost, linear, known.status, known.iterations, known.predicted_gain)
             n, runs = known.n, known.runs
         with self._counting:
-            self.runs += runs
+            self.runs += math.ceil(runs * self._length(h, start))
         return Fitted(h, fit, n)
+
+    def _length(self, h: Hypothesis, x: np.ndarray) -> float:
+        """Steps that a run of a hypothesis takes, over those of the nominal model with friction: what it counts in a budget."""
+        if self.view.channel != "velocity":
+            return 1.0
+        r = self.experiments[0].recording
+        speed = float(np.max(np.abs(np.diff(r.angle)))) / r.dt if r.angle is not None else 0.0
+        try:
+            steps = assemble(h.axis(x, 0)).substeps(r.dt, speed)
+        except (NotApplicableError, ValueError):
+            return 1.0
+        return max(1.0, steps / self._steps)
 
     def _key(self, h: Hypothesis, start: np.ndarray, how: tuple[object, ...], borrow: Fitted | None) -> str:
         """Hash of all that a fit depends on besides the recordings, the nominal model and the code."""
