@@ -1,0 +1,74 @@
+"""An encoder that errs over its turn is told from torques and transmission errors of the same order."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnose.encoder import encoder_gain
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
+from diagnose.flow import Options, diagnose
+from diagnose.result import Verdict
+from diagnose.view import MotionView
+from mjsim.effects import effect_class
+
+LOCKED = ("torque_ripple", "transmission_error", "position_dependent_friction")
+ORDER, ERROR = 4.0, 1e-3  # error of the encoder [rad]
+
+
+def erring(recording):
+    """The recording as an encoder shows it that errs four times a turn."""
+    q, v = recording.angle, recording.velocity
+    return dataclasses.replace(
+        recording, angle=q + ERROR * np.sin(ORDER * q + 0.3), velocity=v * (1 + ERROR * ORDER * np.cos(ORDER * q + 0.3))
+    )
+
+
+def gains(robot, recording, effect):
+    """What chi-square loses by the encoder and by the effect, on a refitted nominal model."""
+    fitter = Fitter(robot, MotionView(), (prepare(recording),), (), 1)
+    base = fitter.fit(fitter.hypothesis(()))
+    best = min((fitter.fit(fitter.hypothesis([effect.with_values({"phase_rad": p})], base.linear)) for p in (0, 1.6, 3.1, -1.6)),
+               key=lambda f: f.chi2)  # fmt: skip
+    fitter.close()
+    return encoder_gain(fitter, base, effect), base.chi2 - best.chi2
+
+
+def ripple(amplitude=0.02):
+    return effect_class("torque_ripple")(amplitude_Nm=amplitude, cycles_per_rev=ORDER, phase_rad=0.4)
+
+
+def test_the_encoder_gains_more_where_it_errs(robot, record):
+    encoder, effect = gains(robot, erring(record()), ripple())
+    assert encoder > 30
+    assert encoder > 1.1 * effect
+
+
+def test_ripple_gains_more_where_there_is_ripple(robot, record):
+    encoder, effect = gains(robot, record(ripple()), ripple())
+    assert effect > 1000
+    assert encoder < 0.6 * effect
+
+
+def test_the_order_need_not_be_known_to_the_last_digit(robot, record):
+    exact, _ = gains(robot, erring(record()), ripple())
+    off, _ = gains(robot, erring(record()), ripple().with_values({"cycles_per_rev": ORDER * 1.005}))
+    assert off == pytest.approx(exact, rel=0.1)
+
+
+def test_an_effect_without_an_order_has_no_such_rival(robot, record):
+    assert gains(robot, record(), ripple())[0] >= 0
+    fitter = Fitter(robot, MotionView(), (prepare(record()),), (), 1)
+    base = fitter.fit(fitter.hypothesis(()))
+    assert encoder_gain(fitter, base, effect_class("coulomb_friction")(torque_Nm=0.1)) == 0
+    fitter.close()
+
+
+def test_no_physics_is_named_for_it(robot, pair):
+    first, other = (erring(r) for r in pair())
+    result = diagnose(robot, [first], [other], Options(jobs=1, effects=LOCKED))
+    assert result.verdict is not Verdict.MISSING_PHYSICS
+    assert not result.findings
