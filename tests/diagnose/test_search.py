@@ -1,14 +1,19 @@
-"""The rules of the search that need no recording: how held-out errors of two structures are compared, how work is spread."""
+"""The rules of the search: how held-out errors are compared, how work is spread, from where structures are extended."""
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 
 import numpy as np
 import pytest
 
-from diagnose.fitter import Fitter, HeldOut
-from diagnose.search import compare
+from diagnose.experiment import prepare
+from diagnose.fitter import PRIOR, Fitter, HeldOut
+from diagnose.flow import Options, diagnose
+from diagnose.search import Search, SearchOptions, compare
+from diagnose.view import MotionView
+from mjsim.effects import effect_class
 
 N, BLOCKS = 20_000, 40
 
@@ -53,9 +58,6 @@ def test_a_model_that_cannot_be_run_is_worth_nothing_and_its_rival_everything(no
 
 def test_the_widest_level_of_work_is_spread_and_the_order_kept(pair, robot):
     """Work within a task stays on the task's thread, so that no task waits for a thread that waits for it."""
-    from diagnose.experiment import prepare
-    from diagnose.view import MotionView
-
     experiments = tuple(prepare(r) for r in pair())
     fitter = Fitter(robot, MotionView(), experiments[:1], experiments[1:], jobs=2)
     try:
@@ -69,3 +71,77 @@ def test_the_widest_level_of_work_is_spread_and_the_order_kept(pair, robot):
         assert answers == [(i, True) for i in range(8)]
     finally:
         fitter.close()
+
+
+@pytest.fixture
+def fitter_of(robot):
+    """``fitter_of((estimation, held out))``: a fitter on one thread."""
+    opened = []
+
+    def make(recordings) -> Fitter:
+        first, other = (prepare(r) for r in recordings)
+        opened.append(Fitter(robot, MotionView(), (first,), (other,), 1))
+        return opened[-1]
+
+    yield make
+    for fitter in opened:
+        fitter.close()
+
+
+def coulomb(level=0.1):
+    return effect_class("coulomb_friction")(torque_Nm=level)
+
+
+def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, pair):
+    """Inertias and stiffnesses are held by their logarithm, the others by their ratio."""
+    fitter = fitter_of(pair())
+    h = fitter.hypothesis(())
+    np.testing.assert_allclose(fitter.prior(h, h.start), 0.0, atol=1e-12)
+    fitter.guide = 4.0
+    off = fitter.hypothesis((), {"Jm": 2 * fitter.nominal.chain.bodies[0].inertia})
+    assert np.max(fitter.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) / PRIOR)
+
+
+def test_the_search_ends_without_the_prior_that_guided_it(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb(0.3)))
+    weights = []
+    search = Search(fitter, SearchOptions(only=("coulomb_friction",)))
+    weigh = search._weigh
+    search._weigh = lambda guide, f: weights.append(guide) or weigh(guide, f)
+    free = search.nominal()
+    best = search.run()
+    assert max(weights) > 1.0, "so large a misfit is guided"
+    assert fitter.guide == 1.0
+    assert search.pool[()].chi2 == free.chi2, "the rival to beat is the freely refitted nominal model"
+    assert best.key == ("coulomb_friction@motor",)
+    assert best.effects[0].torque_Nm == pytest.approx(0.3, rel=0.01)
+
+
+def test_what_goes_beside_a_refinement_is_sought_from_its_simpler_form(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb()))
+    search = Search(fitter, SearchOptions())
+    simple = fitter.fit(fitter.hypothesis([coulomb(0.02)]), iterations=1)
+    finer = fitter.fit(fitter.hypothesis([effect_class("asymmetric_friction")(torque_Nm=0.02, asymmetry_Nm=0.001)]), iterations=1)
+    assert search._ground(finer) is finer, "the simpler form is not known yet"
+    search._keep(simple)
+    assert finer.chi2 > 1.5 * finer.n
+    assert search._ground(finer) is simple
+    done = fitter.fit(fitter.hypothesis([effect_class("asymmetric_friction")(torque_Nm=0.1, asymmetry_Nm=0.001)]))
+    assert search._ground(done) is done, "nothing is missing beside it"
+
+
+def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair):
+    """And an offset of the sensor, which is no motion either, is not whitened away."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(8)
+
+    def coloured(r, offset):
+        noise = lfilter([1.0], [1.0, -0.9], 0.05 * rng.standard_normal(len(r)))
+        return dataclasses.replace(r, velocity=r.velocity + noise + offset)
+
+    few = ("coulomb_friction", "sensor_offset", "torque_offset", "actuator_lag")
+    for offset, expected in ((0.0, []), (0.4, ["sensor_offset"])):
+        first, other = (coloured(r, offset) for r in pair())
+        result = diagnose(robot, [first], [other], Options(jobs=1, effects=few))
+        assert [f.effect for f in result.findings] == expected
