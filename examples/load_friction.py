@@ -1,8 +1,9 @@
-"""Load-dependent friction that one rig cannot show: `python examples/load_friction.py`.
+"""Load-dependent friction that one rig hardly shows: `python examples/load_friction.py`.
 
 Friction in a gear grows with the torque that it transmits. On a rig that holds a constant load and moves slowly that torque
-hardly changes, and the friction looks like Coulomb's. The diagnosis must say that it cannot tell, and what to measure; with that
-measurement added, it must tell. The machine is the sealed plant of the benchmark, read with noise.
+hardly changes, and the friction looks like Coulomb's. Where it does not change at all the diagnosis must say that it cannot
+tell, and what to measure; with that measurement added, it must tell. The machine is the sealed plant of the benchmark, read with
+noise; how far its rig is blind stands in the README beside this file.
 """
 
 from __future__ import annotations
