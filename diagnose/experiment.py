@@ -10,7 +10,7 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
-__all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "prepare", "white_noise_level"]
+__all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "plain_step", "prepare", "white_noise_level"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,15 @@ def white_noise_level(y: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(d - np.median(d))))
 
 
+def plain_step(v: np.ndarray) -> float:
+    """The step of a signal that mostly stands still between steps, so that differences see no noise in it; else 0."""
+    steps = np.abs(np.diff(v))
+    moved = steps[steps > 0]
+    if len(moved) == 0 or len(moved) > 0.7 * len(steps):
+        return 0.0
+    return float(np.median(moved))
+
+
 def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:
     """Check a recording and make it an experiment.
 
@@ -58,7 +67,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     n = len(v)
     if n < minimum:
         raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
-    noise = white_noise_level(v)
+    noise = max(white_noise_level(v), plain_step(v) / np.sqrt(12.0))
     spread = float(np.std(v))
     if np.ptp(recording.torque) == 0:
         raise InputError(recording.source, "the torque is constant", "an input that varies", "excite the axis")

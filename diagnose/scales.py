@@ -4,18 +4,56 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.experiment import Experiment, measured_velocity
+from diagnose.experiment import Experiment, measured_velocity, plain_step
 from mjsim.axis import Axis
 from mjsim.effects import Scales
 from mjsim.ode import DivergedError, simulate
 
-__all__ = ["PLACES", "scales_by_place"]
+__all__ = ["PLACES", "scales_by_place", "value_steps"]
+
+LINE = 40.0  # power of a line over its surroundings; 1e-13 by chance for N(0, 1) in quadrature, over some 1e4 frequencies
 
 PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
 
 
 def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
+
+
+def value_steps(values: np.ndarray, noise: float, most: int = 1) -> tuple[float, ...]:
+    """Steps in which values (N,) may come: the one whose line is strongest and what it may be an overtone of; () for no line.
+
+    The characteristic function |mean exp(2 pi i f v)| of rounded values has a line at f = 1/step, lower by exp(-2 pi^2 (s f)^2)
+    where noise of rms s came after the rounding. Steps from the noise up to an eighth of the range are looked at; coarser
+    ones show as values that stand still. Source: B. Widrow, I. Kollar, Quantization Noise (2008), ch. 4.
+    """
+    low, span = float(np.min(values)), float(np.ptp(values))
+    plain = plain_step(values)
+    if plain > 0:
+        return (plain,)
+    finest = max(noise, span / 4000)
+    if span < 16 * finest:
+        return ()
+    width = finest / 8
+    counts = np.bincount(((values - low) / width).astype(int))
+    length = 1 << int(np.ceil(np.log2(4 * len(counts))))
+    power = np.abs(np.fft.rfft(counts, length)) ** 2 / len(values)  # 1 in the mean for values of no step
+    frequency = np.arange(len(power)) / (length * width)
+    looked = (frequency >= 8 / span) & (frequency <= 1 / finest)
+    power = np.where(looked, power, 0.0)
+    # the values' own distribution is smooth: its power falls with the frequency, and a line stands out of its neighbours
+    around = 64
+    level = np.convolve(power, np.ones(2 * around + 1), "same") - np.convolve(power, np.ones(17), "same")
+    line = power / np.maximum(level / (2 * around - 16), 1.0)
+    found: list[float] = []
+    for i in np.argsort(-line)[:200]:
+        if line[i] < LINE or len(found) == most:
+            break
+        whole = frequency[i] * np.array(found)
+        if np.all(np.abs(whole - np.round(whole)) > 0.02):  # no multiple of one that is known
+            found.append(1.0 / float(frequency[i]))
+    # the strongest line may be an overtone
+    return tuple(sorted({k * step for step in found for k in (1, 2, 3) if k * step <= span / 8}))
 
 
 def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...] = ()) -> dict[str, Scales]:
@@ -37,6 +75,7 @@ def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...
             torque[:, j] = behind * accel
             deflect.append(torque[:, j] / c.stiffness)
     out = {}
+    steps = value_steps(v, experiment.sigma)
     for place in PLACES:
         found = chain.body(place)
         at: int = found if found is not None else 0
@@ -50,6 +89,6 @@ def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...
             max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[joint]) if joint is not None else 1.0,
             inertia=chain.bodies[at].inertia, stiffness=chain.couplings[joint].stiffness if joint is not None else 1.0,
             travel=ratio * float(np.ptp(q)), input=_rms(r.torque), max_input=float(np.max(np.abs(r.torque))), output=_rms(v),
-            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
+            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders, steps=steps,
         )  # fmt: skip
     return out

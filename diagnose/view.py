@@ -10,15 +10,18 @@ Both are low-passed alike where they are filtered, so that a comparison is of li
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from scipy.special import ndtr
 
 from diagnose.experiment import Experiment, measured_velocity, white_noise_level
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
+from mjsim.effects.ports import StaticMap
 from mjsim.ode import DivergedError, apply_input, inverse, simulate
 from mjsim.recording import Recording
 from mjsim.system import assemble
@@ -26,6 +29,7 @@ from mjsim.system import assemble
 __all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band"]
 
 
+DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
 MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible
 
 
@@ -59,6 +63,24 @@ class View(Protocol):
         """Noise rms of the compared signal where the recording tells it, else None."""
 
 
+def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.ndarray) -> np.ndarray:
+    """What a signal (N,) is in the mean once it has been rounded to steps, by the noise before the rounding that fits best.
+
+    Noise of a part r of a step turns the staircase into a smoother one, and beyond r = 0.6 into the signal itself (dither).
+    """
+    if step <= 0:
+        return clean
+    level = np.round(clean / step)
+    off = clean / step - level
+    best, least = clean, math.inf
+    for r in DITHER:
+        mean = step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r))
+        error = float(np.sum((measured - mean)[counts] ** 2))
+        if error < least:
+            best, least = mean, error
+    return best
+
+
 @dataclass(frozen=True)
 class MotionView:
     """Free run on the recorded torque, judged on motor velocity."""
@@ -70,12 +92,20 @@ class MotionView:
         """Velocity measured and simulated at every sample."""
         r = experiment.recording
         try:
+            system = assemble(axis)
+            rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
+            if rounding:
+                rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
+                system = dataclasses.replace(system, output_maps=rest)
             y = simulate(
-                axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS
+                system, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS
             )
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
-        return Signals(r.time, measured_velocity(r), y.velocity)
+        measured, predicted = measured_velocity(r), y.velocity
+        for step in rounding:
+            predicted = _rounded(measured, predicted, step, experiment.counts)
+        return Signals(r.time, measured, predicted)
 
     def counts(self, experiment: Experiment) -> np.ndarray:
         """The experiment's own mask."""

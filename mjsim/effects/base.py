@@ -83,7 +83,8 @@ class Scales:
     body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (1 when
     there is none); inertia, stiffness: nominal values at the place; travel: range of the body's angle [rad | m];
     input, max_input: rms and largest input; output: rms measured output; dt, duration [s]; orders: dominant spatial
-    frequencies of the residual over the body's angle [1/rev | rad/m].
+    frequencies of the residual over the body's angle [1/rev | rad/m]; steps: those in which the measured output comes, where
+    its values show any.
     """
 
     torque: float
@@ -100,6 +101,7 @@ class Scales:
     dt: float
     duration: float
     orders: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,4 +42,6 @@ class SensorQuantisation(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
+        if scales.steps:
+            return [{"step": step} for step in scales.steps]
         return [{"step": scales.output * 10**e} for e in (-2.5, -2.25, -2.0, -1.75, -1.5, -1.25, -1.0)]
