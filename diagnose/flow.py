@@ -38,7 +38,7 @@ from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band
-from diagnose.whiten import alike, effective_share, offset_share, settle, whitening_filter, worth
+from diagnose.whiten import alike, effective_share, innovation, offset_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -241,10 +241,10 @@ def _searched(fitter: Fitter, options: Options, progress: Progress, began: float
         return search, best, False
     for _ in range(MOST_FILTERS):
         filter_ = _whitening(fitter, search, best)
-        if alike(filter_, fitter.whitening):
+        if alike(filter_, fitter.whitening / fitter.whitening[0]):
             break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
-        fitter.whitening = filter_
+        fitter.whitening = filter_ / innovation(fitter, best, filter_) if len(filter_) > 1 else filter_
         plain = search
         search, best = _search(fitter, options, progress, began)
         search.tested += plain.tested

@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 
-__all__ = ["alike", "effective_share", "levinson", "offset_share", "settle", "whitening_filter", "worth"]
+__all__ = ["alike", "effective_share", "innovation", "levinson", "offset_share", "settle", "whitening_filter", "worth"]
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -97,6 +97,26 @@ def offset_share(fitter: Fitter, fitted: Fitted) -> float:
             e = e[fitter.counted(experiment)]
             shares.append(float(np.mean(e) ** 2 / max(np.mean(e**2), 1e-300)))
     return max(shares)
+
+
+def innovation(fitter: Fitter, fitted: Fitted, filter_: np.ndarray) -> float:
+    """Rms of a fitted model's weighted error behind a monic filter: divided by it, the filter leaves errors of rms one.
+
+    The weight is taken from the fastest part of the noise, which says little of the whole where the noise is coloured.
+    """
+    kept = fitter.whitening
+    total, count = 0.0, 0
+    try:
+        fitter.whitening = filter_
+        for i, experiment in enumerate(fitter.experiments):
+            e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, i), experiment, fitted.hypothesis.initial(fitted.fit.x, i))
+            if e is not None:
+                w, keep = fitter.whitened(e, experiment)
+                total += float(np.sum(w[keep] ** 2))
+                count += int(np.sum(keep))
+    finally:
+        fitter.whitening = kept
+    return float(np.sqrt(total / count)) if total > 0 else 1.0
 
 
 def alike(a: np.ndarray, b: np.ndarray, tolerance: float = 0.02) -> bool:
