@@ -20,7 +20,7 @@ def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-def value_steps(values: np.ndarray, noise: float, most: int = 1) -> tuple[float, ...]:
+def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
     """Steps in which values (N,) may come: the one whose line is strongest and what it may be an overtone of; () for no line.
 
     The characteristic function |mean exp(2 pi i f v)| of rounded values has a line at f = 1/step, lower by exp(-2 pi^2 (s f)^2)
@@ -45,15 +45,14 @@ def value_steps(values: np.ndarray, noise: float, most: int = 1) -> tuple[float,
     around = 64
     level = np.convolve(power, np.ones(2 * around + 1), "same") - np.convolve(power, np.ones(17), "same")
     line = power / np.maximum(level / (2 * around - 16), 1.0)
-    found: list[float] = []
-    for i in np.argsort(-line)[:200]:
-        if line[i] < LINE or len(found) == most:
-            break
-        whole = frequency[i] * np.array(found)
-        if np.all(np.abs(whole - np.round(whole)) > 0.02):  # no multiple of one that is known
-            found.append(1.0 / float(frequency[i]))
-    # the strongest line may be an overtone
-    return tuple(sorted({k * step for step in found for k in (1, 2, 3) if k * step <= span / 8}))
+    # values rounded after the noise have overtones as strong as the fundamental: the lowest of the strong lines
+    strong = np.flatnonzero(line >= max(LINE, 0.3 * float(np.max(line))))
+    if len(strong) == 0:
+        return ()
+    near = slice(strong[0], strong[0] + 8)
+    step = 1.0 / float(frequency[near][np.argmax(line[near])])
+    # and it may be an overtone still
+    return tuple(k * step for k in (1, 2, 3, 4) if k * step <= span / 8)
 
 
 def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...] = ()) -> dict[str, Scales]:
