@@ -82,9 +82,11 @@ def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
         offset = float(np.mean(r.velocity[:-1] * 0.5 + r.velocity[1:] * 0.5) - (r.angle[-1] - r.angle[0]) / r.duration)
         error = experiment.sigma / math.sqrt(len(r)) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
         verdicts.append(abs(offset) > 5 * error)
-    if not verdicts or any(verdicts) != all(verdicts):
+    if not verdicts:
         return set()
-    return {"torque_offset"} if all(verdicts) else {"sensor_offset"}
+    if all(verdicts):
+        return {"torque_offset"}
+    return set() if any(verdicts) else {"sensor_offset"}
 
 
 def unphysical(axis: Axis) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from diagnose.scales import scales_by_place
 from diagnose.view import View
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
-from mjsim.system import assemble
+from mjsim.system import STEP, assemble
 
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
 
@@ -29,7 +29,6 @@ T = TypeVar("T")
 Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
-STEP = 0.12  # angle by which the fastest motion of a model with events may turn in a step (`mjsim.system.System.substeps`)
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
@@ -230,6 +229,11 @@ class Fitter:
             return None
         e = s.measured - s.predicted
         return e if np.all(np.isfinite(e)) else None
+
+    def error_of(self, fitted: Fitted, i: int) -> np.ndarray | None:
+        """The error of a fitted model on estimation experiment i."""
+        h, x = fitted.hypothesis, fitted.fit.x
+        return self.error(h.axis(x, i), self.experiments[i], h.initial(x, i))
 
     def weighted(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
         """The error whitened, weighted and cut to the samples that count."""

@@ -13,14 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.view import MOST_SUBSTEPS
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales, effect_class
 from mjsim.quantity import Quantity
+from mjsim.system import STEP
 
 __all__ = ["Entry", "Hypothesis", "make"]
 
 
-STIFFEST = 1.35  # radians a sample at which a contact may ring: twelve steps of 0.12 (`view.MOST_SUBSTEPS`), and the chain's own
+STIFFEST = 15 / 16 * MOST_SUBSTEPS * STEP  # radians a sample at which a contact may ring; the rest is for the chain's own
 
 
 @dataclass(frozen=True)

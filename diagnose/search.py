@@ -136,6 +136,7 @@ class Search:
         self._began = time.monotonic()
         self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
+        self._encoder: dict[tuple[tuple[str, ...], float, Effect], float] = {}
 
     def _spent(self) -> bool:
         """Whether the budget of runs (the same on every machine) or of seconds is used up."""
@@ -373,7 +374,10 @@ class Search:
         new = [e for e in after.effects if e.key not in before.key]
         if len(new) != 1 or len(after.key) != len(before.key) + 1:
             return False
-        return encoder_gain(self.fitter, before, new[0]) > AS_MUCH * (before.chi2 - after.chi2)
+        asked = (before.key, before.chi2, new[0])
+        if asked not in self._encoder:
+            self._encoder[asked] = encoder_gain(self.fitter, before, new[0])
+        return self._encoder[asked] > AS_MUCH * (before.chi2 - after.chi2)
 
     def run(self) -> Fitted:
         """The best structure that the search finds."""

@@ -119,46 +119,46 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
 def motion_error(fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WINDOWS) -> float | None:
     """How much of the error is motion that really took place: the most that any of ``windows`` [s] shows.
 
-    Over a long window little noise is left, and no motion faster than it; over a short one it is the other way round.
-    """
-    found = [_motion_error(fitter, fitted, window) for window in windows]
-    known = [x for x in found if x is not None]
-    return max(known) if known else None
-
-
-def _motion_error(fitter: Fitter, fitted: Fitted, window: float) -> float | None:
-    """How much of the error is motion that really took place.
-
     In units of the velocity noise variance; None where it cannot be told, 0 where it is within four standard errors of none.
-    The velocity error and the rate of the angle error, both averaged over ``window`` [s], share the motion that the model missed
+    The velocity error and the rate of the angle error, both averaged over a window, share the motion that the model missed
     and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings is therefore the
-    mean square of the missed motion, whatever the colour of either noise. Held-out phases and speeds are estimated as for the
+    mean square of the missed motion, whatever the colour of either noise. Over a long window little noise is left, and no
+    motion faster than it; over a short one it is the other way round. Held-out phases and speeds are estimated as for the
     free-run error.
     """
     if fitter.view.channel != "velocity":
         return None
-    products: list[float] = []
-    noise: list[float] = []
+    runs = []
     for experiment in fitter.held_out:
         r = experiment.recording
         if r.velocity is None or r.angle is None:
             return None
+        speed = 0.5 * (r.velocity[1:] + r.velocity[:-1])
+        if np.std(speed - np.diff(r.angle) / r.dt) < 1e-6 * np.std(r.velocity):
+            return None  # one channel was computed from the other
         solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
         if solved is None:
             return None
         y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
-        k = max(2, round(window / r.dt))
-        count = (len(r) - 1) // k
-        speed = 0.5 * (r.velocity[1:] + r.velocity[:-1]) - np.diff(y.angle) / r.dt
-        # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
-        variance = float(np.mean(speed[: count * k].reshape(count, k).var(axis=1)))
-        if np.std(0.5 * (r.velocity[1:] + r.velocity[:-1]) - np.diff(r.angle) / r.dt) < 1e-6 * np.std(r.velocity):
-            return None  # one channel was computed from the other
-        speed = speed[: count * k].reshape(count, k).mean(axis=1)
-        angle = np.diff((r.angle - y.angle)[: count * k + 1 : k]) / (k * r.dt)
-        keep = experiment.counts[: count * k].reshape(count, k).all(axis=1)
+        runs.append((speed - np.diff(y.angle) / r.dt, r.angle - y.angle, experiment.counts, r.dt))
+    found = [_shared(runs, window) for window in windows]
+    return max((x for x in found if x is not None), default=None)
+
+
+def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], window: float) -> float | None:
+    """What velocity errors and angle errors share over one window, per run: (N - 1,), (N,), the samples that count, dt."""
+    products: list[float] = []
+    noise: list[float] = []
+    for error, angle_error, counts, dt in runs:
+        k = max(2, round(window / dt))
+        count = len(error) // k
+        parts = error[: count * k].reshape(count, k)
+        speed = parts.mean(axis=1)
+        angle = np.diff(angle_error[: count * k + 1 : k]) / (k * dt)
+        keep = counts[: count * k].reshape(count, k).all(axis=1)
         products += list((speed * angle)[keep])
-        noise += list((speed - angle)[keep] ** 2 + variance)
+        # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
+        noise += list((speed - angle)[keep] ** 2 + float(np.mean(parts.var(axis=1))))
     if len(products) < 20:
         return None
     p = np.array(products)

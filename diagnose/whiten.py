@@ -33,7 +33,7 @@ def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
     a filter would weigh such errors by their colour, not by what they mean.
     """
     experiment = fitter.experiments[0]
-    e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, 0), experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
+    e = fitter.error_of(fitted, 0)
     if e is None:
         return 1.0
     e = np.where(fitter.counted(experiment), e, 0.0)
@@ -52,7 +52,7 @@ def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> 
     experiment = fitter.experiments[0]
     errors = []
     for f in (poorer, richer):
-        e = fitter.error(f.hypothesis.axis(f.fit.x, 0), experiment, f.hypothesis.initial(f.fit.x, 0))
+        e = fitter.error_of(f, 0)
         if e is None:
             return 1.0
         errors.append(np.where(fitter.counted(experiment), e, 0.0))
@@ -73,7 +73,7 @@ def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material
     total = np.zeros(largest + 1)
     n = 0
     for i, experiment in enumerate(fitter.experiments):
-        e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, i), experiment, fitted.hypothesis.initial(fitted.fit.x, i))
+        e = fitter.error_of(fitted, i)
         if e is None:
             return None
         e = np.where(fitter.counted(experiment), e, 0.0) / fitter.sigma(experiment)
@@ -92,7 +92,7 @@ def offset_share(fitter: Fitter, fitted: Fitted) -> float:
     """Largest share of a residual's mean square, over the experiments, that its mean has."""
     shares = [0.0]
     for i, experiment in enumerate(fitter.experiments):
-        e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, i), experiment, fitted.hypothesis.initial(fitted.fit.x, i))
+        e = fitter.error_of(fitted, i)
         if e is not None:
             e = e[fitter.counted(experiment)]
             shares.append(float(np.mean(e) ** 2 / max(np.mean(e**2), 1e-300)))
@@ -109,7 +109,7 @@ def innovation(fitter: Fitter, fitted: Fitted, filter_: np.ndarray) -> float:
     try:
         fitter.whitening = filter_
         for i, experiment in enumerate(fitter.experiments):
-            e = fitter.error(fitted.hypothesis.axis(fitted.fit.x, i), experiment, fitted.hypothesis.initial(fitted.fit.x, i))
+            e = fitter.error_of(fitted, i)
             if e is not None:
                 w, keep = fitter.whitened(e, experiment)
                 total += float(np.sum(w[keep] ** 2))

@@ -12,7 +12,9 @@ from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import DIRECTION, N_LOCAL, STATE, Law
 
-__all__ = ["System", "assemble", "split_chain"]
+__all__ = ["STEP", "System", "assemble", "split_chain"]
+
+STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
 
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
 
@@ -43,7 +45,7 @@ class System:
         """Number of bodies."""
         return len(self.chain.bodies)
 
-    def substeps(self, dt: float, max_speed: float, target: float = 0.12) -> int:
+    def substeps(self, dt: float, max_speed: float, target: float = STEP) -> int:
         """RK4 steps per sample that keep (h w) under ``target`` for the chain, three times that for position-locked laws."""
         if self.affine and not self.has_friction.any() and not self.f[5].any():
             target = 1.0  # no events: a step is exact, and its series converges to rounding up to here
