@@ -46,7 +46,7 @@ def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...
         effect_class(name)
     out = []
     for name, cls in registered().items():
-        if only and name not in only:
+        if only and cls.name() not in only and name not in only:
             continue
         for place in cls.places:
             starts = cls.starts(fitter.scales_for(cls, place))

@@ -58,9 +58,11 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10
         if key == effect.key or search.ahead(best, f) > margin:
             continue
         rival = next(e for e in f.effects if e.key == key)
+        if rival.name() == effect.name() and rival.place == effect.place:
+            continue
         if effect.id in type(rival).refines and len(f.hypothesis.entries) > len(best.hypothesis.entries):
             continue
-        out.append((search.criterion(f), rival.id if rival.id != effect.id else rival.key))
+        out.append((search.criterion(f), rival.name() if rival.name() != effect.name() else rival.key))
     return tuple(dict.fromkeys(name for _, name in sorted(out)))
 
 
@@ -153,7 +155,7 @@ def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequ
 
 
 def _rival_of(search: Search, best: Fitted, finding: Finding, name: str) -> Fitted | None:
-    rest = {k for k in best.key if k != f"{finding.effect}@{finding.place}"}
+    rest = {k for k in best.key if k != f"{finding.law}@{finding.place}"}
     for f in search.pool.values():
         others = set(f.key) - rest
         if rest <= set(f.key) and len(f.key) == len(best.key) and any(k == name or k.split("@")[0] == name for k in others):

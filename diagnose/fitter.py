@@ -18,7 +18,7 @@ from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
-from diagnose.view import View
+from diagnose.view import MotionView, View, led_by_torque
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.system import STEP, assemble
@@ -30,6 +30,15 @@ Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | No
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
+LEADS = (
+    300.0,
+    100.0,
+    30.0,
+    10.0,
+    3.0,
+    1.0,
+    0.0,
+)  # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -116,6 +125,22 @@ class HeldOut:
     def chi2(self) -> float:
         """Weighted sum of squares."""
         return float(np.sum(self.sse))
+
+
+def _drawn(fitted: Fitted, count: int, seed: int) -> list[np.ndarray]:
+    """Points (p,) about a fit by its covariance, the later the wider, up to thirty standard errors; the same for a seed."""
+    if count == 0:
+        return []
+    J = fitted.fit.J
+    scale = np.linalg.norm(J, axis=0) + 1e-300
+    _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
+    root = (vt.T / np.maximum(s, 1e-5 * s[0])) * math.sqrt(fitted.chi2 / fitted.n)
+    lower, upper = fitted.hypothesis.bounds
+    rng = np.random.default_rng(seed)
+    return [
+        np.clip(fitted.fit.x + width * (root @ rng.standard_normal(len(s))) / scale, lower, upper)
+        for width in np.geomspace(1.0, 30.0, count)
+    ]
 
 
 def _first(experiment: Experiment, share: float) -> Experiment:
@@ -394,9 +419,9 @@ class Fitter:
         its excitation does not reach) another one may settle, and is no missing physics.
         """
         everything = (*self.experiments, *self.held_out)
-        wider = Fitter(self.nominal, self.view, everything, self.held_out, self.jobs, self.varies, self.orders, self.whitening)
+        wider = self._beside(everything, everything, self.view)
+        wider.guide = 1.0
         try:
-            wider._sigma = {id(e): self.sigma(e) for e in everything}
             joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
         finally:
             wider.close()
@@ -407,6 +432,51 @@ class Fitter:
         h = self.hypothesis(joint.effects, joint.linear, own)
         return dataclasses.replace(fitted, hypothesis=h, fit=dataclasses.replace(fitted.fit, x=h.start))
 
+    def _beside(self, experiments: tuple[Experiment, ...], like: Sequence[Experiment], view: View) -> Fitter:
+        """A fitter of the same kind for other experiments, each weighted as the one it is like, or another view."""
+        other = Fitter(self.nominal, view, experiments, (), self.jobs, self.varies, self.orders, self.whitening)
+        other.scales, other.guide = self.scales, self.guide
+        other._sigma = {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
+        return other
+
+    def led(
+        self, fitted: Fitted, rate: float, iterations: int = 10, *, spread: int = 0, keep: int = 1, seed: int = 0
+    ) -> Fitted | None:
+        """The same structure fitted to a model that the measured velocity leads, by its own inertia times ``rate`` [1/s].
+
+        ``spread``: begun also from so many points drawn about it by its covariance, ever wider; the best ``keep`` go on. None
+        where the torque does not reach the axis as it is commanded: there it cannot lead it.
+        """
+        if not isinstance(self.view, MotionView) or not led_by_torque(fitted.axis):
+            return None
+        view = dataclasses.replace(self.view, lead=rate * self.nominal.chain.bodies[0].inertia)
+        part = self._beside(self.experiments, self.experiments, view)
+        h, x = fitted.hypothesis, fitted.fit.x
+        try:
+            starts = [x, *_drawn(fitted, spread, seed)]
+            costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(part.residual(h), s) for s in starts])]
+            order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
+            chosen = order if 0 in order else [*order[:-1], 0]
+            fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
+        finally:
+            part.close()
+        with self._counting:
+            self.runs += part.runs
+        return min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+
+    def let_go(self, fitted: Fitted, seed: int = 0) -> Fitted:
+        """The same structure fitted to a led model, and on as it is led ever less, to a free run.
+
+        Where bodies stick or strike a free run has a minimum for each order in which they do; a led model is soon put right.
+        """
+        now = fitted
+        for k, rate in enumerate(LEADS):
+            found = self.led(now, rate, 6, spread=16 if k or seed else 0, keep=3, seed=len(LEADS) * seed + k)
+            if found is None:
+                return fitted
+            now = found
+        return self.fit(now.hypothesis, now.fit.x, iterations=20)
+
     def unfolded(self, fitted: Fitted, linear: Mapping[str, float] | None, iterations: int = 12) -> Fitted:
         """The same structure fitted to the first stretch of each recording, then to ever longer ones, and then to all of it.
 
@@ -415,10 +485,8 @@ class Fitter:
         """
         effects, own = fitted.effects, fitted.own
         for share in UNFOLD:
-            part = Fitter(self.nominal, self.view, tuple(_first(e, share) for e in self.experiments), (), self.jobs, self.varies)
+            part = self._beside(tuple(_first(e, share) for e in self.experiments), self.experiments, self.view)
             try:
-                part.orders, part.scales, part.whitening, part.guide = self.orders, self.scales, self.whitening, self.guide
-                part._sigma = {id(p): self.sigma(e) for p, e in zip(part.experiments, self.experiments, strict=True)}
                 found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
             finally:
                 part.close()

@@ -69,7 +69,7 @@ class Options:
     structure_share: float = 0.05
     structure_p: float = 1e-4
     missed: float = 0.05
-    left: float = 0.03
+    left: float = 0.01
     left_of_all: float = 0.01
 
 
@@ -269,6 +269,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         pooled = fitter.pooled(best)
         structure, motion = remaining_structure(fitter, pooled), (motion[0], motion_error(fitter, pooled))
         remains = _is_unexplained(search, base, fitter.validate(pooled), structure, motion, options)
+        remains = remains or _left_on_estimation(fitter, base, pooled, options)
         settled = not remains
     verdict = _verdict(search, base, best, remains)
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
@@ -363,7 +364,8 @@ def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, 
         coupling = type(effect).family == "coupling" or effect.id == "transmission_error"
         out.append(
             Finding(
-                effect=effect.id,
+                effect=effect.name(),
+                form=effect.form_of and effect.id,
                 place=effect.place,
                 element=search.fitter.nominal.chain.element(effect.place, coupling=coupling),
                 sentence=effect.describe(search.fitter.nominal.chain.motion),
@@ -429,6 +431,15 @@ def _is_unexplained(
     # fast motion averages out in what the angle confirms: how much of all was closed is seen in the error itself
     left = after.rms**2 - search.fitter.experiments[0].sigma ** 2
     return missed_after > options.missed and missed_after > options.left * missed_before and left > options.left_of_all * mismatch
+
+
+def _left_on_estimation(fitter: Fitter, base: Fitted, pooled: Fitted, options: Options) -> bool:
+    """Whether a model fitted to every recording leaves the estimation recordings a material error, whitened if need be."""
+    r = fitter.residual(pooled.hypothesis)(pooled.fit.x) if fitter.noise_known else None
+    if r is None:
+        return False
+    left = float(r @ r) / base.n - 1.0
+    return left > options.missed and left > options.left_of_all * (base.chi2 / base.n - 1.0)
 
 
 def _verdict(search: Search, base: Fitted, best: Fitted, remains: bool) -> Verdict:

@@ -115,8 +115,8 @@ class Hypothesis:
                     low = max(low, 0.02 * s.duration)
                     value = max(value, low)
                 if spec.quantity is Quantity.CYCLES and effect.place != "arm":
-                    # what does not repeat within the travel is not periodic: one and a half periods at least
-                    low = max(low, 3 * math.pi / max(turning.travel, 1e-12))
+                    # of less than half a period nothing tells that it is periodic
+                    low = max(low, math.pi / max(turning.travel, 1e-12))
                     value = max(value, low)
                 entry = (spec.name, spec.quantity, scale, low, high)
                 if spec.nuisance:

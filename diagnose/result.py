@@ -60,7 +60,8 @@ class Finding:
 
     evidence: held_out_error_before / _after (rms without and with this effect, view's unit), p_value (held-out, one-
     sided, corrected
-    for the number of hypotheses), delta_chi2 (estimation, whitened), hypotheses (number tested).
+    for the number of hypotheses), delta_chi2 (estimation, whitened), hypotheses (number tested). form: the law that was fitted,
+    where it is another than the effect's own.
     """
 
     effect: str
@@ -70,6 +71,12 @@ class Finding:
     parameters: Mapping[str, Estimate]
     evidence: Mapping[str, float]
     equivalents: tuple[str, ...] = ()
+    form: str = ""
+
+    @property
+    def law(self) -> str:
+        """Identifier of the law that was fitted."""
+        return self.form or self.effect
 
 
 @dataclass(frozen=True)
@@ -304,7 +311,7 @@ class Diagnosis:
             "summary": self.summary,
             "findings": [
                 {
-                    "effect": f.effect, "place": f.place, "element": f.element, "sentence": f.sentence,
+                    "effect": f.effect, "law": f.law, "place": f.place, "element": f.element, "sentence": f.sentence,
                     "parameters": {k: v.as_dict() for k, v in f.parameters.items()}, "evidence": dict(f.evidence),
                     "equivalents": list(f.equivalents),
                 }

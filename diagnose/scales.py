@@ -8,10 +8,13 @@ from diagnose.experiment import Experiment, measured_velocity, plain_step
 from mjsim.axis import Axis
 from mjsim.effects import Scales
 from mjsim.ode import DivergedError, simulate
+from mjsim.quantity import Motion
 
 __all__ = ["PLACES", "scales_by_place", "value_steps"]
 
 LINE = 40.0  # power of a line over its surroundings; 1e-13 by chance for N(0, 1) in quadrature, over some 1e4 frequencies
+
+TURNS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # orders of a motor's turn: eccentricity, coupling, pole pairs, and what follows from them
 
 PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
 
@@ -75,6 +78,8 @@ def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...
             deflect.append(torque[:, j] / c.stiffness)
     out = {}
     steps = value_steps(v, experiment.sigma)
+    turning = chain.motion is Motion.HINGE and len(orders) > 0
+    turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
     for place in PLACES:
         found = chain.body(place)
         at: int = found if found is not None else 0
@@ -88,6 +93,6 @@ def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...
             max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[joint]) if joint is not None else 1.0,
             inertia=chain.bodies[at].inertia, stiffness=chain.couplings[joint].stiffness if joint is not None else 1.0,
             travel=ratio * float(np.ptp(q)), input=_rms(r.torque), max_input=float(np.max(np.abs(r.torque))), output=_rms(v),
-            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders, steps=steps,
+            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders, turns=turns, steps=steps,
         )  # fmt: skip
     return out

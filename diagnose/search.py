@@ -28,7 +28,7 @@ from diagnose.progress import Progress
 from diagnose.whiten import effective_share
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["Comparison", "Search", "SearchOptions"]
+__all__ = ["LEAD", "Comparison", "Search", "SearchOptions"]
 
 T = TypeVar("T")
 
@@ -38,7 +38,12 @@ MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the sear
 GUIDE = 0.2  # relative standard deviation that they are then given
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
+LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
+WRONG = 20.0  # chi-square over n beyond which something else is missing than the moments at which a body sticks or strikes
+FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
+LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
+CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 AS_MUCH = 0.9  # of an effect's gain, from which a rival that is noise does as much
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
@@ -137,6 +142,8 @@ class Search:
         self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
         self._encoder: dict[tuple[tuple[str, ...], float, Effect], float] = {}
+        self._leads: dict[tuple[object, ...], float] = {}
+        self._let_go = 0
 
     def _spent(self) -> bool:
         """Whether the budget of runs (the same on every machine) or of seconds is used up."""
@@ -190,17 +197,17 @@ class Search:
 
     def expand(self, base: Fitted) -> list[Fitted]:
         """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
-        free = [c for c in self.candidates if not conflicts(c, base.effects)]
+        free = [c for c in self.candidates if not conflicts(c, base.effects) and not effect_class(c.id).form_of]
         ranked = screen(self.fitter, base, free)
         self.screened[base.key] = ranked
         self.tested += len(ranked)
         floor = 0.4 * self.options.entry
         visible = base.chi2 > 1.05 * base.n or not self.fitter.noise_known
         promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
-        # a structure's response is not linear in its amplitude: fit it whatever the secant says, while there is something to
-        # explain, or a filter that may have taken it in
-        if visible or len(self.fitter.whitening) > 1:
-            promising += [s for s in ranked if effect_class(s.candidate.id).family == "structure" and s not in promising]
+        # a response that is not linear in its amplitude: fitted whatever the secant says, while there is something to explain, or
+        # (a structure) a filter that may have taken it in
+        whatever = CURVED if visible else CURVED[:1] if len(self.fitter.whitening) > 1 else ()
+        promising += [s for s in ranked if effect_class(s.candidate.id).family in whatever and s not in promising]
         return self._race(base, [(base.effects, s) for s in promising])
 
     def refine(self, base: Fitted) -> list[Fitted]:
@@ -209,11 +216,13 @@ class Search:
         Where the score says it can matter.
         """
         entrants: list[tuple[tuple[Effect, ...], Screened]] = []
+        material = self.fitter.noise_known and base.chi2 > UNEXPLAINED * base.n
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
             supposed = [
                 c for c in self.candidates
                 if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
+                and (material or not effect_class(c.id).form_of)
                 and _related(c.id, effect) and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
             ]  # fmt: skip
             ranked = screen(self.fitter, base, supposed, replacing=effect)
@@ -233,7 +242,9 @@ class Search:
         if "cycles_per_rev" not in effect.values or mark in self.retried:
             return []
         self.retried.add(mark)
-        orders = self.fitter.scales_for(type(effect), effect.place).orders[:3]
+        scales = self.fitter.scales_for(type(effect), effect.place)
+        likely = {v["cycles_per_rev"] for v in type(effect).starts(scales)}
+        orders = [n for n in scales.orders[:3] if n in likely]
         starts = tuple(
             effect.with_values({"cycles_per_rev": n, "phase_rad": phase})
             for n in orders if abs(n - effect.values["cycles_per_rev"]) > 0.02 * n for phase in (0.0, 1.57, 3.14, -1.57)
@@ -367,7 +378,32 @@ class Search:
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if c.relative_gain <= self.options.material or c.p_value * asked >= self.options.p_enter:
             return False
-        return not self._encoder_errs(before, after)
+        return not self._encoder_errs(before, after) and not self._events_only(before, after)
+
+    def _events_only(self, before: Fitted, after: Fitted) -> bool:
+        """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.
+
+        A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
+        right within J/lead: there it must gain as well, a fair part of that; and it must explain a fair part of what was left.
+        """
+        stuck = any(type(e).rough for e in before.effects) and before.chi2 > UNEXPLAINED * before.n
+        if not stuck or not self.fitter.noise_known or not set(before.key) < set(after.key):
+            return False
+        gain = self.gain(before, after)
+        if gain < FAIR * before.n * math.log(before.chi2 / before.n):
+            return True
+        asked = (before.key, before.chi2, after.key, after.chi2)
+        if asked not in self._leads:
+            richer = self.fitter.led(after, LEAD, 15, spread=8, keep=2)
+            own = self.fitter.led(before, LEAD, 15, spread=8, keep=2)
+            effects = tuple(e for e in after.effects if e.key in before.key)
+            begun = self.fitter.fit(self.fitter.hypothesis(effects, after.linear, after.own), iterations=0)
+            poorer = [f for f in (own, self.fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
+            if richer is None or not poorer:
+                self._leads[asked] = math.inf
+            else:
+                self._leads[asked] = self.gain(min(poorer, key=lambda f: f.chi2), richer)
+        return self._leads[asked] < max(self.options.entry, FAIR * gain)
 
     def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:
         """Whether an encoder that errs over its turn does as much as the one position-locked effect that was added."""
@@ -518,6 +554,14 @@ class Search:
                     if not now.ok or now.chi2 > 0.9 * last.chi2:
                         break
                     linear = now.linear
+            for seed in range(UNFOLDS):
+                last = self.pool[f.key]
+                if last.chi2 < UNEXPLAINED * last.n or not any(type(e).rough for e in last.effects) or self._late():
+                    break
+                if self._let_go >= LET_GO or last.chi2 > WRONG * last.n:
+                    break
+                self._let_go += 1
+                self._keep(self.fitter.let_go(last, seed))
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 
     def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
@@ -610,8 +654,10 @@ def _folded(f: Fitted) -> bool:
 
 
 def _related(name: str, effect: Effect) -> bool:
-    """Whether an effect refines another, or both refine the same."""
+    """Whether an effect refines another, or both refine the same; another form of an effect refines refinements alone."""
     cls = effect_class(name)
+    if cls.form_of:
+        return effect.id in cls.refines and bool(type(effect).refines)
     return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
 
 

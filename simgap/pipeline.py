@@ -31,7 +31,7 @@ def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
 
     axis = nominal.with_linear({k: v.value for k, v in diagnosis.linear_parameters.items()})
     for f in diagnosis.findings:
-        axis = axis + effect_class(f.effect)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
+        axis = axis + effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
     return axis
 
 

@@ -183,8 +183,8 @@ def _law(effect: str) -> tuple[str, str, str]:
 def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:
     from markupsafe import Markup
 
-    title, law, citation = _law(f.effect)
-    about = {s.name: s.about for s in effect_class(f.effect).specs()} if title else {}
+    title, law, citation = _law(f.law)
+    about = {s.name: s.about for s in effect_class(f.law).specs()} if title else {}
     known = ("held_out_error_before", "held_out_error_after", "p_value", "hypotheses", "delta_chi2", "p_value_estimation")
     return {
         "finding": f,
@@ -211,7 +211,7 @@ def _map(d: Diagnosis) -> dict[str, Any] | None:
         return None
     u = unit(d.unit)
     kept = ", ".join(f"{effect_name(e.id)} ({e.place})" for e in m.effects)
-    dropped = [f for f in d.findings if (f.effect, f.place) not in {(e.id, e.place) for e in m.effects}]
+    dropped = [f for f in d.findings if (f.effect, f.place) not in {(e.name(), e.place) for e in m.effects}]
     beside = f"Fitted beside it: {kept}." if kept else "Fitted beside it: the nominal model's own numbers only."
     if dropped:
         beside += " It does without " + ", ".join(f"{effect_name(f.effect)} ({f.place})" for f in dropped)
@@ -318,7 +318,7 @@ def _fits(d: Diagnosis) -> list[dict[str, Any]]:
 
 def _rivals(d: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Sorted by criterion; the first ones, the nominal and the chosen structure among them, and the rest."""
-    chosen = {f"{f.effect}@{f.place}" for f in d.findings}
+    chosen = {f"{f.law}@{f.place}" for f in d.findings}
 
     def key(r: Rival) -> float:
         return r.criterion if math.isfinite(r.criterion) else math.inf
@@ -345,7 +345,7 @@ def _better(d: Diagnosis) -> list[tuple[str, str]]:
     best = d.fit.get("corrected")
     if best is None or not d.findings:
         return []
-    chosen = {f"{f.effect}@{f.place}" for f in d.findings}
+    chosen = {f"{f.law}@{f.place}" for f in d.findings}
     ahead = [r for r in d.rivals if set(r.effects) != chosen and r.held_out_rms < 0.99 * best.held_out_rms]
     return [(structure_name(r.effects), number(r.held_out_rms)) for r in sorted(ahead, key=lambda r: r.held_out_rms)[:3]]
 

@@ -83,7 +83,8 @@ class Scales:
     body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (1 when
     there is none); inertia, stiffness: nominal values at the place; travel: range of the body's angle [rad | m];
     input, max_input: rms and largest input; output: rms measured output; dt, duration [s]; orders: dominant spatial
-    frequencies of the residual over the body's angle [1/rev | rad/m]; steps: those in which the measured output comes, where
+    frequencies of the residual over the body's angle [1/rev | rad/m]; turns: whole orders of the motor's turn that its travel can
+    show, which what is fixed to the motor is likely to have; steps: those in which the measured output comes, where
     its values show any.
     """
 
@@ -101,6 +102,7 @@ class Scales:
     dt: float
     duration: float
     orders: tuple[float, ...] = ()
+    turns: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
 
 
@@ -114,7 +116,8 @@ class Effect(abc.ABC):
     (identifiers of the simpler effects that this one contains), ``multistart`` (from how many of its best starts a fit is
     begun; more than one where the error has several minima), ``rough`` (whether bodies stick or strike by it, so that the error
     jumps as a parameter moves), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
-    whose angle a periodic law follows, its own when empty).
+    whose angle a periodic law follows, its own when empty), ``form_of`` (the contract identifier that it is named by, where it is
+    another law for the same effect).
     """
 
     id: ClassVar[str]
@@ -128,6 +131,7 @@ class Effect(abc.ABC):
     refines: ClassVar[tuple[str, ...]] = ()
     amplitudes: ClassVar[tuple[str, ...]] = ()
     angle_of: ClassVar[str] = ""
+    form_of: ClassVar[str] = ""
 
     place: str = ""
 
@@ -150,6 +154,11 @@ class Effect(abc.ABC):
         return tuple(
             ParameterSpec(f.name, *f.metadata["parameter"]) for f in dataclasses.fields(cls) if "parameter" in f.metadata
         )
+
+    @classmethod
+    def name(cls) -> str:
+        """The contract identifier that the effect is named by."""
+        return cls.form_of or cls.id
 
     @property
     def key(self) -> str:

@@ -67,5 +67,5 @@ class PositionDependentFriction(Effect):
         """Starts of a fit."""
         return [
             {"torque_Nm": 0.1 * scales.torque, "relative_amplitude": 0.3, "cycles_per_rev": n, "phase_rad": 0.0}
-            for n in scales.orders[:4]
+            for n in dict.fromkeys((*scales.orders[:4], *scales.turns))
         ]

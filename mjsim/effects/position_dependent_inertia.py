@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PositionDependentInertia"]
 
+MOST = 500.0  # periods of an arm's own turn, above which no inertia varies
+
 
 @law
 def change(z: Any, p: Any, out: Any) -> None:
@@ -59,5 +61,7 @@ class PositionDependentInertia(Effect):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
         return [
-            {"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0} for n in (1.0, 2.0, 3.0, 4.0, *scales.orders[:3])
+            {"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0}
+            for n in (1.0, 2.0, 3.0, 4.0, *scales.orders[:3])
+            if n <= MOST
         ]

@@ -67,4 +67,7 @@ class TorqueRipple(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"amplitude_Nm": 0.05 * scales.torque, "cycles_per_rev": n, "phase_rad": 0.0} for n in scales.orders[:4]]
+        return [
+            {"amplitude_Nm": 0.05 * scales.torque, "cycles_per_rev": n, "phase_rad": 0.0}
+            for n in dict.fromkeys((*scales.orders[:4], *scales.turns))
+        ]

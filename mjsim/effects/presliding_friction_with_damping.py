@@ -1,0 +1,68 @@
+"""Presliding friction whose bristle is damped (the LuGre model without Stribeck effect): a form of `presliding_friction`.
+
+tau_f = s z + d z',  z' = v - s |v| z / F
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.law import RATE, STATE, law
+from mjsim.effects.ports import BodyTorque, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+
+__all__ = ["PreslidingFrictionWithDamping"]
+
+
+@law
+def torque(z: Any, p: Any, out: Any) -> None:
+    """-s z - d z'; alpha = v, beta = s |v| / F."""
+    out[1] = z[RATE]
+    out[2] = p[1] * abs(z[RATE]) / p[0]
+    out[0] = -p[1] * z[STATE] - p[2] * (out[1] - out[2] * z[STATE])
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class PreslidingFrictionWithDamping(Effect):
+    """Presliding friction with a damped bristle; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "presliding_friction_with_damping"
+    form_of: ClassVar[str] = "presliding_friction"
+    places: ClassVar[tuple[str, ...]] = ("motor",)
+    sentence: ClassVar[str] = (
+        "Friction at the {place} that acts as a spring of {stiffness_Nm_rad}, damped by {damping_Nms_rad}, before it slides at "
+        "{torque_Nm} (presliding, LuGre)."
+    )
+    citation: ClassVar[str] = "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40 (1995) 419"
+    tolerance: ClassVar[float] = 1e-3
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "stiffness_Nm_rad", "damping_Nms_rad")
+    family: ClassVar[str] = "friction"
+    multistart: ClassVar[int] = 2
+    refines: ClassVar[tuple[str, ...]] = ("presliding_friction", "coulomb_friction")
+
+    torque_Nm: float = parameter(Quantity.TORQUE, "sliding level", lower=1e-12)
+    stiffness_Nm_rad: float = parameter(Quantity.STIFFNESS, "stiffness of the contact at rest", lower=0.0)
+    damping_Nms_rad: float = parameter(Quantity.DAMPING, "damping of the contact at rest", lower=0.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        p = (self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad)
+        return (BodyTorque(need_body(chain, self.place), torque, p, state=True),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        f = 0.1 * scales.torque
+        stiffness = f / (0.002 * scales.travel)
+        return [
+            {"torque_Nm": f, "stiffness_Nm_rad": stiffness, "damping_Nms_rad": d * (stiffness * scales.inertia) ** 0.5}
+            for d in (0.05, 0.5)
+        ]

@@ -1,0 +1,53 @@
+"""Another law for the same effect: it is sought where the contract's own leaves something, and named by the contract's name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from diagnose.flow import Options, diagnose
+from diagnose.result import Verdict
+from mjsim.effects import effect_class, registered
+from mjsim.excitation import chirp
+from mjsim.ode import simulate
+from mjsim.recording import Recording
+
+DT, N = 1e-3, 8_000
+LUGRE = {"torque_Nm": 0.1, "stiffness_Nm_rad": 1.0, "damping_Nms_rad": 0.01}
+
+
+@pytest.fixture(scope="module")
+def damped(robot):
+    """Two chirps of an axis whose bristle is damped, as the contract's presliding friction has it not."""
+    plant = robot + effect_class("presliding_friction_with_damping")(**LUGRE)
+    rng = np.random.default_rng(5)
+    out = []
+    for amplitude, top in ((0.5, 20.0), (0.35, 30.0)):
+        torque = chirp(N * DT, DT, amplitude, 0.5, top)
+        run = simulate(plant, torque, DT)
+        noise = 0.02 * rng.standard_normal(N)
+        out.append(Recording(run.time, torque, run.velocity + noise, run.angle + 1e-4 * rng.standard_normal(N), DT))
+    return out
+
+
+def test_every_form_is_of_an_effect_of_the_contract():
+    forms = [cls for cls in registered().values() if cls.form_of]
+    assert forms
+    for cls in forms:
+        assert cls.name() == cls.form_of
+        assert cls.form_of in cls.refines
+        assert not effect_class(cls.form_of).form_of
+        assert set(effect_class(cls.form_of).places) >= set(cls.places)
+
+
+def test_a_form_is_named_by_the_contract(robot, damped):
+    only = ("coulomb_friction", "presliding_friction", "stribeck_friction", "torque_offset")
+    found = diagnose(robot, damped[:1], damped[1:], Options(effects=only, jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    (finding,) = found.findings
+    assert (finding.effect, finding.law) == ("presliding_friction", "presliding_friction_with_damping")
+    assert finding.equivalents == ()
+    assert finding.parameters["damping_Nms_rad"].value == pytest.approx(0.01, rel=0.1)
+    assert finding.parameters["stiffness_Nm_rad"].value == pytest.approx(1.0, rel=0.05)
+    told = found.as_dict()["findings"][0]
+    assert (told["effect"], told["law"]) == ("presliding_friction", "presliding_friction_with_damping")

@@ -1,0 +1,95 @@
+"""A model led by the measured velocity: where bodies stick, a free run has a minimum for each order in which they do."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
+from diagnose.search import LEAD, Search, SearchOptions
+from diagnose.view import MotionView, led_by_torque
+from mjsim.effects import effect_class
+from mjsim.excitation import chirp
+from mjsim.ode import simulate
+from mjsim.recording import Recording
+
+DT, N = 1e-3, 10_000
+NOISE = 0.05
+STICTION = {"torque_Nm": 0.05, "peak": 4.5}
+
+
+@pytest.fixture(scope="module")
+def sticking(robot):
+    """A chirp at which the axis sticks at each reversal, and the axis that it is of."""
+    plant = robot + effect_class("static_friction")(**STICTION)
+    rng = np.random.default_rng(2)
+    torque = chirp(N * DT, DT, 0.6, 0.5, 25.0)
+    run = simulate(plant, torque, DT)
+    speed = run.velocity + NOISE * rng.standard_normal(N)
+    return plant, Recording(run.time, torque, speed, run.angle + 1e-4 * rng.standard_normal(N), DT)
+
+
+@pytest.fixture(scope="module")
+def fitter(robot, sticking):
+    experiment = prepare(sticking[1])
+    with_held_out = Fitter(robot, MotionView(), (experiment,), (experiment,), 1)
+    yield with_held_out
+    with_held_out.close()
+
+
+def test_the_truth_led_leaves_little_but_noise(sticking, fitter):
+    plant, _ = sticking
+    experiment = fitter.experiments[0]
+    view = MotionView(lead=LEAD * plant.chain.bodies[0].inertia)
+    s = view.signals(plant, experiment, None)
+    assert np.std(s.measured - s.predicted) < 1.5 * NOISE  # some of it from the noise that leads it
+
+
+def test_what_draws_a_model_is_torque_in_proportion_to_its_error(robot, sticking, fitter):
+    """The lead is the recorded velocity as input and viscous friction as loss: for a linear axis, feedback of its error."""
+    wrong = robot.with_linear({"Jm": 2 * robot.chain.bodies[0].inertia})
+    free, led = (
+        MotionView(lead=rate * robot.chain.bodies[0].inertia).signals(wrong, fitter.experiments[0], None) for rate in (0.0, 300.0)
+    )
+    assert np.std(led.measured - led.predicted) < 0.5 * np.std(free.measured - free.predicted)
+
+
+def test_a_torque_cannot_lead_through_an_actuator_that_changes_it(robot):
+    assert led_by_torque(robot)
+    for name, values in (("actuator_lag", {"time_constant_s": 1e-3}), ("actuator_deadzone", {"half_width_Nm": 0.01})):
+        assert not led_by_torque(robot + effect_class(name)(**values))
+
+
+def test_stiction_is_found_where_plain_fits_stick(robot, fitter):
+    start = effect_class("static_friction")(torque_Nm=0.06, peak=3.5)
+    far = {p.name: 1.06 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"}
+    plain = fitter.fit(fitter.hypothesis((start,), far), iterations=25)
+    best = plain
+    for seed in range(3):
+        best = min(best, fitter.let_go(best, seed), key=lambda f: f.chi2)
+    assert best.chi2 < 0.6 * plain.chi2
+    assert best.effects[0].torque_Nm == pytest.approx(STICTION["torque_Nm"], rel=0.05)
+    assert best.effects[0].peak == pytest.approx(STICTION["peak"], rel=0.05)
+
+
+def test_the_same_fit_each_time(fitter):
+    start = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.0),)), iterations=5)
+    first, second = (fitter.led(start, LEAD, 3, spread=4, keep=2) for _ in range(2))
+    assert np.array_equal(first.fit.x, second.fit.x)
+
+
+def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
+    """Of two fits of stiction that stick at other moments, the better one is no evidence for what was added to it."""
+    search = Search(fitter, SearchOptions())
+    stiction = effect_class("static_friction")(torque_Nm=0.055, peak=4.1)
+    ripple = effect_class("torque_ripple")(amplitude_Nm=1e-3, cycles_per_rev=5.4, phase_rad=0.0)
+    before = fitter.fit(fitter.hypothesis((stiction,)), iterations=0)
+    true = fitter.hypothesis((effect_class("static_friction")(**STICTION), ripple))
+    after = fitter.fit(true, iterations=15)
+    assert after.chi2 < 0.9 * before.chi2
+    assert search._events_only(before, after)
+    bare = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.n * 1.0))
+    assert not search._events_only(bare, after)  # nothing is left there to be explained
