@@ -95,6 +95,13 @@ def _experiments(
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
     """Estimation and held-out experiments; blocks of the recordings where no other recording is given."""
     if held_out:
+        used = {r.sha256: r.source for r in recordings if r.sha256}
+        for r in held_out:
+            if r.sha256 in used:
+                raise InputError(
+                    f"--held-out {r.source}", f"the same data as {used[r.sha256]}, which is fitted",
+                    "a recording that is not fitted", "leave it out: blocks of the recordings are then held out",
+                )  # fmt: skip
         return tuple(prepare(r) for r in recordings), tuple(prepare(r) for r in held_out)
     estimation, held = [], []
     for r in recordings:

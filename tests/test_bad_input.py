@@ -145,6 +145,12 @@ def test_a_bad_table_in_the_other_commands(simgap, command, case):
     check(simgap(command, *words, "--out", "report"), *said)
 
 
+def test_a_held_out_recording_that_is_fitted(simgap):
+    Path("log.csv").write_text(GOOD)
+    Path("copy.csv").write_text(GOOD)
+    check(simgap("diagnose", "log.csv", "--held-out", "copy.csv", "--model", MODEL, "--out", "report"), "copy.csv", "log.csv")
+
+
 def test_a_bad_held_out_recording(simgap):
     Path("log.csv").write_text(GOOD)
     Path("other.csv").write_text(TABLES["nan"][0])
