@@ -1,4 +1,4 @@
-"""Presliding friction whose bristle is damped (the LuGre model without Stribeck effect): a form of `presliding_friction`.
+"""Presliding friction whose bristle is damped (the LuGre model without Stribeck effect).
 
 tau_f = s z + d z',  z' = v - s |v| z / F
 """
@@ -17,6 +17,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["PreslidingFrictionWithDamping"]
 
@@ -56,6 +57,12 @@ class PreslidingFrictionWithDamping(Effect):
         """Where the law acts."""
         p = (self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad)
         return (BodyTorque(need_body(chain, self.place), torque, p, state=True),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        if editor.bristle_body(need_body(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad):
+            return None
+        return f"presliding friction with damping at the {self.place}: its angle is not one joint's"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

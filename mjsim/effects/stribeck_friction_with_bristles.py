@@ -1,4 +1,4 @@
-"""Stribeck friction that acts as a damped spring near rest (the LuGre model): a form of `stribeck_friction`.
+"""Stribeck friction that acts as a damped spring near rest (the LuGre model).
 
 tau_f = s z + d z',  z' = v - s |v| z / (F + F_s exp(-(v/v_s)^2))
 """
@@ -18,6 +18,7 @@ from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["StribeckFrictionWithBristles"]
 
@@ -63,6 +64,13 @@ class StribeckFrictionWithBristles(Effect):
             self.damping_Nms_rad,
         )  # fmt: skip
         return (BodyTorque(need_body(chain, self.place), torque, p, state=True),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        levels = (self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad, self.extra_static_torque_Nm)
+        if editor.bristle_body(need_body(editor.chain, self.place), *levels, self.stribeck_velocity_rad_s):
+            return None
+        return f"Stribeck friction with bristles at the {self.place}: its angle is not one joint's"
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

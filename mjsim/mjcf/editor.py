@@ -413,22 +413,27 @@ class MjcfEditor:
             target = self.fresh("tendon", f"{self.chain.couplings[coupling].joint}_across")
             where = "tendon"
             self._tendon(target, p.element.row, chain=False)
-        self._bristle(
-            f"{self.chain.couplings[coupling].joint}_hysteresis", where, target, torque / abs(p.scale), stiffness / p.scale**2
-        )
+        level = torque / abs(p.scale)
+        lugre = (stiffness / p.scale**2, 0.0, level, level, 1.0)
+        self._bristle(f"{self.chain.couplings[coupling].joint}_hysteresis", where, target, lugre)
 
-    def bristle_body(self, body: int, torque: float, stiffness: float) -> bool:
-        """A yielding bristle between a body and the ground; False when the body's angle is not one joint's."""
+    def bristle_body(
+        self, body: int, torque: float, stiffness: float, damping: float = 0.0, extra: float = 0.0, speed: float = 1.0
+    ) -> bool:
+        """A yielding bristle between a body and the ground; False when the body's angle is not one joint's.
+
+        ``extra``: level at rest above ``torque``, which fades over ``speed``.
+        """
         joint = self._joint_of(body)
         if joint is None:
             return False
-        self._bristle(f"{joint}_bristle", "joint", joint, torque, stiffness)
+        self._bristle(f"{joint}_bristle", "joint", joint, (stiffness, damping, torque, torque + extra, speed))
         return True
 
-    def _bristle(self, name: str, where: str, target: str, torque: float, stiffness: float) -> None:
-        # LuGre with one level and no bristle damping is s z, z' = v - s |v| z / F, whatever its Stribeck velocity
+    def _bristle(self, name: str, where: str, target: str, lugre: tuple[float, float, float, float, float]) -> None:
+        # stiffness, damping, levels at speed and at rest, Stribeck velocity, which does nothing where the levels are one
         self.step(FRICTION_STEP)
-        self._passive_motor(name, where, target, lugre=(stiffness, 0.0, torque, torque, 1.0))
+        self._passive_motor(name, where, target, lugre=lugre)
 
     def split(self, body: int, inertia: float, stiffness: float, damping: float) -> bool:
         """Hang part of a body's inertia on a further joint below it; False when the body has no joint of its own."""
