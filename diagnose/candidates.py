@@ -11,7 +11,7 @@ from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 
-__all__ = ["Candidate", "Screened", "candidates", "conflicts", "screen"]
+__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "screen"]
 
 
 WRONG_SIGN = 0.3  # what the promise of an amplitude of the wrong sign counts
@@ -98,7 +98,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     for candidate in supposed:
         cls = effect_class(candidate.id)
         for values in cls.starts(fitter.scales_for(cls, candidate.place)):
-            effect = make(candidate.id, candidate.place, values if replacing is None else _inherit(cls, values, replacing))
+            effect = make(candidate.id, candidate.place, values if replacing is None else inherit(cls, values, replacing))
             starts.append((candidate, effect))
             present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
             for variant in _variants(effect):
@@ -120,7 +120,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     return out
 
 
-def _inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect) -> dict[str, float]:
+def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect) -> dict[str, float]:
     """Start values of a refinement: its level, and what else it shares, from the effect that it refines."""
     merged = dict(values)
     level = effect.values.get("torque_Nm")

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.candidates import Candidate, Screened, candidates, conflicts, screen
+from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, screen
 from diagnose.encoder import encoder_gain
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
@@ -44,7 +44,7 @@ FAIR = 0.25  # part of what is left, and in a led model of its gain, that an eff
 LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
-AS_MUCH = 0.9  # of an effect's gain, from which a rival that is noise does as much
+ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
@@ -232,7 +232,31 @@ class Search:
                 if s.gain > 0.4 * self.options.entry or effect_class(s.candidate.id).multistart > 1
             ]  # fmt: skip
             entrants += self._other_orders(base, effect, others)
+            entrants += self._apart(base, effect, others) if material else []
         return self._race(base, entrants)
+
+    def _apart(self, base: Fitted, effect: Effect, others: tuple[Effect, ...]) -> list[tuple[tuple[Effect, ...], Screened]]:
+        """A compound effect taken apart, and its first part refined: Stribeck friction and an offset for asymmetric friction."""
+        if not effect.parts():
+            return []
+        first, *rest = effect.parts()
+        beside = (*others, *rest)
+        offered = {c.key for c in self.candidates}
+        if any(e.key not in offered or conflicts(Candidate(e.id, e.place), others) for e in rest):
+            return []
+        out = []
+        for c in self.candidates:
+            cls = effect_class(c.id)
+            key = tuple(sorted([*(e.key for e in beside), c.key]))
+            if c.place != first.place or c.id == effect.id or first.id not in cls.refines or cls.form_of:
+                continue
+            if conflicts(c, beside) or not self._untried(base, key):
+                continue
+            values = cls.starts(self.fitter.scales_for(cls, c.place))
+            starts = tuple(make(c.id, c.place, inherit(cls, v, first)) for v in values)
+            out.append((beside, Screened(c, starts[0], math.inf, starts)))
+        self.tested += len(out)
+        return out
 
     def _other_orders(
         self, base: Fitted, effect: Effect, others: tuple[Effect, ...]
@@ -413,7 +437,8 @@ class Search:
         asked = (before.key, before.chi2, new[0])
         if asked not in self._encoder:
             self._encoder[asked] = encoder_gain(self.fitter, before, new[0])
-        return self._encoder[asked] > AS_MUCH * (before.chi2 - after.chi2)
+        gain = before.chi2 - after.chi2
+        return self._encoder[asked] > gain - max(self.options.entry, ALIKE * gain)
 
     def run(self) -> Fitted:
         """The best structure that the search finds."""

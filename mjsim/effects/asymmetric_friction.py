@@ -52,6 +52,13 @@ class AsymmetricFriction(Effect):
         """Where the law acts."""
         return (Friction(need_body(chain, self.place), level, (self.torque_Nm, self.asymmetry_Nm)),)
 
+    def parts(self) -> tuple[Effect, ...]:
+        """Coulomb friction and an offset."""
+        from mjsim.effects.coulomb_friction import CoulombFriction
+        from mjsim.effects.torque_offset import TorqueOffset
+
+        return CoulombFriction(place=self.place, torque_Nm=self.torque_Nm), TorqueOffset(torque_Nm=-self.asymmetry_Nm)
+
     def native(self, editor: MjcfEditor) -> str | None:
         """MJCF's own elements, or what plain MuJoCo lacks."""
         # F sign(v) + A, also at rest, is Coulomb friction F beside a constant torque -A

@@ -191,6 +191,10 @@ class Effect(abc.ABC):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Values to start a fit from, physical multiples of the scales; several where the law has local minima."""
 
+    def parts(self) -> tuple[Effect, ...]:
+        """Simpler effects that together make the same motion, the one that others refine first; () for none."""
+        return ()
+
     def native(self, editor: MjcfEditor) -> str | None:
         """Write the effect into an MJCF by its own elements.
 
