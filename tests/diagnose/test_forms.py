@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diagnose.experiment import prepare
 from diagnose.flow import Options, diagnose
+from diagnose.hypothesis import make
 from diagnose.result import Verdict
-from mjsim.effects import effect_class, registered
+from diagnose.scales import scales_by_place
+from mjsim.effects import Effect, effect_class, registered
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
 from mjsim.recording import Recording
@@ -51,3 +54,40 @@ def test_a_form_is_named_by_the_contract(robot, damped):
     assert finding.parameters["stiffness_Nm_rad"].value == pytest.approx(1.0, rel=0.05)
     told = found.as_dict()["findings"][0]
     assert (told["effect"], told["law"]) == ("presliding_friction", "presliding_friction_with_damping")
+
+
+def test_friction_and_an_offset_are_not_held_by_asymmetric_friction(robot):
+    """Asymmetric friction fits the pair best at first: taken apart, its friction is refined beside the offset."""
+    stribeck = {"torque_Nm": 0.13, "extra_static_torque_Nm": 0.06, "stribeck_velocity_rad_s": 4.0}
+    plant = robot + effect_class("stribeck_friction")(**stribeck) + effect_class("torque_offset")(torque_Nm=-0.04)
+    rng = np.random.default_rng(7)
+    pair = []
+    for amplitude, top in ((0.5, 15.0), (0.4, 20.0)):
+        torque = chirp(N * DT, DT, amplitude, 0.3, top)
+        run = simulate(plant, torque, DT)
+        speed = run.velocity + 0.05 * rng.standard_normal(len(torque))
+        pair.append(Recording(run.time, torque, speed, run.angle + 1e-4 * rng.standard_normal(len(torque)), DT))
+    only = ("coulomb_friction", "asymmetric_friction", "stribeck_friction", "torque_offset", "quadratic_friction")
+    found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    assert {f.effect for f in found.findings} == {"stribeck_friction", "torque_offset"}
+    values = {n: e.value for f in found.findings for n, e in f.parameters.items() if f.effect == "stribeck_friction"}
+    for name, value in stribeck.items():
+        assert values[name] == pytest.approx(value, rel=0.1)
+
+
+def test_parts_make_the_same_motion(robot):
+    torque = chirp(2.0, DT, 0.5, 0.5, 20.0)
+    for cls in registered().values():
+        if cls.parts is Effect.parts:
+            continue
+        scales = scales_by_place(
+            robot, prepare(Recording(DT * np.arange(2000), torque, simulate(robot, torque, DT).velocity, None, DT))
+        )
+        whole = make(cls.id, cls.places[0], cls.starts(scales[cls.places[0]])[0])
+        apart = robot
+        for part in whole.parts():
+            apart = apart + part
+        assert whole.parts()[0].id in cls.refines
+        one, other = (simulate(axis, torque, DT).velocity for axis in (robot + whole, apart))
+        assert np.std(one - other) < 1e-3 * np.std(one)
