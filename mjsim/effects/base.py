@@ -20,7 +20,16 @@ if TYPE_CHECKING:
     from mjsim.effects.ports import Port
     from mjsim.mjcf import MjcfEditor
 
-__all__ = ["Effect", "NotApplicableError", "ParameterSpec", "Scales", "need_body", "need_coupling", "parameter"]
+__all__ = [
+    "Effect",
+    "NotApplicableError",
+    "ParameterSpec",
+    "Scales",
+    "bristle_stiffnesses",
+    "need_body",
+    "need_coupling",
+    "parameter",
+]
 
 
 class NotApplicableError(ValueError):
@@ -104,6 +113,16 @@ class Scales:
     orders: tuple[float, ...] = ()
     turns: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
+
+
+def bristle_stiffnesses(level: float, scales: Scales, count: int = 4) -> list[float]:
+    """Stiffnesses [N m/rad | N/m] to start a bristle of a sliding ``level`` from.
+
+    From one that yields within a fiftieth of the travel to one that rings, on the body's own inertia, by 0.4 rad a sample.
+    """
+    softest = level / (0.02 * scales.travel)
+    stiffest = max(scales.inertia * (0.4 / scales.dt) ** 2, 10.0 * softest)
+    return [softest * (stiffest / softest) ** (k / (count - 1)) for k in range(count)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
@@ -68,8 +68,7 @@ class PreslidingFrictionWithDamping(Effect):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
         f = 0.1 * scales.torque
-        stiffness = f / (0.002 * scales.travel)
         return [
-            {"torque_Nm": f, "stiffness_Nm_rad": stiffness, "damping_Nms_rad": d * (stiffness * scales.inertia) ** 0.5}
-            for d in (0.05, 0.5)
-        ]
+            {"torque_Nm": f, "stiffness_Nm_rad": stiffness, "damping_Nms_rad": part * (stiffness * scales.inertia) ** 0.5}
+            for stiffness in bristle_stiffnesses(f, scales) for part in (0.05, 0.5)
+        ]  # fmt: skip

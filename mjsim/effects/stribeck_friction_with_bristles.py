@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
@@ -49,6 +49,7 @@ class StribeckFrictionWithBristles(Effect):
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "extra_static_torque_Nm", "stiffness_Nm_rad", "damping_Nms_rad")
     family: ClassVar[str] = "friction"
     multistart: ClassVar[int] = 2
+    rough: ClassVar[bool] = True
     refines: ClassVar[tuple[str, ...]] = ("stribeck_friction", "presliding_friction", "coulomb_friction")
 
     torque_Nm: float = parameter(Quantity.TORQUE, "Coulomb level at high speed", lower=1e-12)
@@ -76,11 +77,8 @@ class StribeckFrictionWithBristles(Effect):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
         f = 0.1 * scales.torque
-        out = []
-        for speed, turn in ((0.05, 0.002), (0.05, 0.0005), (0.3, 0.002)):
-            stiffness = f / (turn * scales.travel)
-            out.append(
-                {"torque_Nm": f, "extra_static_torque_Nm": f, "stribeck_velocity_rad_s": speed * scales.velocity,
-                 "stiffness_Nm_rad": stiffness, "damping_Nms_rad": 0.3 * (stiffness * scales.inertia) ** 0.5}
-            )  # fmt: skip
-        return out
+        return [
+            {"torque_Nm": f, "extra_static_torque_Nm": f, "stribeck_velocity_rad_s": 0.05 * scales.velocity,
+             "stiffness_Nm_rad": stiffness, "damping_Nms_rad": 0.3 * (stiffness * scales.inertia) ** 0.5}
+            for stiffness in bristle_stiffnesses(f, scales)
+        ]  # fmt: skip
