@@ -571,7 +571,7 @@ class Search:
             spent = self.fitter.runs
             for linear in (f.linear, None):
                 for _ in range(UNFOLDS):
-                    last = self.pool[f.key]
+                    last = self.pool.get(f.key, f)
                     if self._late() or last.chi2 < UNEXPLAINED * last.n:
                         break
                     now = self.fitter.unfolded(last, linear)
@@ -580,7 +580,7 @@ class Search:
                         break
                     linear = now.linear
             for seed in range(UNFOLDS):
-                last = self.pool[f.key]
+                last = self.pool.get(f.key, f)
                 if last.chi2 < UNEXPLAINED * last.n or not any(type(e).rough for e in last.effects) or self._late():
                     break
                 if self._let_go >= LET_GO or last.chi2 > WRONG * last.n:
@@ -633,10 +633,11 @@ class Search:
         known = self.pool.get(key_of(rest))
         if known is not None and known.fit.status is Status.CONVERGED and not rest:
             return known
-        self._keep(self.fitter.fit(self.fitter.hypothesis(rest, current.linear, current.own), iterations=30))
+        begun = self.fitter.fit(self.fitter.hypothesis(rest, current.linear, current.own), iterations=30)
+        self._keep(begun)
         if known is not None and known.fit.status is not Status.CONVERGED:
             self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30))
-        return self.pool[key_of(rest)]
+        return self.pool.get(key_of(rest), begun)
 
     def _eliminate(self, current: Fitted) -> Fitted:
         """Drop every effect that does not pay; try simpler forms of each."""

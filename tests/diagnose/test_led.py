@@ -93,3 +93,12 @@ def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
     assert search._events_only(before, after)
     bare = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.n * 1.0))
     assert not search._events_only(bare, after)  # nothing is left there to be explained
+
+
+def test_a_structure_whose_fit_was_lost_is_no_obstacle(fitter):
+    """Fitted again under other weights it may fail, and is then in no pool."""
+    search = Search(fitter, SearchOptions(seconds=0.0))
+    lost = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.1),)), iterations=1)
+    assert lost.chi2 > 1.04 * lost.n
+    search._unfold([lost])
+    assert search.pool.get(lost.key) is None
