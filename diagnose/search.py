@@ -20,7 +20,7 @@ from typing import TypeVar
 import numpy as np
 
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, screen
-from diagnose.encoder import encoder_gain
+from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
@@ -141,7 +141,7 @@ class Search:
         self._began = time.monotonic()
         self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
-        self._encoder: dict[tuple[tuple[str, ...], float, Effect], float] = {}
+        self._encoder: dict[tuple[tuple[str, ...], float, Effect], bool] = {}
         self._leads: dict[tuple[object, ...], float] = {}
         self._let_go = 0
 
@@ -430,15 +430,20 @@ class Search:
         return self._leads[asked] < max(self.options.entry, FAIR * gain)
 
     def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:
-        """Whether an encoder that errs over its turn does as much as the one position-locked effect that was added."""
+        """Whether an encoder that errs over its turn does as much as the one effect that was added.
+
+        At whole orders of its turn it may err beside any effect, which must gain there too; and at whatever order a
+        position-locked effect has it is that effect's rival.
+        """
         new = [e for e in after.effects if e.key not in before.key]
-        if len(new) != 1 or len(after.key) != len(before.key) + 1:
+        if len(new) != 1 or len(after.key) != len(before.key) + 1 or not self.fitter.noise_known:
             return False
         asked = (before.key, before.chi2, new[0])
         if asked not in self._encoder:
-            self._encoder[asked] = encoder_gain(self.fitter, before, new[0])
-        gain = before.chi2 - after.chi2
-        return self._encoder[asked] > gain - max(self.options.entry, ALIKE * gain)
+            gain = before.chi2 - after.chi2
+            own = encoder_gain(self.fitter, before, new[0]) > gain - max(self.options.entry, ALIKE * gain)
+            self._encoder[asked] = own or gain_beside_encoder(self.fitter, before, after) < self.options.entry
+        return self._encoder[asked]
 
     def run(self) -> Fitted:
         """The best structure that the search finds."""

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.encoder import TURNS
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter
 from diagnose.orders import torque_to_velocity
 from mjsim.axis import Axis
 from mjsim.ode import simulate
+from mjsim.quantity import Motion
 
 __all__ = ["Structure", "motion_error", "remaining_structure"]
 
@@ -123,8 +125,8 @@ def motion_error(fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WIND
     The velocity error and the rate of the angle error, both averaged over a window, share the motion that the model missed
     and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings is therefore the
     mean square of the missed motion, whatever the colour of either noise. Over a long window little noise is left, and no
-    motion faster than it; over a short one it is the other way round. Held-out phases and speeds are estimated as for the
-    free-run error.
+    motion faster than it; over a short one it is the other way round. What repeats with the
+    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error.
     """
     if fitter.view.channel != "velocity":
         return None
@@ -140,9 +142,27 @@ def motion_error(fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WIND
         if solved is None:
             return None
         y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
-        runs.append((speed - np.diff(y.angle) / r.dt, r.angle - y.angle, experiment.counts, r.dt))
+        error, angle_error = speed - np.diff(y.angle) / r.dt, r.angle - y.angle
+        if fitter.nominal.chain.motion is Motion.HINGE:
+            cyclic = _encoder_error(error, r.angle, experiment.counts, r.dt)
+            error, angle_error = error - np.diff(cyclic) / r.dt, angle_error - cyclic
+        runs.append((error, angle_error, experiment.counts, r.dt))
     found = [_shared(runs, window) for window in windows]
     return max((x for x in found if x is not None), default=None)
+
+
+def _encoder_error(error: np.ndarray, angle: np.ndarray, counts: np.ndarray, dt: float) -> np.ndarray:
+    """What a velocity error (N - 1,) holds of an error of the angle (N,) that repeats each turn of the encoder [rad].
+
+    The angle and its rate both show it, and the axis did not move so.
+    """
+    orders = [n for n in TURNS if n * float(np.ptp(angle)) > 3 * np.pi]  # one and a half periods
+    if not orders:
+        return np.zeros(len(angle))
+    waves = np.column_stack([trig(n * angle) for n in orders for trig in (np.sin, np.cos)])
+    rates = np.diff(waves, axis=0) / dt
+    keep = counts[:-1] & counts[1:]
+    return np.asarray(waves @ np.linalg.lstsq(rates[keep], error[keep], rcond=1e-8)[0])
 
 
 def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], window: float) -> float | None:
