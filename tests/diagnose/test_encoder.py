@@ -7,11 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.encoder import encoder_gain
+from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.result import Verdict
+from diagnose.structure import motion_error
 from diagnose.view import MotionView
 from mjsim.effects import effect_class
 
@@ -72,3 +73,34 @@ def test_no_physics_is_named_for_it(robot, pair):
     result = diagnose(robot, [first], [other], Options(jobs=1, effects=LOCKED))
     assert result.verdict is not Verdict.MISSING_PHYSICS
     assert not result.findings
+
+
+def fits(robot, recording, effect):
+    fitter = Fitter(robot, MotionView(), (prepare(recording),), (prepare(recording),), 1)
+    base = fitter.fit(fitter.hypothesis(()))
+    best = fitter.fit(fitter.hypothesis([effect], base.linear))
+    fitter.close()
+    return fitter, base, best
+
+
+def test_what_the_encoder_explains_is_no_gain_of_an_effect(robot, record):
+    fitter, base, best = fits(robot, erring(record()), ripple(1e-3))
+    assert base.chi2 - best.chi2 > 25
+    assert gain_beside_encoder(fitter, base, best) < 0.3 * (base.chi2 - best.chi2)
+
+
+def test_an_effect_that_is_there_gains_beside_the_encoder(robot, record):
+    friction = effect_class("coulomb_friction")(torque_Nm=0.05)
+    fitter, base, best = fits(robot, erring(record(friction)), friction)
+    assert gain_beside_encoder(fitter, base, best) > 0.5 * (base.chi2 - best.chi2) > 1000
+
+
+def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch):
+    """Angle and velocity both show it, so that only its repeating with the turn tells it from motion."""
+    erred, by_encoder, _ = fits(robot, erring(record(seconds=8)), ripple(1e-3))
+    rippled, by_ripple, _ = fits(robot, record(ripple(), seconds=8), ripple(1e-3))
+    found = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
+    monkeypatch.setattr("diagnose.structure.TURNS", ())
+    before = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
+    assert found[0] < 0.5 * before[0]
+    assert found[1] > 0.7 * before[1]
