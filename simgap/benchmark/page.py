@@ -50,7 +50,9 @@ def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[s
     if power["detected"]["n"]:
         drawn["power"] = pictures.power(power["detected"], power["named"])
         drawn["effects"] = pictures.small_power(power["by_effect"], manner.effect)
-        drawn["power_by_effect"] = pictures.power_grid(power["by_effect"], manner.effect)
+        curved = {effect: c for effect, c in power["by_effect"].items() if c["detected"]["curve"]}
+        if curved:
+            drawn["power_by_effect"] = pictures.power_grid(curved, manner.effect)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {
         "number": manner.number,
