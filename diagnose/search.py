@@ -636,9 +636,14 @@ class Search:
         """
         rest = tuple(e for e in current.effects if e.key != effect.key)
         known = self.pool.get(key_of(rest))
+        h = self.fitter.hypothesis(rest, current.linear, current.own)
         if known is not None and known.fit.status is Status.CONVERGED and not rest:
-            return known
-        begun = self.fitter.fit(self.fitter.hypothesis(rest, current.linear, current.own), iterations=30)
+            (r,) = self.fitter.run([self.fitter.at_start(h)])
+            if (
+                r is None or float(r @ r) > 2.0 * known.chi2
+            ):  # else it may have converged to a wrong minimum, which the effect has left
+                return known
+        begun = self.fitter.fit(h, iterations=30)
         self._keep(begun)
         if known is not None and known.fit.status is not Status.CONVERGED:
             self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30))

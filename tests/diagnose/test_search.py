@@ -11,6 +11,7 @@ import pytest
 from diagnose.experiment import prepare
 from diagnose.fitter import PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
+from diagnose.least_squares import Status
 from diagnose.search import Search, SearchOptions, compare
 from diagnose.view import MotionView
 from mjsim.effects import effect_class
@@ -145,3 +146,21 @@ def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair)
         first, other = (coloured(r, offset) for r in pair())
         result = diagnose(robot, [first], [other], Options(jobs=1, effects=few))
         assert [f.effect for f in result.findings] == expected
+
+
+def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong(pair, robot):
+    """A nominal fit that ended at a wrong minimum must not make evidence for what only showed the way out of it."""
+    first, other = pair()
+    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
+    search = Search(fitter, SearchOptions())
+    good = search.nominal()
+    friction = effect_class("coulomb_friction")(place="arm", torque_Nm=0.0)
+    richer = fitter.fit(fitter.hypothesis((friction,), good.linear), iterations=3)
+    wrong = {name: value * (3.0 if name == "kg" else 1.0) for name, value in good.linear.items()}
+    stuck = fitter.fit(fitter.hypothesis((), wrong), iterations=0)
+    stuck = dataclasses.replace(stuck, fit=dataclasses.replace(stuck.fit, status=Status.CONVERGED))
+    search.pool = {(): stuck, richer.key: richer}
+    assert stuck.chi2 > 2 * richer.chi2
+    assert search._eliminate(richer).key == ()
+    assert search.nominal().chi2 < 1.01 * good.chi2
+    fitter.close()
