@@ -102,8 +102,22 @@ diagnosis (SHA-256 `{summary["envelope_sha256"][:16]}...`).
 
 {missed} {seen}
 
+{_calibrated()}
 {table(["level", "cases", "verdict right", "verdict and effect right"], levels)}
 """
+
+
+def _calibrated() -> str:
+    """The false-alarm rate that every diagnosis prints, which may be of more recordings than this run had."""
+    from diagnose.calibration import false_alarm_rate
+
+    rate = false_alarm_rate()
+    if not rate:
+        return ""
+    return (
+        f"Every diagnosis prints the false alarms of the last calibration, on recordings with nothing missing alone: {rate['alarms']:.0f} of "
+        f"{rate['recordings']:.0f}, {_percent(rate['share'])} ({_percent(rate['low'])} to {_percent(rate['high'])}).\n"
+    )
 
 
 def _percent(x: float | None) -> str:
