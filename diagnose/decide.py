@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnose.compare import compare
 from diagnose.experiment import Experiment
 from diagnose.fitter import Fitted, Fitter
 from diagnose.result import Estimate, Finding
-from diagnose.search import Search, compare
+from diagnose.search import Search
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 from mjsim.ode import DivergedError, simulate

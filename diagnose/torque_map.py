@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.compare import compare
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.hypothesis import Hypothesis
@@ -30,7 +31,6 @@ from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_
 from diagnose.orders import torque_to_velocity
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
-from diagnose.search import compare
 from diagnose.whiten import effective_share
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, apply_input, simulate

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.compare import compare
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitted, Fitter
 from diagnose.flow import Options, choose_view, diagnose
 from diagnose.force_orders import line_energy
 from diagnose.hypothesis import make
 from diagnose.result import Diagnosis
-from diagnose.search import compare
 from diagnose.view import ForceView
 from mjsim.axis import Axis
 from mjsim.effects import Effect, effect_class

@@ -8,11 +8,12 @@ import threading
 import numpy as np
 import pytest
 
+from diagnose.compare import compare
 from diagnose.experiment import prepare
 from diagnose.fitter import PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
-from diagnose.search import Search, SearchOptions, compare
+from diagnose.search import Search, SearchOptions
 from diagnose.view import MotionView
 from mjsim.effects import effect_class
 
