@@ -6,15 +6,16 @@ transmission error of the same order reaches the velocity through the mechanism,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 from mjsim.effects import Effect
 from mjsim.quantity import Motion
 
-__all__ = ["TURNS", "encoder_gain", "gain_beside_encoder"]
+__all__ = ["encoder_gain", "gain_beside_encoder", "whole_orders"]
 
-TURNS = range(1, 9)  # orders of an encoder's turn
 NEAR = 12  # orders looked at on either side of the effect's own, a quarter of a line's width apart
 
 
@@ -29,32 +30,17 @@ def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
     chain = fitter.nominal.chain
     body = chain.body(type(effect).angle_of or effect.place)
     own = effect.values["cycles_per_rev"] * chain.total_ratio(body or 0)
+    shown = _shown(fitter, poorer)
+    if shown is None:
+        return 0.0
     J = poorer.fit.J
-    scale = np.linalg.norm(J, axis=0) + 1e-300
-    q, _ = np.linalg.qr(J / scale)
-    angles, speeds = [], []
-    for i, experiment in enumerate(fitter.experiments):
-        h, x = poorer.hypothesis, poorer.fit.x
-        s = fitter.view.signals(h.axis(x, i), experiment, h.initial(x, i))
-        if s is None or experiment.recording.angle is None:
-            return 0.0
-        angles.append(experiment.recording.angle)
-        speeds.append(s.predicted)
-    travel = max(float(np.ptp(a)) for a in angles)
+    q, _ = np.linalg.qr(J / (np.linalg.norm(J, axis=0) + 1e-300))
+    travel = max(float(np.ptp(angle)) for angle, _ in shown)
     if travel <= 0:
         return 0.0
     best = 0.0
     for n in own + np.arange(-NEAR, NEAR + 1) * 0.25 * 2 * np.pi / travel:
-        columns = []
-        at = 0
-        for angle, speed, experiment in zip(angles, speeds, fitter.experiments, strict=True):
-            for wave in (np.cos(n * angle), np.sin(n * angle)):
-                w, keep = fitter.whitened(speed * wave, experiment)
-                column = np.zeros(len(poorer.fit.residual))
-                column[at : at + int(keep.sum())] = w[keep]
-                columns.append(column)
-            at += int(keep.sum())
-        c = np.column_stack(columns)
+        c = _columns(fitter, poorer, shown, [[float(n)]] * len(shown))
         c -= q @ (q.T @ c)
         fitted = np.linalg.lstsq(c, poorer.fit.residual, rcond=1e-10)[0]
         best = max(best, float(poorer.fit.residual @ (c @ fitted)))
@@ -77,25 +63,44 @@ def _beside(fitter: Fitter, fitted: Fitted) -> float | None:
     """Chi-square of a fit once whole orders of the encoder's turn are fitted to its residual as well."""
     if fitter.view.channel != "velocity" or fitter.nominal.chain.motion is not Motion.HINGE:
         return None
-    columns = [fitted.fit.J]
-    at = 0
+    shown = _shown(fitter, fitted)
+    if shown is None:
+        return None
+    c = np.hstack([fitted.fit.J, _columns(fitter, fitted, shown, [whole_orders(angle) for angle, _ in shown])])
+    q, _ = np.linalg.qr(c / (np.linalg.norm(c, axis=0) + 1e-300))
+    r = fitted.fit.residual
+    return float(r @ r - np.sum((q.T @ r) ** 2))
+
+
+def whole_orders(angle: np.ndarray) -> list[float]:
+    """Whole orders of an encoder's turn that show in an angle (N,): of less than one and a half periods nothing tells."""
+    return [float(n) for n in range(1, 9) if n * float(np.ptp(angle)) > 3 * np.pi]
+
+
+def _shown(fitter: Fitter, fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]] | None:
+    """(measured angle, fitted speed) of each experiment (N,), or None where there is none."""
+    out = []
     for i, experiment in enumerate(fitter.experiments):
         h, x, angle = fitted.hypothesis, fitted.fit.x, experiment.recording.angle
         s = fitter.view.signals(h.axis(x, i), experiment, h.initial(x, i))
         if s is None or angle is None:
             return None
-        own = np.zeros((len(fitted.fit.residual), 0))
-        for n in TURNS:
-            if n * float(np.ptp(angle)) < 3 * np.pi:  # of less than one and a half periods nothing tells
-                continue
-            for wave in (np.cos(n * angle), np.sin(n * angle)):
-                w, keep = fitter.whitened(s.predicted * wave, experiment)
-                column = np.zeros((len(fitted.fit.residual), 1))
-                column[at : at + int(keep.sum()), 0] = w[keep]
-                own = np.hstack([own, column])
-        at += int(fitter.whitened(s.predicted, experiment)[1].sum())
-        columns.append(own)
-    c = np.hstack(columns)
-    q, _ = np.linalg.qr(c / (np.linalg.norm(c, axis=0) + 1e-300))
-    r = fitted.fit.residual
-    return float(r @ r - np.sum((q.T @ r) ** 2))
+        out.append((angle, s.predicted))
+    return out
+
+
+def _columns(
+    fitter: Fitter, fitted: Fitted, shown: Sequence[tuple[np.ndarray, np.ndarray]], orders: Sequence[Sequence[float]]
+) -> np.ndarray:
+    """What the residual of a fit (M,) holds of an encoder's errors at each experiment's orders: two columns for each."""
+    out = [np.zeros((len(fitted.fit.residual), 0))]
+    at = 0
+    for (angle, speed), experiment, own in zip(shown, fitter.experiments, orders, strict=True):
+        keep = fitter.whitened(speed, experiment)[1]
+        count = int(keep.sum())
+        waves = np.zeros((len(fitted.fit.residual), 2 * len(own)))
+        for k, wave in enumerate(trig(n * angle) for n in own for trig in (np.cos, np.sin)):
+            waves[at : at + count, k] = fitter.whitened(speed * wave, experiment)[0][keep]
+        out.append(waves)
+        at += count
+    return np.hstack(out)

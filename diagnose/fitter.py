@@ -30,15 +30,8 @@ Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | No
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
-LEADS = (
-    300.0,
-    100.0,
-    30.0,
-    10.0,
-    3.0,
-    1.0,
-    0.0,
-)  # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
+# rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
+LEADS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.0)
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -187,7 +180,7 @@ class Fitter:
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
         self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
-        self.scales = scales_by_place(self.nominal, self.experiments[0], self.orders)
+        self.scales = self._scales()
         self._steps = max(1, math.ceil(self.experiments[0].recording.dt * assemble(self.nominal).omega / STEP))
 
     def close(self) -> None:
@@ -205,7 +198,11 @@ class Fitter:
     def set_orders(self, orders: tuple[float, ...]) -> None:
         """Take the spatial orders found in the residual as starts for position-locked effects."""
         self.orders = orders
-        self.scales = scales_by_place(self.nominal, self.experiments[0], orders)
+        self.scales = self._scales()
+
+    def _scales(self) -> dict[str, Scales]:
+        # judged by force, orders have to stand out of the residual: none is tried for being whole
+        return scales_by_place(self.nominal, self.experiments[0], self.orders, turning=self.view.channel == "velocity")
 
     def scales_for(self, effect: type[Effect], place: str) -> Scales:
         """Scales for the starts of an effect at a place, with the orders over the angle that it follows."""
@@ -457,6 +454,8 @@ class Fitter:
             costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(part.residual(h), s) for s in starts])]
             order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
             chosen = order if 0 in order else [*order[:-1], 0]
+            if len(chosen) > 1:
+                part.jobs = 1  # the fits are spread, not the work within each
             fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
         finally:
             part.close()

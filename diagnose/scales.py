@@ -58,8 +58,13 @@ def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
     return tuple(k * step for k in (1, 2, 3, 4) if k * step <= span / 8)
 
 
-def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...] = ()) -> dict[str, Scales]:
-    """Scales at every place. Where the nominal free run diverges, rigid-body estimates stand in for it."""
+def scales_by_place(
+    axis: Axis, experiment: Experiment, orders: tuple[float, ...] = (), *, turning: bool = True
+) -> dict[str, Scales]:
+    """Scales at every place; with ``turning``, whole orders of the motor's turn as well as those found.
+
+    Where the nominal free run diverges, rigid-body estimates stand in for it.
+    """
     r = experiment.recording
     chain = axis.chain
     v = measured_velocity(r)
@@ -78,7 +83,7 @@ def scales_by_place(axis: Axis, experiment: Experiment, orders: tuple[float, ...
             deflect.append(torque[:, j] / c.stiffness)
     out = {}
     steps = value_steps(v, experiment.sigma)
-    turning = chain.motion is Motion.HINGE and len(orders) > 0
+    turning = turning and chain.motion is Motion.HINGE and len(orders) > 0
     turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
     for place in PLACES:
         found = chain.body(place)

@@ -96,7 +96,7 @@ class Search:
         self._began = time.monotonic()
         self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
-        self._encoder: dict[tuple[tuple[str, ...], float, Effect], bool] = {}
+        self._encoder: dict[tuple[object, ...], bool] = {}
         self._leads: dict[tuple[object, ...], float] = {}
         self._let_go = 0
 
@@ -393,7 +393,7 @@ class Search:
         new = [e for e in after.effects if e.key not in before.key]
         if len(new) != 1 or len(after.key) != len(before.key) + 1 or not self.fitter.noise_known:
             return False
-        asked = (before.key, before.chi2, new[0])
+        asked = (before.key, before.chi2, new[0], after.chi2)
         if asked not in self._encoder:
             gain = before.chi2 - after.chi2
             own = encoder_gain(self.fitter, before, new[0]) > gain - max(self.options.entry, ALIKE * gain)
@@ -594,9 +594,7 @@ class Search:
         h = self.fitter.hypothesis(rest, current.linear, current.own)
         if known is not None and known.fit.status is Status.CONVERGED and not rest:
             (r,) = self.fitter.run([self.fitter.at_start(h)])
-            if (
-                r is None or float(r @ r) > 2.0 * known.chi2
-            ):  # else it may have converged to a wrong minimum, which the effect has left
+            if r is None or float(r @ r) > 2.0 * known.chi2:  # else it may be a wrong minimum, which the effect has left
                 return known
         begun = self.fitter.fit(h, iterations=30)
         self._keep(begun)

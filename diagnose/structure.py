@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.encoder import TURNS
+from diagnose.encoder import whole_orders
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter
 from diagnose.orders import torque_to_velocity
@@ -125,8 +125,8 @@ def motion_error(fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WIND
     The velocity error and the rate of the angle error, both averaged over a window, share the motion that the model missed
     and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings is therefore the
     mean square of the missed motion, whatever the colour of either noise. Over a long window little noise is left, and no
-    motion faster than it; over a short one it is the other way round. What repeats with the
-    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error.
+    motion faster than it; over a short one it is the other way round. What repeats with the turn of
+    the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error.
     """
     if fitter.view.channel != "velocity":
         return None
@@ -156,7 +156,7 @@ def _encoder_error(error: np.ndarray, angle: np.ndarray, counts: np.ndarray, dt:
 
     The angle and its rate both show it, and the axis did not move so.
     """
-    orders = [n for n in TURNS if n * float(np.ptp(angle)) > 3 * np.pi]  # one and a half periods
+    orders = whole_orders(angle)
     if not orders:
         return np.zeros(len(angle))
     waves = np.column_stack([trig(n * angle) for n in orders for trig in (np.sin, np.cos)])

@@ -100,7 +100,7 @@ def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch)
     erred, by_encoder, _ = fits(robot, erring(record(seconds=8)), ripple(1e-3))
     rippled, by_ripple, _ = fits(robot, record(ripple(), seconds=8), ripple(1e-3))
     found = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
-    monkeypatch.setattr("diagnose.structure.TURNS", ())
+    monkeypatch.setattr("diagnose.structure.whole_orders", lambda angle: [])
     before = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
     assert found[0] < 0.5 * before[0]
     assert found[1] > 0.7 * before[1]
