@@ -23,7 +23,8 @@ from simgap.benchmark.size import Size, hidden_by_linear, raw, sizes, without
 __all__ = ["LEVELS", "SIZE", "Case", "effects_of", "make_case"]
 
 # Smallest size of what neither a linear refit nor a simpler effect hides, and largest of what the linear refit leaves,
-# both over the noise rms. Under noise both bounds are for the latter, and a tenth of the noise must be distinct.
+# both over the noise rms. Under noise both bounds are for the latter, and a tenth of the noise must be distinct. Faint effects
+# are about as small as can be seen at all: they show where detection begins and count for the curves of power alone.
 SIZE: dict[str, tuple[float, float]] = {
     "plain": (1.0, 80.0),
     "other_law": (1.0, 80.0),
@@ -32,6 +33,7 @@ SIZE: dict[str, tuple[float, float]] = {
     "behind_feedback": (0.3, 30.0),
     "two_effects": (0.6, 80.0),
     "out_of_library": (0.5, 80.0),
+    "faint": (0.012, 0.25),
 }
 SPREAD = 0.06  # relative half-width of the linear parameters about Table 2
 TRIES = 240
@@ -128,8 +130,12 @@ def _search(
     closed: bool = False,
     hide: Callable[[Laws, tuple[Entry, ...], np.ndarray, float], Laws] | None = None,
     under_noise: bool = False,
+    quiet: float = 0.0,
 ) -> _Found:
-    """Draw until every effect has the size that the level asks for; ``first`` is given up after 2 ``TURN`` tries."""
+    """Draw until every effect has the size that the level asks for; ``first`` is given up after 2 ``TURN`` tries.
+
+    ``under_noise``: the noise is raised until the effect has the size drawn, to 1 rad/s or ``quiet`` times the rms speed.
+    """
     low, high = SIZE[level]
     chosen = _choose(rng, pool, count, first)
     for attempt in range(TRIES):
@@ -159,11 +165,11 @@ def _search(
                 size = _sizes(laws, chosen, torque, noise, *((0.0, np.inf) if under_noise else (low, high)))
             if under_noise and size:
                 loud = size[0].after_refit * noise / log_uniform(rng, low, high)
-                if not 0.02 <= loud <= 1.0:
+                if not 0.02 <= loud <= max(1.0, quiet * rms(bare.velocity_true)):
                     continue
                 size = [Size(*(x * noise / loud for x in (size[0].raw, size[0].after_refit, size[0].distinct)))]
                 measurement = replace(measurement, velocity_noise=loud)
-            distinct = 0.1 if under_noise else low
+            distinct = min(0.1, low) if under_noise else low
             if size and all(distinct <= s.distinct and s.after_refit <= high for s in size):
                 return _Found(laws, chosen, tuple(parameters), measurement, experiment, tuple(size))
         except InputError:
@@ -243,6 +249,7 @@ _POOLS: dict[str, tuple[Entry, ...]] = {
     "two_effects": CATALOGUE,
     "other_law": OTHER_LAWS,
     "out_of_library": OUTSIDE,
+    "faint": _SMOOTH,
 }
 
 
@@ -260,8 +267,11 @@ def _other_law(rng: np.random.Generator, first: str | None) -> _Found:
 
 
 def _under_noise(rng: np.random.Generator, first: str | None) -> _Found:
-    pool = _POOLS["under_noise"]
-    return _search("under_noise", rng, pool, first, under_noise=True)
+    return _search("under_noise", rng, _SMOOTH, first, under_noise=True)
+
+
+def _faint(rng: np.random.Generator, first: str | None) -> _Found:
+    return _search("faint", rng, _SMOOTH, first, under_noise=True, quiet=0.3)
 
 
 def _behind_refit(rng: np.random.Generator, first: str | None) -> _Found:
@@ -301,6 +311,7 @@ LEVELS: dict[str, Callable[[np.random.Generator, str | None], _Found]] = {
     "out_of_library": _out_of_library,
     "nothing": _nothing,
     "parameters_only": _parameters_only,
+    "faint": _faint,
 }
 
 VERDICT = {"nothing": "no_mismatch", "parameters_only": "parameters_only", "out_of_library": "unexplained"}

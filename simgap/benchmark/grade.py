@@ -16,15 +16,16 @@ from simgap.benchmark.score import CaseScore
 
 __all__ = ["BUDGETS", "GRADES", "HIDDEN", "Bar", "Status", "bars", "fraction", "parse_levels"]
 
-# Quick: some minutes on two cores. Full: 180 nulls, so that two false alarms still leave the upper limit below 4 %.
+# Quick: some minutes on two cores. Full: 180 nulls, so that two false alarms still leave the upper limit below 4 %, and eight
+# faint cases of each effect, the fewest that a curve of power is drawn from.
 GRADES: dict[str, dict[str, int]] = {
     "quick": {
         "plain": 6, "under_noise": 3, "behind_refit": 2, "behind_feedback": 2, "two_effects": 2, "other_law": 2,
-        "out_of_library": 2, "nothing": 3, "parameters_only": 2,
+        "out_of_library": 2, "nothing": 3, "parameters_only": 2, "faint": 1,
     },
     "full": {
         "plain": 99, "under_noise": 48, "behind_refit": 40, "behind_feedback": 40, "two_effects": 40, "other_law": 20,
-        "out_of_library": 45, "nothing": 90, "parameters_only": 90,
+        "out_of_library": 45, "nothing": 90, "parameters_only": 90, "faint": 200,
     },
 }  # fmt: skip
 
@@ -32,8 +33,8 @@ GRADES: dict[str, dict[str, int]] = {
 BUDGETS = {"quick": 120.0, "full": math.inf}
 
 HIDDEN = ("under_noise", "behind_refit", "behind_feedback")
-SINGLE = ("plain", *HIDDEN)
-LIBRARY = (*SINGLE, "two_effects")
+SINGLE = ("plain", *HIDDEN, "faint")  # for the curves of power
+LIBRARY = ("plain", *HIDDEN, "two_effects")
 VISIBLE = 0.3  # noise rms
 
 

@@ -23,6 +23,7 @@ LEVEL_NAMES = {
     "out_of_library": "Outside the library",
     "nothing": "Nothing missing",
     "parameters_only": "Parameters only",
+    "faint": "Faint",
 }
 
 

@@ -20,7 +20,7 @@ Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, second
 
 @click.command("benchmark", epilog="Example: simgap benchmark --out out/benchmark --grade quick --jobs 2")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for recordings, envelope, results and page.")
-@click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="24 or some 500 cases.")
+@click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="25 or some 660 cases.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws every case.")
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes side by side (default: two, or one on one core).")
 @click.option("--levels", help="Only these, LEVEL or LEVEL:COUNT with commas, e.g. plain:4,nothing:2.")
