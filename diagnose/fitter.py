@@ -6,7 +6,6 @@ import dataclasses
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
@@ -18,6 +17,7 @@ from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
+from diagnose.side_by_side import SideBySide
 from diagnose.view import MotionView, View, led_by_torque
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
@@ -170,11 +170,11 @@ class Fitter:
     runs: int = 0
     memory: Memory | None = None
     guide: float = 1.0
+    threads: SideBySide = field(init=False)
 
     def __post_init__(self) -> None:
-        self._pool = ThreadPoolExecutor(max_workers=max(1, self.jobs))
+        self.threads = SideBySide(self.jobs)
         self.closed = False
-        self._nested = threading.local()
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
@@ -186,7 +186,7 @@ class Fitter:
     def close(self) -> None:
         """Stop the threads: what they are at comes to nothing, and is not remembered."""
         self.closed = True
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        self.threads.close()
 
     def _rough_noise(self, experiment: Experiment) -> float:
         """A tenth of the nominal model's error: a weight where the noise is not known beforehand."""
@@ -222,21 +222,8 @@ class Fitter:
         return self._counts[id(experiment)]
 
     def map(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
-        """Work side by side; answers come in the order of the tasks, so that the number of threads changes nothing.
-
-        A task that itself asks for more does that work on its own thread: the widest level is the one that is spread.
-        """
-        if self.jobs <= 1 or len(tasks) <= 1 or getattr(self._nested, "inside", False):
-            return [t() for t in tasks]
-
-        def alone(task: Callable[[], T]) -> T:
-            self._nested.inside = True
-            try:
-                return task()
-            finally:
-                self._nested.inside = False
-
-        return list(self._pool.map(alone, tasks))
+        """Work side by side; answers in the order of the tasks."""
+        return self.threads.map(tasks)
 
     def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
         """Run residuals side by side, and count them."""
@@ -418,10 +405,7 @@ class Fitter:
         everything = (*self.experiments, *self.held_out)
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
-        try:
-            joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
-        finally:
-            wider.close()
+        joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
         self.runs += wider.runs
         if not joint.ok:
             return fitted
@@ -430,9 +414,9 @@ class Fitter:
         return dataclasses.replace(fitted, hypothesis=h, fit=dataclasses.replace(fitted.fit, x=h.start))
 
     def _beside(self, experiments: tuple[Experiment, ...], like: Sequence[Experiment], view: View) -> Fitter:
-        """A fitter of the same kind for other experiments, each weighted as the one it is like, or another view."""
+        """A fitter on the same threads for other experiments, each weighted as the one it is like, or for another view."""
         other = Fitter(self.nominal, view, experiments, (), self.jobs, self.varies, self.orders, self.whitening)
-        other.scales, other.guide = self.scales, self.guide
+        other.scales, other.guide, other.threads = self.scales, self.guide, self.threads
         other._sigma = {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
         return other
 
@@ -449,16 +433,11 @@ class Fitter:
         view = dataclasses.replace(self.view, lead=rate * self.nominal.chain.bodies[0].inertia)
         part = self._beside(self.experiments, self.experiments, view)
         h, x = fitted.hypothesis, fitted.fit.x
-        try:
-            starts = [x, *_drawn(fitted, spread, seed)]
-            costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(part.residual(h), s) for s in starts])]
-            order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
-            chosen = order if 0 in order else [*order[:-1], 0]
-            if len(chosen) > 1:
-                part.jobs = 1  # the fits are spread, not the work within each
-            fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
-        finally:
-            part.close()
+        starts = [x, *_drawn(fitted, spread, seed)]
+        costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(part.residual(h), s) for s in starts])]
+        order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
+        chosen = order if 0 in order else [*order[:-1], 0]
+        fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
         with self._counting:
             self.runs += part.runs
         return min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
@@ -485,10 +464,7 @@ class Fitter:
         effects, own = fitted.effects, fitted.own
         for share in UNFOLD:
             part = self._beside(tuple(_first(e, share) for e in self.experiments), self.experiments, self.view)
-            try:
-                found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
-            finally:
-                part.close()
+            found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
             with self._counting:
                 self.runs += math.ceil(share * part.runs)
             if not found.ok:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -404,7 +405,7 @@ class Search:
         """The best structure that the search finds."""
         current = self.nominal()
         self._tell(current)
-        if self.settled_by is not None and self.settled_by(current):
+        if self._settled(current):
             return current
         current = self._guided(current)
         beam = [current]
@@ -421,6 +422,8 @@ class Search:
                 if self._spent() or (state.key == current.key and not grown):
                     break  # nothing can be added to the best structure: its rivals are not built on either
             best = self._best(current)
+            if best.key != current.key and self._settled(best):
+                return self._alone(best)
             self.refine(best)
             self._unfold([self._best(current)])
             best = self._best(current)
@@ -456,8 +459,8 @@ class Search:
             if self.orders_of is not None and current.chi2 > 1.02 * current.n:
                 self.fitter.set_orders(self.orders_of(current))
             self._tell(current)
-            if self.settled_by is not None and self.settled_by(current):
-                return self._weigh(1.0, current)
+            if self._settled(current):
+                return self._alone(current)
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
             beam = list({f.key: f for f in map(self._ground, [current, *near[: self.options.beam - 1]])}.values())
@@ -470,6 +473,18 @@ class Search:
             self.refine(kept)
             current = self._best(kept)
         return self._eliminate(current)
+
+    def _settled(self, f: Fitted) -> bool:
+        """Whether what a structure leaves is noise alone, so that more is sought on whitened errors only."""
+        return self.settled_by is not None and self.settled_by(f)
+
+    def _alone(self, f: Fitted) -> Fitted:
+        """A structure by its own weights, its rivals left as they are: they will be raced again, on whitened errors."""
+        if self.fitter.guide == 1.0:
+            return f
+        for other in [k for k in self.pool if k and k != f.key]:
+            del self.pool[other]
+        return self._weigh(1.0, f)
 
     def _guided(self, f: Fitted) -> Fitted:
         """A fit from which to go on, the nominal linear parameters weighing as much as is fair beside so large a misfit.
@@ -497,7 +512,11 @@ class Search:
         self.pool.clear()
         self.held.clear()
         self.retried.clear()
-        fits = [partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12) for f in again.values() if f.key]
+        # of rivals that stay rivals a gain of one in C is enough; the current structure to the end
+        fits = [
+            partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12, tolerance=1e-6 if f.key == current.key else 1.0 / f.n)
+            for f in again.values() if f.key
+        ]  # fmt: skip
         if guide != 1.0:
             fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
         elif self._unguided is not None:
@@ -607,10 +626,11 @@ class Search:
         changed = True
         while changed and current.effects:
             changed = False
-            for effect in current.effects:
+            fewer = self.fitter.map([partial(self.without, current, effect) for effect in current.effects])
+            for effect, rest in zip(current.effects, fewer, strict=True):
                 # dropped, or in the simpler form that it refines: a refinement may have entered while another effect was missing
-                poorer: list[Callable[[], Fitted]] = [partial(self.without, current, effect), *self._simpler(current, effect)]
-                found = next((p for p in (make_it() for make_it in poorer) if p.ok and not self.pays(p, current)), None)
+                poorer = chain([rest], (make_it() for make_it in self._simpler(current, effect)))
+                found = next((p for p in poorer if p.ok and not self.pays(p, current)), None)
                 if found is not None:
                     current, changed = found, True
                     break

@@ -1,0 +1,62 @@
+"""Work side by side on threads: simulations leave the interpreter's lock, so that threads share the cores and the arrays."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+__all__ = ["SideBySide"]
+
+T = TypeVar("T")
+
+
+class SideBySide:
+    """Threads that share out tasks, tasks of tasks among them.
+
+    A thread that asks for tasks works on them itself, and the others help as they fall idle: first with what was asked for first.
+    A fit that is left alone at the end of a race thus spreads its own simulations, and no thread waits for one that has not
+    begun. Who is none of the threads only waits, so that never more than ``jobs`` are at work.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
+        self._pool = ThreadPoolExecutor(max_workers=max(1, jobs))
+        self._here = threading.local()
+
+    def map(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """Answers in the order of the tasks, so that the number of threads changes nothing. The first error is raised."""
+        if self.jobs <= 1 or len(tasks) <= 1:
+            return [task() for task in tasks]
+        left = deque(enumerate(tasks))
+        answers: dict[int, T] = {}
+
+        def work() -> None:
+            self._here.working = True
+            while left:
+                try:
+                    i, task = left.popleft()
+                except IndexError:  # another thread was faster
+                    return
+                answers[i] = task()
+
+        inside = getattr(self._here, "working", False)
+        helpers = [self._pool.submit(work) for _ in range(min(self.jobs, len(tasks)) - inside)]
+        try:
+            if inside:
+                work()
+            for helper in helpers:
+                if not (inside and helper.cancel()):
+                    helper.result()
+        except BaseException:
+            left.clear()
+            for helper in helpers:
+                helper.cancel()
+            raise
+        return [answers[i] for i in range(len(tasks))]
+
+    def close(self) -> None:
+        """Stop: what the threads are at ends with an error as soon as it asks for more."""
+        self._pool.shutdown(wait=False, cancel_futures=True)

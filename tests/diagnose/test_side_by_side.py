@@ -1,0 +1,88 @@
+"""Threads that share out tasks: order, errors, help for a task of tasks, and no more at work than were asked for."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diagnose.side_by_side import SideBySide
+
+
+@given(st.integers(1, 4), st.lists(st.integers(0, 6), max_size=6))
+@settings(max_examples=60, deadline=None)
+def test_answers_stand_in_the_order_of_the_tasks(jobs, sizes):
+    threads = SideBySide(jobs)
+
+    def inner(i: int, k: int) -> tuple[int, int]:
+        return i, k
+
+    def outer(i: int, n: int) -> list[tuple[int, int]]:
+        return threads.map([partial(inner, i, k) for k in range(n)])
+
+    try:
+        assert threads.map([partial(outer, i, n) for i, n in enumerate(sizes)]) == [
+            [(i, k) for k in range(n)] for i, n in enumerate(sizes)
+        ]
+    finally:
+        threads.close()
+
+
+def test_an_idle_thread_helps_with_the_tasks_of_a_task():
+    threads = SideBySide(2)
+    together = threading.Barrier(2)
+
+    def lone() -> list[int]:
+        return threads.map([lambda: together.wait(20), lambda: together.wait(20)])
+
+    try:  # both wait for each other: on one thread neither would come through
+        assert sorted(threads.map([lone, lambda: -1])[0]) == [0, 1]
+    finally:
+        threads.close()
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_no_more_are_at_work_than_were_asked_for(jobs):
+    threads = SideBySide(jobs)
+    lock = threading.Lock()
+    at_work, most = 0, 0
+
+    def leaf() -> None:
+        nonlocal at_work, most
+        with lock:
+            at_work += 1
+            most = max(most, at_work)
+        threading.Event().wait(0.002)
+        with lock:
+            at_work -= 1
+
+    try:
+        threads.map([lambda: threads.map([leaf] * 5)] * 6)
+    finally:
+        threads.close()
+    assert 1 <= most <= jobs
+
+
+def test_the_error_of_a_task_is_raised_and_the_rest_is_left():
+    threads = SideBySide(2)
+    ran = []
+
+    def bad() -> None:
+        raise ValueError("no")
+
+    try:
+        with pytest.raises(ValueError, match="no"):
+            threads.map([bad, *[partial(ran.append, k) for k in range(1000)]])
+        assert threads.map([lambda: 1, lambda: 2]) == [1, 2]  # still of use
+    finally:
+        threads.close()
+
+
+def test_closed_threads_refuse_what_a_running_task_asks_for():
+    threads = SideBySide(2)
+    threads.close()
+    with pytest.raises(RuntimeError):
+        threads.map([lambda: 1, lambda: 2])
