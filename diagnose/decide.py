@@ -67,11 +67,11 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10
     return tuple(dict.fromkeys(name for _, name in sorted(out)))
 
 
-def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
-    """Effects that the angle channel contradicts without any model.
+def excluded_by_angle(experiments: Sequence[Experiment]) -> dict[str, str]:
+    """Effects that the angle channel contradicts without any model: each with the effect beside which alone it may stand, or "".
 
     An offset of the velocity sensor shows as its drift from the angle; where it does, the axis itself does not move so, as by
-    an offset of the torque it would.
+    an offset of the torque it would: that may be there as well, but not in place of it.
     """
     verdicts = []
     for experiment in experiments:
@@ -85,11 +85,9 @@ def excluded_by_angle(experiments: Sequence[Experiment]) -> set[str]:
         offset = float(np.mean(r.velocity[:-1] * 0.5 + r.velocity[1:] * 0.5) - (r.angle[-1] - r.angle[0]) / r.duration)
         error = experiment.sigma / math.sqrt(len(r)) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
         verdicts.append(abs(offset) > 5 * error)
-    if not verdicts:
-        return set()
-    if all(verdicts):
-        return {"torque_offset"}
-    return set() if any(verdicts) else {"sensor_offset"}
+    if verdicts and all(verdicts):
+        return {"torque_offset": "sensor_offset"}
+    return {"sensor_offset": ""} if verdicts and not any(verdicts) else {}
 
 
 def unphysical(axis: Axis) -> tuple[str, ...]:

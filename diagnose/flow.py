@@ -115,15 +115,15 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
     """Spatial orders of the residual of a fitted model on its first experiment."""
     experiment = fitter.experiments[0]
     r = experiment.recording
-    if r.angle is None:
-        return ()
     if fitter.view.channel == "torque":
         return force_orders(fitter, fitted)
+    v = measured_velocity(r)
+    angle = r.angle if r.angle is not None else np.cumsum(v) * r.dt
     e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
     if e is None:
         return ()
     b, a = torque_to_velocity(fitted.axis, r.dt)
-    return find_orders(e, r.angle, measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment))
+    return find_orders(e, angle, v, b, a, r.dt, keep=fitter.counted(experiment))
 
 
 def diagnose(
@@ -177,8 +177,8 @@ def _search(
         )  # fmt: skip
     _need_same_sign(fitter, base)
     fitter.set_orders(_orders(fitter, base))
-    barred = excluded_by_angle(fitter.experiments)
-    search.candidates = tuple(c for c in candidates(fitter, options.effects) if c.id not in barred)
+    search.only_beside = excluded_by_angle(fitter.experiments)
+    search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
     search.orders_of = lambda f: _orders(fitter, f)
     if not fitter.noise_known:
         search.effective = effective_share(fitter, base)
@@ -305,6 +305,11 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         notes.append(
             "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."
         )
+        if motion[1] is None:
+            notes.append(
+                "Coloured noise cannot be told from motion that the model misses, since there is no angle channel beside the "
+                "velocity: what is left was taken for noise. Record the angle as well."
+            )
     if "gain" not in " ".join(notes):
         notes.append(
             "A pure error of the torque gain cannot be told from a common scale of all inertias, stiffnesses and dampings; "

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -91,6 +91,7 @@ class Search:
     worth_of: Callable[[Fitted, Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[float, ...]] | None = None
     settled_by: Callable[[Fitted], bool] | None = None  # whether what a structure leaves is noise alone
+    only_beside: Mapping[str, str] = field(default_factory=dict)  # an effect that may only stand beside another, and that one
 
     def __post_init__(self) -> None:
         self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
@@ -153,7 +154,11 @@ class Search:
 
     def expand(self, base: Fitted) -> list[Fitted]:
         """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
-        free = [c for c in self.candidates if not conflicts(c, base.effects) and not effect_class(c.id).form_of]
+        free = [
+            c for c in self.candidates
+            if not conflicts(c, base.effects) and not effect_class(c.id).form_of
+            and self._admitted([c.id, *(e.id for e in base.effects)])
+        ]  # fmt: skip
         ranked = screen(self.fitter, base, free)
         self.screened[base.key] = ranked
         self.tested += len(ranked)
@@ -179,7 +184,8 @@ class Search:
                 c for c in self.candidates
                 if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
                 and (material or not effect_class(c.id).form_of)
-                and _related(c.id, effect) and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
+                and _related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
+                and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
             ]  # fmt: skip
             ranked = screen(self.fitter, base, supposed, replacing=effect)
             self.tested += len(ranked)
@@ -191,6 +197,10 @@ class Search:
             entrants += self._apart(base, effect, others) if material else []
         return self._race(base, entrants)
 
+    def _admitted(self, ids: Sequence[str]) -> bool:
+        """Whether every effect that may only stand beside another one does."""
+        return all(name not in ids or other in ids for name, other in self.only_beside.items())
+
     def _apart(self, base: Fitted, effect: Effect, others: tuple[Effect, ...]) -> list[tuple[tuple[Effect, ...], Screened]]:
         """A compound effect taken apart, and its first part refined: Stribeck friction and an offset for asymmetric friction."""
         if not effect.parts():
@@ -199,6 +209,8 @@ class Search:
         beside = (*others, *rest)
         offered = {c.key for c in self.candidates}
         if any(e.key not in offered or conflicts(Candidate(e.id, e.place), others) for e in rest):
+            return []
+        if not self._admitted([e.id for e in beside]):
             return []
         out = []
         for c in self.candidates:
@@ -630,7 +642,8 @@ class Search:
             for effect, rest in zip(current.effects, fewer, strict=True):
                 # dropped, or in the simpler form that it refines: a refinement may have entered while another effect was missing
                 poorer = chain([rest], (make_it() for make_it in self._simpler(current, effect)))
-                found = next((p for p in poorer if p.ok and not self.pays(p, current)), None)
+                worth = (p for p in poorer if p.ok and self._admitted([e.id for e in p.effects]))
+                found = next((p for p in worth if not self.pays(p, current)), None)
                 if found is not None:
                     current, changed = found, True
                     break

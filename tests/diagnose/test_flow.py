@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 
@@ -11,6 +12,7 @@ import pytest
 from robot_axis import effect
 
 from diagnose.candidates import candidates, conflicts, screen
+from diagnose.decide import excluded_by_angle
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.flow import Options, choose_view, diagnose
@@ -273,3 +275,23 @@ def test_files_in_a_folder_with_the_contracts_json_out(pair, tmp_path):
     assert corrected.effects[0].values["torque_Nm"] == pytest.approx(result.findings[0].parameters["torque_Nm"].value)
     run = simulate(corrected, held_out.torque, held_out.dt)
     assert np.std(run.velocity - held_out.velocity) == pytest.approx(said["fit"]["corrected"]["held_out_rms"], rel=0.01)
+
+
+def test_a_ripple_is_found_without_an_angle_channel(pair, robot):
+    """The orders are then looked for over the integral of the velocity."""
+    ripple = effect("torque_ripple", amplitude_Nm=0.04, cycles_per_rev=6.3, phase_rad=0.5)
+    estimation, held_out = (dataclasses.replace(r, angle=None) for r in pair(ripple, seconds=6.0))
+    result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=(*FEW, "torque_ripple")))
+    (finding,) = result.findings
+    assert (finding.effect, finding.place) == ("torque_ripple", "motor")
+    assert finding.parameters["cycles_per_rev"].value == pytest.approx(6.3, rel=0.01)
+    assert finding.parameters["amplitude_Nm"].value == pytest.approx(0.04, rel=0.05)
+
+
+def test_what_the_angle_says_of_an_offset(pair, record):
+    """A velocity that drifts from the angle has an offset; beside it the torque may have one as well, and not in its place."""
+    sound, off = record(), record(effect("sensor_offset", place="sensor", value=0.4))
+    assert excluded_by_angle([prepare(sound)]) == {"sensor_offset": ""}
+    assert excluded_by_angle([prepare(off)]) == {"torque_offset": "sensor_offset"}
+    assert excluded_by_angle([prepare(sound), prepare(off)]) == {}
+    assert excluded_by_angle([prepare(dataclasses.replace(off, angle=None))]) == {}

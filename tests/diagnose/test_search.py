@@ -147,6 +147,10 @@ def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair)
         first, other = (coloured(r, offset) for r in pair())
         result = diagnose(robot, [first], [other], Options(jobs=1, effects=few))
         assert [f.effect for f in result.findings] == expected
+    first, other = (dataclasses.replace(coloured(r, 0.0), angle=None) for r in pair())
+    blind = diagnose(robot, [first], [other], Options(jobs=1, effects=("coulomb_friction", "actuator_lag")))
+    assert not blind.findings
+    assert any("no angle channel" in note for note in blind.notes)
 
 
 def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong(pair, robot):
