@@ -84,6 +84,9 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
             share = 100 * np.mean(flat)
             raise InputError(recording.source, f"{name} stands at its limit {top:.4g} for {share:.0f} % of the time",
                              "an unclipped signal", "raise the sensor's range or lower the excitation")  # fmt: skip
+    if recording.velocity is None and recording.angle is not None:  # what central differences make of the angle's noise
+        q = recording.angle
+        noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)
     _need_one_motion(recording)
     moving = _starts_in_motion(v, noise, spread)
     before = float(recording.torque[0]) if moving else 0.0

@@ -37,7 +37,7 @@ from diagnose.search import Search, SearchOptions
 from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
-from diagnose.view import ForceView, MotionView, View, clean_band
+from diagnose.view import ForceView, MotionView, View, clean_band, growth_when_held
 from diagnose.whiten import alike, effective_share, innovation, offset_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
@@ -45,6 +45,7 @@ from mjsim.recording import Recording
 
 __all__ = ["Options", "diagnose"]
 
+SWING = 3.0  # log of the growth over a recording from which a mechanism cannot be moved as recorded
 MOST_FILTERS = 2  # whitened searches
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
@@ -76,11 +77,20 @@ class Options:
 def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axis | None = None) -> View:
     """Motion or force.
 
-    As asked, as the binding says, else force when there is only a position (a servo under a position loop).
+    As asked, as the binding says, else force when there is only a position (a servo under a position loop) and the mechanism
+    behind the driven body can be moved as recorded: one that is unstable then swings up whatever the torque. Raises
+    InputError where that is asked for.
     """
     judge = judge or recordings[0].judge
+    growth = growth_when_held(nominal) if nominal is not None else -math.inf
+    swings_up = growth * max(r.duration for r in recordings) > SWING
+    if judge == "force" and swings_up:
+        raise InputError(
+            "judge", f"'force', and behind the driven body, once that is held, the nominal model swings up by {growth:.3g} 1/s",
+            "'motion'", "judge by motion, or correct the damping of the nominal model",
+        )  # fmt: skip
     if judge is None:
-        judge = "force" if recordings[0].velocity is None else "motion"
+        judge = "force" if recordings[0].velocity is None and not swings_up else "motion"
     if judge == "motion":
         return MotionView()
     dt = recordings[0].dt
@@ -307,8 +317,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         )
         if motion[1] is None:
             notes.append(
-                "Coloured noise cannot be told from motion that the model misses, since there is no angle channel beside the "
-                "velocity: what is left was taken for noise. Record the angle as well."
+                "Coloured noise cannot be told from motion that the model misses, since one channel alone shows the motion: what "
+                "is left was taken for noise. Record angle and velocity."
             )
     if "gain" not in " ".join(notes):
         notes.append(

@@ -24,9 +24,9 @@ from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
 from mjsim.ode import DivergedError, apply_input, inverse, simulate
 from mjsim.recording import Recording
-from mjsim.system import assemble
+from mjsim.system import assemble, state_matrix
 
-__all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "led_by_torque"]
+__all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "led_by_torque"]
 
 
 DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
@@ -123,7 +123,8 @@ class MotionView:
             )
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
-        measured, predicted = measured_velocity(r), y.velocity
+        measured = measured_velocity(r)
+        predicted = y.velocity if r.velocity is not None else np.gradient(y.angle, r.dt)  # averaged as the measured one
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted)
@@ -224,6 +225,15 @@ class ForceView:
     def noise(self, experiment: Experiment) -> float | None:
         """Not known beforehand: what acts on the torque is no sensor noise."""
         return None
+
+
+def growth_when_held(axis: Axis) -> float:
+    """Rate [1/s] at which what is behind the driven body swings up while that body is moved as recorded; below 0: it settles."""
+    s = assemble(Axis(axis.chain))
+    if s.n == 1:
+        return -math.inf
+    behind = [i for i in range(2 * s.n) if i not in (0, s.n)]
+    return float(np.max(np.linalg.eigvals(state_matrix(s.f)[np.ix_(behind, behind)]).real))
 
 
 def clean_band(axis: Axis, recording: Recording, share: float = 1e-3) -> float:

@@ -17,7 +17,7 @@ from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.flow import Options, choose_view, diagnose
 from diagnose.result import Verdict
-from diagnose.view import ForceView, MotionView
+from diagnose.view import ForceView, MotionView, growth_when_held
 from mjsim.effects import registered
 from mjsim.errors import InputError
 from mjsim.excitation import Cascade, close_loop, trapezoids
@@ -204,6 +204,30 @@ def test_the_view_is_chosen_by_what_is_asked_bound_or_recorded(record):
     angle_only = Recording(r.time, r.torque, None, r.angle, r.dt)
     assert isinstance(choose_view([angle_only], None), ForceView)
     assert isinstance(choose_view([Recording(r.time, r.torque, r.velocity, r.angle, r.dt, judge="force")], None), ForceView)
+
+
+def test_a_mechanism_that_swings_up_when_its_motor_is_held_is_judged_by_motion(record, robot):
+    """The published gearbox has negative damping: moved as recorded for some seconds, it needs any torque whatever."""
+    r = record(seconds=3.0)
+    angle_only = Recording(r.time, r.torque, None, r.angle, r.dt)
+    assert growth_when_held(robot) == pytest.approx(1.5968, rel=1e-3)
+    assert isinstance(choose_view([angle_only], None, robot), MotionView)
+    with pytest.raises(InputError, match=r"swings up by 1\.6 1/s"):
+        choose_view([angle_only], "force", robot)
+    damped = robot.with_linear({"dg": 62.0})
+    assert growth_when_held(damped) < 0
+    assert isinstance(choose_view([angle_only], None, damped), ForceView)
+
+
+def test_a_position_alone_will_do(pair, robot):
+    """Its differences are judged, averaged as the measured ones are, and weighed by the noise that they make of the angle's."""
+    for hidden, expected in (((), []), ((COULOMB,), ["coulomb_friction"])):
+        first, other = (dataclasses.replace(r, velocity=None) for r in pair(*hidden))
+        assert prepare(first).sigma == pytest.approx(1e-4 / (math.sqrt(2) * first.dt), rel=0.05)
+        result = diagnose(robot, [first], [other], Options(jobs=1, effects=FEW))
+        assert [f.effect for f in result.findings] == expected
+        if expected:
+            assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(0.1, rel=0.02)
 
 
 def write(path, r):

@@ -150,7 +150,7 @@ def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair)
     first, other = (dataclasses.replace(coloured(r, 0.0), angle=None) for r in pair())
     blind = diagnose(robot, [first], [other], Options(jobs=1, effects=("coulomb_friction", "actuator_lag")))
     assert not blind.findings
-    assert any("no angle channel" in note for note in blind.notes)
+    assert any("one channel alone" in note for note in blind.notes)
 
 
 def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong(pair, robot):
