@@ -11,7 +11,7 @@ from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 
-__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "screen"]
+__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "related", "screen"]
 
 
 WRONG_SIGN = 0.3  # what the promise of an amplitude of the wrong sign counts
@@ -170,3 +170,11 @@ def _project(
         moved = {n: effect.values[n] * factor for n in amplitudes}
         effect = make(effect.id, effect.place, {**effect.values, **moved})
     return max(gain, 0.0), effect
+
+
+def related(name: str, effect: Effect) -> bool:
+    """Whether an effect refines another, or both refine the same; another form of an effect refines refinements alone."""
+    cls = effect_class(name)
+    if cls.form_of:
+        return effect.id in cls.refines and bool(type(effect).refines)
+    return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))

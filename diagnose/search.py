@@ -20,7 +20,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, screen
+from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, related, screen
 from diagnose.compare import compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
@@ -184,7 +184,7 @@ class Search:
                 c for c in self.candidates
                 if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
                 and (material or not effect_class(c.id).form_of)
-                and _related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
+                and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
                 and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
             ]  # fmt: skip
             ranked = screen(self.fitter, base, supposed, replacing=effect)
@@ -419,7 +419,7 @@ class Search:
         self._tell(current)
         if self._settled(current):
             return current
-        current = self._guided(current)
+        current = self._guided(self._shown(self._guided(current)))
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
         stuck: set[tuple[str, ...]] = set()
@@ -485,6 +485,16 @@ class Search:
             self.refine(kept)
             current = self._best(kept)
         return self._eliminate(current)
+
+    def _shown(self, current: Fitted) -> Fitted:
+        """With the effects that the angle shows whatever the model is, where they pay: the rest is sought beside them."""
+        for candidate in [c for c in self.candidates if c.id in self.only_beside.values()]:
+            entrants = screen(self.fitter, current, [candidate])
+            self.tested += len(entrants)
+            for richer in self._race(current, [(current.effects, s) for s in entrants]):
+                if self.pays(current, richer):
+                    current = richer
+        return current
 
     def _settled(self, f: Fitted) -> bool:
         """Whether what a structure leaves is noise alone, so that more is sought on whitened errors only."""
@@ -603,9 +613,14 @@ class Search:
             if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
                 continue
             attempt += larger
-            if not larger or self.pays(current, f, attempt):
+            if self.pays(current, f, attempt) if larger else not self._worse(current, f):
                 return f
         return self.pool.get(current.key, current)
+
+    def _worse(self, f: Fitted, other: Fitted) -> bool:
+        """Whether held-out data speak for a structure and against another of its size that fits the estimation data better."""
+        c = compare(self.held_out(other), self.held_out(f), known=self.fitter.noise_known)
+        return c.relative_gain > self.options.material and c.p_value < self.options.p_enter
 
     def polish(self, fitted: Fitted) -> Fitted:
         """The same structure fitted on to a tight tolerance."""
@@ -673,14 +688,6 @@ class Search:
 def _folded(f: Fitted) -> bool:
     """Whether the error of a structure has several minima."""
     return any(type(e).multistart > 1 or type(e).rough for e in f.effects)
-
-
-def _related(name: str, effect: Effect) -> bool:
-    """Whether an effect refines another, or both refine the same; another form of an effect refines refinements alone."""
-    cls = effect_class(name)
-    if cls.form_of:
-        return effect.id in cls.refines and bool(type(effect).refines)
-    return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
 
 
 def _refines(f: Fitted, current: Fitted) -> bool:
