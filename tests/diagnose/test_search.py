@@ -7,6 +7,7 @@ import threading
 
 import numpy as np
 import pytest
+from robot_axis import effect
 
 from diagnose.compare import compare
 from diagnose.experiment import prepare
@@ -169,3 +170,26 @@ def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong
     assert search._eliminate(richer).key == ()
     assert search.nominal().chi2 < 1.01 * good.chi2
     fitter.close()
+
+
+def test_what_the_angle_shows_is_taken_in_first(robot, pair):
+    """A velocity that drifts from the angle has an offset, whatever else is missing."""
+    hidden = (
+        effect("sensor_offset", place="sensor", value=0.2),
+        effect("friction_drift", torque_Nm=0.04, relative_change=1.5, time_constant_s=1.0),
+    )
+    few = ("coulomb_friction", "friction_drift", "asymmetric_friction", "sensor_offset", "torque_offset", "gravity_load")
+    first, other = pair(*hidden, seconds=5.0)
+    result = diagnose(robot, [first], [other], Options(jobs=1, effects=few))
+    assert {f.effect for f in result.findings} == {"sensor_offset", "friction_drift"}
+
+
+def test_held_out_data_judge_structures_of_one_size_as_well(fitter_of, pair):
+    fitter = fitter_of(pair(effect("coulomb_friction", torque_Nm=0.1)))
+    search = Search(fitter, SearchOptions())
+    right = fitter.fit(fitter.hypothesis([effect("coulomb_friction", torque_Nm=0.1)]))
+    wrong = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.01)], right.linear))
+    flattered = dataclasses.replace(wrong, fit=dataclasses.replace(wrong.fit, cost=0.5 * right.chi2))
+    search.pool |= {right.key: right, flattered.key: flattered}
+    assert search.criterion(flattered) < search.criterion(right)
+    assert search._best(right) is right, "by the estimation data alone it would be the other"
