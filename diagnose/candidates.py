@@ -173,8 +173,8 @@ def _project(
 
 
 def related(name: str, effect: Effect) -> bool:
-    """Whether an effect refines another, or both refine the same; another form of an effect refines refinements alone."""
+    """Whether an effect refines another, or both refine the same; another form of an effect refines it, or other refinements."""
     cls = effect_class(name)
     if cls.form_of:
-        return effect.id in cls.refines and bool(type(effect).refines)
+        return effect.id in cls.refines and (effect.id == cls.form_of or bool(type(effect).refines))
     return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))

@@ -14,6 +14,11 @@ from mjsim.effects import Effect, effect_class, registered
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
 from mjsim.recording import Recording
+from simgap.benchmark.catalogue import compose, find
+from simgap.benchmark.experiment import chirp as sealed_chirp
+from simgap.benchmark.laws import Laws
+from simgap.benchmark.measurement import Measurement
+from simgap.benchmark.plant import record
 
 DT, N = 1e-3, 8_000
 LUGRE = {"torque_Nm": 0.1, "stiffness_Nm_rad": 1.0, "damping_Nms_rad": 0.01}
@@ -91,3 +96,22 @@ def test_parts_make_the_same_motion(robot):
         assert whole.parts()[0].id in cls.refines
         one, other = (simulate(axis, torque, DT).velocity for axis in (robot + whole, apart))
         assert np.std(one - other) < 1e-3 * np.std(one)
+
+
+def test_a_slider_is_told_as_hysteresis_with_its_corner(robot):
+    """One Maxwell-slip element of another solver: the contract's gradual law leaves three times the noise of it."""
+    slip = {"torque_Nm": 4.8, "stiffness_Nm_rad": 1.6e4}
+    laws = compose(Laws(), find("hysteresis", "gearbox"), slip)._replace(slip_sharp=1.0)
+    rng = np.random.default_rng(11)
+    pair = []
+    for experiment in (sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)):
+        m = record(laws, experiment, Measurement(velocity_noise=0.05), rng)
+        pair.append(Recording(m.time, m.torque, m.velocity, m.angle, 5e-4))
+    only = ("hysteresis", "hardening_stiffness", "coulomb_friction")
+    found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    (finding,) = found.findings
+    assert (finding.effect, finding.place, finding.law) == ("hysteresis", "gearbox", "hysteresis_with_corner")
+    assert finding.parameters["sharpness"].value > 5
+    for name, value in slip.items():
+        assert finding.parameters[name].value == pytest.approx(value, rel=0.05)

@@ -34,7 +34,7 @@ def nominal() -> Path:
 
 def make(name: str, place: str):
     cls = effect_class(name)
-    return cls(place=place, **{s.name: VALUES.get(s.name, 0.0123) for s in cls.specs()})
+    return cls(place=place, **{s.name: VALUES.get(s.name, max(0.0123, s.lower)) for s in cls.specs()})
 
 
 def without_correction(path: Path) -> str:
