@@ -26,6 +26,7 @@ class Quantity(enum.Enum):
     QUADRATIC_DAMPING = ("N m s^2/rad^2", "N s^2/m^2")
     CUBIC_STIFFNESS = ("N m/rad^3", "N/m^3")
     PER_TORQUE_SQUARED = ("1/(N m)^2", "1/N^2")
+    PER_VELOCITY = ("s/rad", "s/m")
     CYCLES = ("1/rev", "rad/m")
     PHASE = ("rad", "rad")
     TIME = ("s", "s")

@@ -16,7 +16,7 @@ from mjsim.ode import simulate
 from mjsim.recording import Recording
 from simgap.benchmark.catalogue import compose, find
 from simgap.benchmark.experiment import chirp as sealed_chirp
-from simgap.benchmark.laws import Laws
+from simgap.benchmark.laws import GAP_IMPACT, Laws
 from simgap.benchmark.measurement import Measurement
 from simgap.benchmark.plant import record
 
@@ -115,3 +115,20 @@ def test_a_slider_is_told_as_hysteresis_with_its_corner(robot):
     assert finding.parameters["sharpness"].value > 5
     for name, value in slip.items():
         assert finding.parameters[name].value == pytest.approx(value, rel=0.05)
+
+
+def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot):
+    """A compliant impact of another solver, whose joint has no damping of its own: 73 times the noise variance was left."""
+    hidden = {"gap_rad": 2e-4}
+    laws = compose(Laws(), find("backlash", "gearbox"), hidden)._replace(gap_law_g=GAP_IMPACT, impact_g=0.5)
+    rng = np.random.default_rng(12)
+    pair = []
+    for experiment in (sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)):
+        m = record(laws, experiment, Measurement(velocity_noise=0.05), rng)
+        pair.append(Recording(m.time, m.torque, m.velocity, m.angle, 5e-4))
+    found = diagnose(robot, pair[:1], pair[1:], Options(effects=("backlash", "hardening_stiffness", "coulomb_friction"), jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    (finding,) = found.findings
+    assert (finding.effect, finding.place, finding.law) == ("backlash", "gearbox", "backlash_with_impact")
+    assert finding.parameters["gap_rad"].value == pytest.approx(2e-4, rel=0.02)
+    assert finding.parameters["impact_s_rad"].value == pytest.approx(0.5, rel=0.1)
