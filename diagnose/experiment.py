@@ -10,7 +10,7 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
-__all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "plain_step", "prepare", "white_noise_level"]
+__all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "plain_step", "prepare", "white_noise_level", "whole_step"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +50,24 @@ def white_noise_level(y: np.ndarray) -> float:
 
 
 def plain_step(v: np.ndarray) -> float:
-    """The step of a signal that mostly stands still between steps, so that differences see no noise in it; else 0."""
+    """The step of a signal that mostly stands still between steps, so that differences see no noise in it; else 0.
+
+    It may move by several steps at once: where all moves are multiples of the smallest, that is the step, else their median.
+    """
     steps = np.abs(np.diff(v))
     moved = steps[steps > 0]
     if len(moved) == 0 or len(moved) > 0.7 * len(steps):
         return 0.0
-    return float(np.median(moved))
+    return whole_step(moved) or float(np.median(moved))
+
+
+def whole_step(moves: np.ndarray) -> float:
+    """The smallest of some moves (N,) > 0 where all are multiples of it, refined by their sum; 0 where they are not."""
+    if len(moves) == 0:
+        return 0.0
+    times = moves / np.min(moves)
+    whole = np.round(times)
+    return float(np.sum(moves) / np.sum(whole)) if np.max(np.abs(times - whole)) < 0.1 else 0.0
 
 
 def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:

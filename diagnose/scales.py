@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.experiment import Experiment, measured_velocity, plain_step
+from diagnose.experiment import Experiment, measured_velocity, plain_step, whole_step
 from mjsim.axis import Axis
 from mjsim.effects import Scales
 from mjsim.ode import DivergedError, simulate
@@ -26,6 +26,7 @@ def _rms(x: np.ndarray) -> float:
 def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
     """Steps in which values (N,) may come: the one whose line is strongest and what it may be an overtone of; () for no line.
 
+    Where the rounding came last, all values lie on a grid, whose step is then the only one. Else:
     The characteristic function |mean exp(2 pi i f v)| of rounded values has a line at f = 1/step, lower by exp(-2 pi^2 (s f)^2)
     where noise of rms s came after the rounding. Steps from the noise up to an eighth of the range are looked at; coarser
     ones show as values that stand still. Source: B. Widrow, I. Kollar, Quantization Noise (2008), ch. 4.
@@ -35,6 +36,9 @@ def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
     if plain > 0:
         return (plain,)
     finest = max(noise, span / 4000)
+    grid = whole_step(np.diff(np.unique(values)))
+    if grid >= finest:
+        return (grid,)
     if span < 16 * finest:
         return ()
     width = finest / 8

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diagnose.experiment import plain_step, whole_step
 from diagnose.flow import Options, diagnose
 from diagnose.result import Verdict
 from diagnose.scales import value_steps
@@ -53,3 +54,21 @@ def test_steps_are_named_above_the_noise_and_are_noise_below(robot, pair, step, 
         assert result.findings[0].parameters["step"].value == pytest.approx(step, rel=5e-3)
     else:
         assert result.verdict is not Verdict.MISSING_PHYSICS
+
+
+@pytest.mark.parametrize(("step", "noise"), [(0.34, 0.09), (0.54, 0.06), (0.2, 0.15)])
+def test_values_that_were_rounded_last_lie_on_a_grid(step, noise):
+    """However broad or narrow their distribution, and where they mostly move by more than a step at once."""
+    rng = np.random.default_rng(4)
+    t = 5e-4 * np.arange(20_000)
+    for top in (3.0, 60.0):
+        v = top * np.sin(2 * np.pi * 1.3 * t) ** 5 + noise * rng.standard_normal(len(t))
+        rounded = np.round(step * np.round(v / step), 5)  # as a file holds them
+        assert value_steps(rounded, noise) == (pytest.approx(step, rel=1e-4),)
+    assert whole_step(np.array([])) == 0.0
+    assert whole_step(np.array([0.2, 0.4, 0.7])) == 0.0
+
+
+def test_a_signal_that_moves_by_two_steps_has_the_smaller_one():
+    v = np.repeat([0.0, 2.0, 4.0, 3.0, 5.0, 3.0, 1.0], 4)
+    assert plain_step(v) == pytest.approx(1.0)
