@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 
-__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "related", "screen"]
+__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "screen", "span"]
 
 
 WRONG_SIGN = 0.3  # what the promise of an amplitude of the wrong sign counts
@@ -178,3 +179,18 @@ def related(name: str, effect: Effect) -> bool:
     if cls.form_of:
         return effect.id in cls.refines and (effect.id == cls.form_of or bool(type(effect).refines))
     return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
+
+
+def span(f: Fitted) -> np.ndarray | None:
+    """Orthonormal columns that span what the parameters of a fit can take up; None of one that could not be run."""
+    if not f.ok:
+        return None
+    return np.asarray(np.linalg.qr(f.fit.J / (np.linalg.norm(f.fit.J, axis=0) + 1e-300))[0])
+
+
+def left_over(residual: np.ndarray | None, taken: np.ndarray | None) -> float:
+    """Squares of a residual (N,) beside what orthonormal columns (N, p) take up; inf where there is none."""
+    if residual is None:
+        return math.inf
+    squares = float(residual @ residual)
+    return squares if taken is None or len(residual) != len(taken) else squares - float(np.sum((taken.T @ residual) ** 2))

@@ -18,9 +18,7 @@ from functools import partial
 from itertools import chain
 from typing import TypeVar
 
-import numpy as np
-
-from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, related, screen
+from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, left_over, related, screen, span
 from diagnose.compare import compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
@@ -55,9 +53,8 @@ class SearchOptions:
 
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
     held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
-    depth: most effects; width: rivals fitted in
-    full at each move; beam: structures from which the next move starts; runs, seconds: budgets after which no further
-    structure is tried.
+    depth: most effects; width: rivals fitted in full at each move; beam: structures from which the next move starts; runs,
+    seconds: budgets after which no further structure is tried.
     """
 
     price: float = 8.0
@@ -101,6 +98,7 @@ class Search:
         self._encoder: dict[tuple[object, ...], bool] = {}
         self._leads: dict[tuple[object, ...], float] = {}
         self._let_go = 0
+        self._starts: dict[tuple[object, ...], Fitted] = {}
 
     def _spent(self) -> bool:
         """Whether the budget of runs (the same on every machine) or of seconds is used up."""
@@ -320,10 +318,9 @@ class Search:
         from_nominal = (*raw,) if stiff else (*s.starts[:2], *raw[:2]) if far else ()
         guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in from_nominal]
         residuals = self.fitter.run([self.fitter.at_start(h) for h in guesses])
-        # what the base's own parameters will take up does not count against a start
-        q, _ = np.linalg.qr(base.fit.J / (np.linalg.norm(base.fit.J, axis=0) + 1e-300))
-        cost = [math.inf if r is None else float(r @ r) - float(np.sum((q.T @ r) ** 2)) if len(r) == len(q) else float(r @ r)
-                for r in residuals]  # fmt: skip
+        # what the base's own parameters, or the nominal ones, will take up does not count against a start
+        spans = (span(base), span(self._begun(base)) if from_nominal else None)
+        cost = [left_over(r, spans[i >= borrowing]) for i, r in enumerate(residuals)]
         order = sorted(range(len(guesses)), key=lambda i: cost[i])
         if stiff:  # one that the screen has shrunk to nothing costs no more than the base: both kinds go on
             half = (cls.multistart + 1) // 2
@@ -348,6 +345,13 @@ class Search:
             )
         # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
         return dataclasses.replace(first, fit=dataclasses.replace(first.fit, status=Status.BUDGET))
+
+    def _begun(self, base: Fitted) -> Fitted:
+        """The structure of ``base`` at the nominal linear parameters, with its sensitivities there."""
+        asked = (base.key, base.chi2, self.fitter.guide)
+        if asked not in self._starts:
+            self._starts[asked] = self.fitter.fit(self.fitter.hypothesis(base.effects, None, base.own), iterations=1)
+        return self._starts[asked]
 
     def _tell(self, current: Fitted) -> None:
         """The best so far, by its error against that of the refitted nominal model."""

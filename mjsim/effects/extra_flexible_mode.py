@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["ExtraFlexibleMode"]
 
 
-STARTS = 18
+PARTS = (0.25, 0.04)  # of the arm's inertia
+STARTS = 36
 
 
 @register
@@ -62,11 +63,12 @@ class ExtraFlexibleMode(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        j = 0.25 * scales.inertia
         out = []
         # what a recording can show: from three turns in all of it to a tenth of its sampling rate
         low, high = 3.0 / scales.duration, 0.1 / scales.dt
-        for hz in low * (high / low) ** (np.arange(STARTS) / (STARTS - 1)):
-            w = 2 * math.pi * hz
-            out.append({"inertia_kgm2": j, "stiffness_Nm_rad": j * w * w, "damping_Nms_rad": 0.06 * j * w})
+        for part in PARTS:
+            j = part * scales.inertia
+            for hz in low * (high / low) ** (np.arange(STARTS) / (STARTS - 1)):
+                w = 2 * math.pi * hz
+                out.append({"inertia_kgm2": j, "stiffness_Nm_rad": j * w * w, "damping_Nms_rad": 0.06 * j * w})
         return out
