@@ -7,10 +7,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ident.serial import write_atomic
 from mjsim.errors import InputError
 from simgap.proof.page import Page, number, table
 
 __all__ = ["summary_page"]
+
+# of those that a benchmark draws
+PICTURES = {
+    "levels": "how the cases of each level ended",
+    "power": "chance that an effect is seen, and named, over its size",
+    "effects": "every single effect by its size: named, seen or missed",
+}
 
 
 def summary_page(folder: Path, benchmark: Path | None = None) -> Page:
@@ -22,8 +30,18 @@ def summary_page(folder: Path, benchmark: Path | None = None) -> Page:
     # the page stands above the others, whose folder it names
     parts = {n: _read(folder / f"{n}.json") for n in ("emps", "kuka", "concealed_real")}
     summary = _read(benchmark) if benchmark is not None else None
-    text = "\n".join([_HEAD, _benchmark(summary), *_real(parts, f"{folder.name}/"), _TAIL])
+    drawn = _copied(benchmark.parent / "pictures", folder / "benchmark") if benchmark is not None else []
+    shown = "".join(f"![{PICTURES[n]}]({folder.name}/benchmark/{n}.svg)\n\n" for n in drawn)
+    text = "\n".join([_HEAD, _benchmark(summary) + shown, *_real(parts, f"{folder.name}/"), _TAIL])
     return Page("proof", text, {}, {"benchmark": summary is not None, **{n: p is not None for n, p in parts.items()}})
+
+
+def _copied(source: Path, target: Path) -> list[str]:
+    """The benchmark's pictures laid beside the other pages; the names of those that there are."""
+    there = [name for name in PICTURES if (source / f"{name}.svg").is_file()]
+    for name in there:
+        write_atomic(target / f"{name}.svg", (source / f"{name}.svg").read_text(encoding="utf-8"))
+    return there
 
 
 def _read(path: Path) -> dict[str, Any] | None:

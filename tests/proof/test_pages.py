@@ -48,6 +48,12 @@ def test_a_benchmark_is_read_and_not_invented(tmp_path):
     summary["power"]["named"]["at90_ci95"] = [0.0, None]
     path.write_text(json.dumps(summary), encoding="utf-8")
     assert "intervals of the 50 % and 90 % points are open" in summary_page(tmp_path, path).text
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "power.svg").write_text("<svg/>", encoding="utf-8")
+    pages = tmp_path / "proof"
+    assert "](proof/benchmark/power.svg)" in summary_page(pages, path).text
+    assert (pages / "benchmark" / "power.svg").read_text(encoding="utf-8") == "<svg/>"
+    assert not (pages / "benchmark" / "levels.svg").exists()
 
 
 def test_a_benchmark_that_is_not_there_is_refused(tmp_path):
