@@ -10,6 +10,7 @@ import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
+from diagnose.least_squares import orthonormal
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 
 __all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "screen", "span"]
@@ -92,7 +93,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     of that effect of the base, from which it inherits the parameters that they share.
     """
     J = base.fit.J
-    q, _ = np.linalg.qr(J / (np.linalg.norm(J, axis=0) + 1e-300))
+    q = orthonormal(J)
     r0 = base.fit.residual
     starts: list[tuple[Candidate, Effect]] = []
     tasks = []
@@ -183,9 +184,7 @@ def related(name: str, effect: Effect) -> bool:
 
 def span(f: Fitted) -> np.ndarray | None:
     """Orthonormal columns that span what the parameters of a fit can take up; None of one that could not be run."""
-    if not f.ok:
-        return None
-    return np.asarray(np.linalg.qr(f.fit.J / (np.linalg.norm(f.fit.J, axis=0) + 1e-300))[0])
+    return orthonormal(f.fit.J) if f.ok else None
 
 
 def left_over(residual: np.ndarray | None, taken: np.ndarray | None) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
+from diagnose.least_squares import orthonormal
 from mjsim.effects import Effect
 from mjsim.quantity import Motion
 
@@ -33,8 +34,7 @@ def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
     shown = _shown(fitter, poorer)
     if shown is None:
         return 0.0
-    J = poorer.fit.J
-    q, _ = np.linalg.qr(J / (np.linalg.norm(J, axis=0) + 1e-300))
+    q = orthonormal(poorer.fit.J)
     travel = max(float(np.ptp(angle)) for angle, _ in shown)
     if travel <= 0:
         return 0.0
@@ -67,9 +67,8 @@ def _beside(fitter: Fitter, fitted: Fitted) -> float | None:
     if shown is None:
         return None
     c = np.hstack([fitted.fit.J, _columns(fitter, fitted, shown, [whole_orders(angle) for angle, _ in shown])])
-    q, _ = np.linalg.qr(c / (np.linalg.norm(c, axis=0) + 1e-300))
     r = fitted.fit.residual
-    return float(r @ r - np.sum((q.T @ r) ** 2))
+    return float(r @ r - np.sum((orthonormal(c).T @ r) ** 2))
 
 
 def whole_orders(angle: np.ndarray) -> list[float]:

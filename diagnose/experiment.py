@@ -10,7 +10,16 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
-__all__ = ["Experiment", "hold_out_blocks", "measured_velocity", "plain_step", "prepare", "white_noise_level", "whole_step"]
+__all__ = [
+    "Experiment",
+    "hold_out_blocks",
+    "measured_angle",
+    "measured_velocity",
+    "plain_step",
+    "prepare",
+    "white_noise_level",
+    "whole_step",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +44,14 @@ def measured_velocity(recording: Recording) -> np.ndarray:
         return recording.velocity
     assert recording.angle is not None
     return np.gradient(recording.angle, recording.dt)
+
+
+def measured_angle(recording: Recording) -> np.ndarray:
+    """The angle channel, or the integral of the velocity where there is none, from 0 [rad | m]."""
+    if recording.angle is not None:
+        return recording.angle
+    v = measured_velocity(recording)
+    return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
 
 
 def white_noise_level(y: np.ndarray) -> float:

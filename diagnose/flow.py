@@ -24,7 +24,7 @@ from diagnose.decide import (
     p_values,
     unphysical,
 )
-from diagnose.experiment import Experiment, hold_out_blocks, measured_velocity, prepare
+from diagnose.experiment import Experiment, hold_out_blocks, measured_angle, measured_velocity, prepare
 from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.force_orders import force_orders
 from diagnose.least_squares import Fit
@@ -127,13 +127,11 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
     r = experiment.recording
     if fitter.view.channel == "torque":
         return force_orders(fitter, fitted)
-    v = measured_velocity(r)
-    angle = r.angle if r.angle is not None else np.cumsum(v) * r.dt
     e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
     if e is None:
         return ()
     b, a = torque_to_velocity(fitted.axis, r.dt)
-    return find_orders(e, angle, v, b, a, r.dt, keep=fitter.counted(experiment))
+    return find_orders(e, measured_angle(r), measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment))
 
 
 def diagnose(

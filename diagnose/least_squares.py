@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-__all__ = ["Fit", "Linearised", "Status", "jacobian", "levenberg_marquardt"]
+__all__ = ["Fit", "Linearised", "Status", "jacobian", "levenberg_marquardt", "orthonormal"]
 
 
 class Status(enum.Enum):
@@ -91,6 +91,11 @@ def jacobian(
             return None
         J[:, i] = (c - r0) / h
     return J
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal columns (N, p) that span others (N, p), of whatever sizes those are."""
+    return np.asarray(np.linalg.qr(columns / (np.linalg.norm(columns, axis=0) + 1e-300))[0])
 
 
 def _bounded_step(A: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.experiment import Experiment, measured_velocity, plain_step, whole_step
+from diagnose.experiment import Experiment, measured_angle, measured_velocity, plain_step, whole_step
 from mjsim.axis import Axis
 from mjsim.effects import Scales
 from mjsim.ode import DivergedError, simulate
@@ -72,7 +72,7 @@ def scales_by_place(
     r = experiment.recording
     chain = axis.chain
     v = measured_velocity(r)
-    q = r.angle if r.angle is not None else np.cumsum(v) * r.dt
+    q = measured_angle(r)
     n = len(chain.bodies)
     try:
         y = simulate(axis, r.torque, r.dt, before=experiment.before)

@@ -27,7 +27,7 @@ from diagnose.compare import compare
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
+from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt, orthonormal
 from diagnose.orders import torque_to_velocity
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
@@ -238,7 +238,7 @@ def _roughness(shape: TorqueMap) -> np.ndarray:
 
 def _solve(p: _Problem, without: float) -> _Solution:
     """Penalty by cross-validation, and the coefficients on all data; ``without``: cost without a map."""
-    q, _ = np.linalg.qr(p.J / (np.linalg.norm(p.J, axis=0) + 1e-300))
+    q = orthonormal(p.J)
     # directions of the map that the model's own numbers can mimic are left to them
     gram = p.D.T @ p.D
     rest = gram - (q.T @ p.D).T @ (q.T @ p.D)

@@ -98,15 +98,21 @@ def test_parts_make_the_same_motion(robot):
         assert np.std(one - other) < 1e-3 * np.std(one)
 
 
+def sealed(laws, seed):
+    """Two chirps of the benchmark's plant, whose laws and solver are its own."""
+    rng = np.random.default_rng(seed)
+    motions = [
+        record(laws, experiment, Measurement(velocity_noise=0.05), rng)
+        for experiment in (sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0))
+    ]
+    return [Recording(m.time, m.torque, m.velocity, m.angle, 5e-4) for m in motions]
+
+
 def test_a_slider_is_told_as_hysteresis_with_its_corner(robot):
     """One Maxwell-slip element of another solver: the contract's gradual law leaves three times the noise of it."""
     slip = {"torque_Nm": 4.8, "stiffness_Nm_rad": 1.6e4}
     laws = compose(Laws(), find("hysteresis", "gearbox"), slip)._replace(slip_sharp=1.0)
-    rng = np.random.default_rng(11)
-    pair = []
-    for experiment in (sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)):
-        m = record(laws, experiment, Measurement(velocity_noise=0.05), rng)
-        pair.append(Recording(m.time, m.torque, m.velocity, m.angle, 5e-4))
+    pair = sealed(laws, 11)
     only = ("hysteresis", "hardening_stiffness", "coulomb_friction")
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
@@ -121,11 +127,7 @@ def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot):
     """A compliant impact of another solver, whose joint has no damping of its own: 73 times the noise variance was left."""
     hidden = {"gap_rad": 2e-4}
     laws = compose(Laws(), find("backlash", "gearbox"), hidden)._replace(gap_law_g=GAP_IMPACT, impact_g=0.5)
-    rng = np.random.default_rng(12)
-    pair = []
-    for experiment in (sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)):
-        m = record(laws, experiment, Measurement(velocity_noise=0.05), rng)
-        pair.append(Recording(m.time, m.torque, m.velocity, m.angle, 5e-4))
+    pair = sealed(laws, 12)
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=("backlash", "hardening_stiffness", "coulomb_friction"), jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
     (finding,) = found.findings
