@@ -18,12 +18,13 @@ from functools import partial
 from itertools import chain
 from typing import TypeVar
 
-from diagnose.candidates import Candidate, Screened, candidates, conflicts, inherit, left_over, related, screen, span
+from diagnose.candidates import Candidate, Screened, candidates, conflicts, left_over, related, screen, span
 from diagnose.compare import compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
+from diagnose.moves import Entrant, in_place, other_orders, taken_apart
 from diagnose.progress import Progress
 from diagnose.whiten import effective_share
 from mjsim.effects import Effect, effect_class
@@ -36,6 +37,7 @@ T = TypeVar("T")
 NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 GUIDE = 0.2  # relative standard deviation that they are then given
+RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
@@ -65,7 +67,7 @@ class SearchOptions:
     width: int = 10
     beam: int = 2
     only: tuple[str, ...] = ()
-    runs: int = 4000
+    runs: int = 8000
     seconds: float = math.inf
 
 
@@ -174,7 +176,7 @@ class Search:
 
         Where the score says it can matter.
         """
-        entrants: list[tuple[tuple[Effect, ...], Screened]] = []
+        entrants: list[Entrant] = []
         material = self.fitter.noise_known and base.chi2 > UNEXPLAINED * base.n
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
@@ -191,55 +193,35 @@ class Search:
                 (others, s) for s in ranked
                 if s.gain > 0.4 * self.options.entry or effect_class(s.candidate.id).multistart > 1
             ]  # fmt: skip
-            entrants += self._other_orders(base, effect, others)
-            entrants += self._apart(base, effect, others) if material else []
+            mark = (base.key, (effect.key, str(self.fitter.orders)))
+            if mark not in self.retried:
+                self.retried.add(mark)
+                entrants += other_orders(self.fitter, effect, others)
+            entrants += self._new(base, taken_apart(self.fitter, self.candidates, effect, others) if material else [])
         return self._race(base, entrants)
+
+    def swap(self, base: Fitted) -> list[Fitted]:
+        """Fit the structures in which an effect of ``base`` gives way to one that did as much as it beside a simpler structure.
+
+        What has entered since may tell them apart, or it may be what kept the better one from being seen.
+        """
+        if not self.fitter.noise_known or base.chi2 < UNEXPLAINED * base.n:
+            return []
+        return self._race(base, self._new(base, in_place(self.pool, self.candidates, base, RIVAL)))
+
+    def _new(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
+        """Those that are admitted and were not tried from here."""
+        new = [
+            (others, s) for others, s in entrants
+            if self._admitted([s.candidate.id, *(e.id for e in others)])
+            and self._untried(base, tuple(sorted([*(e.key for e in others), s.candidate.key])))
+        ]  # fmt: skip
+        self.tested += len(new)
+        return new
 
     def _admitted(self, ids: Sequence[str]) -> bool:
         """Whether every effect that may only stand beside another one does."""
         return all(name not in ids or other in ids for name, other in self.only_beside.items())
-
-    def _apart(self, base: Fitted, effect: Effect, others: tuple[Effect, ...]) -> list[tuple[tuple[Effect, ...], Screened]]:
-        """A compound effect taken apart, and its first part refined: Stribeck friction and an offset for asymmetric friction."""
-        if not effect.parts():
-            return []
-        first, *rest = effect.parts()
-        beside = (*others, *rest)
-        offered = {c.key for c in self.candidates}
-        if any(e.key not in offered or conflicts(Candidate(e.id, e.place), others) for e in rest):
-            return []
-        if not self._admitted([e.id for e in beside]):
-            return []
-        out = []
-        for c in self.candidates:
-            cls = effect_class(c.id)
-            key = tuple(sorted([*(e.key for e in beside), c.key]))
-            if c.place != first.place or c.id == effect.id or first.id not in cls.refines or cls.form_of:
-                continue
-            if conflicts(c, beside) or not self._untried(base, key):
-                continue
-            values = cls.starts(self.fitter.scales_for(cls, c.place))
-            starts = tuple(make(c.id, c.place, inherit(cls, v, first)) for v in values)
-            out.append((beside, Screened(c, starts[0], math.inf, starts)))
-        self.tested += len(out)
-        return out
-
-    def _other_orders(
-        self, base: Fitted, effect: Effect, others: tuple[Effect, ...]
-    ) -> list[tuple[tuple[Effect, ...], Screened]]:
-        """A position-locked effect once more at the orders that now stand out: it may have entered at a wrong one."""
-        mark = (base.key, (effect.key, str(self.fitter.orders)))
-        if "cycles_per_rev" not in effect.values or mark in self.retried:
-            return []
-        self.retried.add(mark)
-        scales = self.fitter.scales_for(type(effect), effect.place)
-        likely = {v["cycles_per_rev"] for v in type(effect).starts(scales)}
-        orders = [n for n in scales.orders[:3] if n in likely]
-        starts = tuple(
-            effect.with_values({"cycles_per_rev": n, "phase_rad": phase})
-            for n in orders if abs(n - effect.values["cycles_per_rev"]) > 0.02 * n for phase in (0.0, 1.57, 3.14, -1.57)
-        )  # fmt: skip
-        return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
 
     def _untried(self, base: Fitted, key: tuple[str, ...]) -> bool:
         """Whether a structure was not fitted yet, or from so far off that it may do better from here; true once for each base."""
@@ -249,7 +231,7 @@ class Search:
         self.retried.add((base.key, key))
         return True
 
-    def _race(self, base: Fitted, entrants: Sequence[tuple[tuple[Effect, ...], Screened]]) -> list[Fitted]:
+    def _race(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Fitted]:
         """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win."""
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
@@ -441,6 +423,7 @@ class Search:
             if best.key != current.key and self._settled(best):
                 return self._alone(best)
             self.refine(best)
+            self.swap(self._best(current))
             self._unfold([self._best(current)])
             best = self._best(current)
             self.progress.end_round()
@@ -461,10 +444,12 @@ class Search:
                 self._unfold(folded)
                 if self._best(current).key != current.key:
                     continue
-                if self.fitter.guide == 1.0 or self._spent():
+                if self._spent():
                     break
-                # with the nominal parameters' help nothing more is found: without it, then
-                current = self._weigh(1.0, current)
+                if self.fitter.guide != 1.0:  # with the nominal parameters' help nothing more is found: without it, then
+                    current = self._weigh(1.0, current)
+                elif (current := self._guided(current, UNEXPLAINED)) and self.fitter.guide == 1.0:
+                    break
                 beam = [current]
                 expanded.clear()
                 stuck.clear()
@@ -478,7 +463,7 @@ class Search:
             if self._settled(current):
                 return self._alone(current)
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
-            near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2]
+            near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2 and not _formed(f)]
             beam = list({f.key: f for f in map(self._ground, [current, *near[: self.options.beam - 1]])}.values())
         current = self._weigh(1.0, current)
         for _ in range(self.options.depth):
@@ -512,7 +497,7 @@ class Search:
             del self.pool[other]
         return self._weigh(1.0, f)
 
-    def _guided(self, f: Fitted) -> Fitted:
+    def _guided(self, f: Fitted, least: float = MISFIT) -> Fitted:
         """A fit from which to go on, the nominal linear parameters weighing as much as is fair beside so large a misfit.
 
         While physics is missing, refitted parameters stand in for it and lead away from it (an inertia three times the nominal
@@ -520,7 +505,7 @@ class Search:
         of a variance as large as the misfit. By these weights a prior of ``GUIDE`` counts; it goes as the misfit goes.
         """
         misfit = f.chi2 / f.n
-        if not self.fitter.noise_known or misfit < MISFIT:
+        if not self.fitter.noise_known or misfit < least:
             return self._weigh(1.0, f)
         weight = misfit / effective_share(self.fitter, f) * (PRIOR / GUIDE) ** 2
         old = self.fitter.guide
@@ -692,6 +677,11 @@ class Search:
 def _folded(f: Fitted) -> bool:
     """Whether the error of a structure has several minima."""
     return any(type(e).multistart > 1 or type(e).rough for e in f.effects)
+
+
+def _formed(f: Fitted) -> bool:
+    """Whether a structure holds another law of an effect that the contract names: its rival in numbers, not in kind."""
+    return any(type(e).form_of for e in f.effects)
 
 
 def _refines(f: Fitted, current: Fitted) -> bool:

@@ -53,5 +53,5 @@ class Backlash(Effect):
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
-        """Starts of a fit."""
-        return [{"gap_rad": c * scales.deflection} for c in (0.1, 0.5, 1.5)]
+        """Starts of a fit: a gap is not bounded by the twist of the joint, and a body that crosses it freely leaves little."""
+        return [{"gap_rad": c * scales.deflection} for c in (0.1, 0.5, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)]

@@ -81,9 +81,10 @@ def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path,
         diagnose(robot, recordings[:1], recordings[1:], options, memory=memory)
     memory.close()
     again = Memory(tmp_path / "state.jsonl", "this")
-    assert again.recalled >= int(share * count)
+    known = int(share * count) - (jobs - 1)  # another thread may be at the point of writing when the file is closed
+    assert again.recalled >= known
     assert answer(diagnose(robot, recordings[:1], recordings[1:], options, memory=again)) == expected
-    assert again.size - again.recalled < count - int(share * count) + 1, "what was known was not fitted again"
+    assert again.size - again.recalled < count - known + 1, "what was known was not fitted again"
 
 
 def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch):

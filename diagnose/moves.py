@@ -1,0 +1,74 @@
+"""Moves from one structure to another: which effects may take the place of one that stands in it, and from which numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from diagnose.candidates import Candidate, Screened, conflicts, inherit
+from diagnose.fitter import Fitted, Fitter
+from diagnose.hypothesis import make
+from mjsim.effects import Effect, effect_class
+
+__all__ = ["Entrant", "in_place", "other_orders", "taken_apart"]
+
+Entrant = tuple[tuple[Effect, ...], Screened]
+"""The effects that stay, and the one that is tried beside them."""
+
+LIKELY = 3  # orders that stand out most, to which an effect locked to position may move
+
+
+def taken_apart(fitter: Fitter, offered: Sequence[Candidate], effect: Effect, others: tuple[Effect, ...]) -> list[Entrant]:
+    """A compound effect taken apart, and its first part refined: Stribeck friction and an offset for asymmetric friction."""
+    if not effect.parts():
+        return []
+    first, *rest = effect.parts()
+    beside = (*others, *rest)
+    keys = {c.key for c in offered}
+    if any(e.key not in keys or conflicts(Candidate(e.id, e.place), others) for e in rest):
+        return []
+    out = []
+    for c in offered:
+        cls = effect_class(c.id)
+        if c.place != first.place or c.id == effect.id or first.id not in cls.refines or cls.form_of or conflicts(c, beside):
+            continue
+        values = cls.starts(fitter.scales_for(cls, c.place))
+        starts = tuple(make(c.id, c.place, inherit(cls, v, first)) for v in values)
+        out.append((beside, Screened(c, starts[0], math.inf, starts)))
+    return out
+
+
+def other_orders(fitter: Fitter, effect: Effect, others: tuple[Effect, ...]) -> list[Entrant]:
+    """A position-locked effect once more at the orders that now stand out: it may have entered at a wrong one."""
+    if "cycles_per_rev" not in effect.values:
+        return []
+    scales = fitter.scales_for(type(effect), effect.place)
+    known = {v["cycles_per_rev"] for v in type(effect).starts(scales)}
+    orders = [n for n in scales.orders[:LIKELY] if n in known]
+    starts = tuple(
+        effect.with_values({"cycles_per_rev": n, "phase_rad": phase})
+        for n in orders if abs(n - effect.values["cycles_per_rev"]) > 0.02 * n for phase in (0.0, 1.57, 3.14, -1.57)
+    )  # fmt: skip
+    return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
+
+
+def in_place(pool: Mapping[tuple[str, ...], Fitted], offered: Sequence[Candidate], base: Fitted, within: float) -> list[Entrant]:
+    """For each effect of a structure: those that did as much in its place beside a simpler one, with the numbers they had there.
+
+    ``within``: largest difference of the logarithms of chi-square. Two delays are told apart by nothing while friction is
+    missing; which of them stands in a structure is an accident until it is there.
+    """
+    keys, out = {c.key for c in offered}, []
+    for effect in base.effects:
+        others = tuple(e for e in base.effects if e.key != effect.key)
+        seen: set[str] = set()
+        for f in sorted((f for f in pool.values() if effect.key not in f.key), key=lambda f: f.chi2):
+            for rival in (e for e in f.effects if e.key not in base.key and e.key in keys and e.key not in seen):
+                if rival.place == effect.place and rival.id in type(effect).refines:
+                    continue  # a simpler form
+                beside = pool.get(tuple(sorted([effect.key, *(k for k in f.key if k != rival.key)])))
+                c = Candidate(rival.id, rival.place)
+                if beside is not None and abs(math.log(f.chi2 / beside.chi2)) < within and not conflicts(c, others):
+                    seen.add(rival.key)
+                    out.append((others, Screened(c, rival, math.inf, (rival,))))
+    return out
