@@ -571,7 +571,7 @@ class Search:
                     linear = now.linear
             for seed in range(UNFOLDS):
                 last = self.pool.get(f.key, f)
-                if last.chi2 < UNEXPLAINED * last.n or not any(type(e).rough for e in last.effects) or self._late():
+                if last.chi2 < UNEXPLAINED * last.n or not any(type(e).rough for e in last.effects) or self._spent():
                     break
                 if self._let_go >= LET_GO or last.chi2 > WRONG * last.n:
                     break

@@ -51,7 +51,7 @@ def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[s
     if power["detected"]["n"]:
         drawn["power"] = pictures.power(power["detected"], power["named"])
         drawn["effects"] = pictures.small_power(power["by_effect"], manner.effect)
-        curved = {effect: c for effect, c in power["by_effect"].items() if c["detected"]["curve"]}
+        curved = {effect: c for effect, c in power["by_effect"].items() if any(c["detected"]["at50_ci95"])}
         if curved:
             drawn["power_by_effect"] = pictures.power_grid(curved, manner.effect)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -72,7 +72,7 @@ def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[s
         open=sum(b["status"] == "too few cases" for b in summary["bars"]),
         nulls=NULLS,
         outside={e.effect for e in OUTSIDE},
-        wrong=[c for c in summary["cases"] if not c["good"]],
+        wrong=[c for c in summary["cases"] if not c["good"] and (c["level"] != "faint" or c["verdict"] == "missing_physics")],
     )
     return page, {name: pictures.standalone(svg) for name, svg in drawn.items()}
 

@@ -142,15 +142,13 @@ def power_grid(curves: Mapping[str, Mapping[str, Any]], label: Callable[[str], s
             tick = top + 3 if seen else bottom + 6
             body.append(_line(x(size), tick - 3, x(size), tick + 3, "--corrected" if seen else "--alarm", 1.3))
         if c["curve"]:
-            points = [(x(s), y(p)) for s, p in zip(c["curve"]["size"], c["curve"]["chance"], strict=True)]
+            points = [(x(s), y(p)) for s, p in zip(c["curve"]["size"], c["curve"]["chance"], strict=True) if s >= low]
             body.append(_path(points, "--corrected", 2))
-            for key, p in (("at50", 0.5), ("at90", 0.9)):
+        for key, p in (("at50", 0.5), ("at90", 0.9)):
+            if any(c[f"{key}_ci95"]):
                 body.append(_reach(x, c[f"{key}_ci95"], y(p), "--ink", left, right))
-                if low <= c[key] <= high:
-                    body.append(_dot(x(c[key]), y(p), 3, "--ink", True))
-        elif c["note"]:
-            body.append(_text(left + 6, y(0.42), "too few for a curve" if "too few" in c["note"] else "no curve", size=10,
-                              colour="--muted"))  # fmt: skip
+            if c[key] is not None and low <= c[key] <= high:
+                body.append(_dot(x(c[key]), y(p), 3, "--ink", True))
     rows = -(-len(curves) // columns)
     body.append(_text(376, 22 + rows * (tall + 46), "size of the effect behind a refit [rms of the noise]", anchor="middle"))
     return _svg(

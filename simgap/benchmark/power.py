@@ -10,20 +10,29 @@ the fit exists where a size parts the seen from the unseen without overlap. Inte
 
 On few cases they are lopsided, and open where the cases set no limit; a symmetric interval would say more than the cases do.
 Source: G. Heinze, M. Schemper, Stat. Med. 21 (2002) 2409.
+
+Curves of groups, one for each effect, share a slope (the noise is the same), each about its own size
+
+    P(seen) = 1 / (1 + exp(-(a_g + b log10 size)))
+
+with the same penalty, which for a given slope parts into one of each group and that of the slope. Eight cases then place a curve
+that would take twenty to draw; a group in which none was missed, or none was seen, has an interval with one end.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Bin", "PowerCurve", "power_curve", "shares"]
+__all__ = ["Bin", "PowerCurve", "power_curve", "power_curves", "shares"]
 
 FEWEST = 8  # cases
 OF_EACH = 2  # seen and unseen
+FEWEST_IN_GROUP = 4  # cases of a group whose slope is known from the others
+COMMON = np.geomspace(0.5, 50.0, 56)  # slopes [1/decade] of curves that share one
 BIN = 8  # fewest cases of a bin
 BINS = 8  # most bins
 DROP = 1.9207  # of the log-likelihood at the ends of a 95 % interval: half the quantile of chi-square, one degree of freedom
@@ -140,6 +149,74 @@ def _interval(chance: float, at: float, slope: float, x: np.ndarray, y: np.ndarr
 
     low, high = end(-1.0, x[0] - REACH), end(1.0, x[-1] + REACH)
     return 0.0 if low is None else 10.0**low, math.inf if high is None else 10.0**high
+
+
+def power_curves(groups: Mapping[str, tuple[Sequence[float], Sequence[bool]]]) -> dict[str, PowerCurve]:
+    """Curves of groups (sizes [noise rms], seen) that share a slope, each with its own sizes seen with 50 % and 90 %."""
+    cases = {}
+    for name, (sizes, seen) in groups.items():
+        order = sorted(range(len(sizes)), key=lambda i: sizes[i])
+        cases[name] = tuple(float(sizes[i]) for i in order), tuple(bool(seen[i]) for i in order)
+    blank = PowerCurve((), (), math.nan, math.nan, math.nan, math.nan, (math.nan,) * 2, (math.nan,) * 2, "no cases")
+    out = {name: replace(blank, sizes=s, seen=k) for name, (s, k) in cases.items()}
+    for name, (s, k) in cases.items():
+        hits = sum(k)
+        if s and hits in (0, len(s)):
+            said = (
+                f"all {hits} seen, the smallest at {s[0]:.2g}" if hits else f"none of {len(s)} seen, the largest at {s[-1]:.2g}"
+            )
+            out[name] = replace(out[name], note=said)
+        elif len(s) < FEWEST_IN_GROUP:
+            out[name] = replace(out[name], note=f"{hits} of {len(s)} seen: too few for a curve") if s else out[name]
+    drawn = [name for name, curve in out.items() if len(curve.sizes) >= FEWEST_IN_GROUP]
+    mixed = [name for name in drawn if not out[name].note or out[name].note == "no cases"]
+    if sum(len(cases[name][0]) for name in mixed) < FEWEST:
+        few = "too few cases for a curve"
+        return {name: replace(c, note=few) if c.sizes and c.note == "no cases" else c for name, c in out.items()}
+    x = {name: np.log10(cases[name][0]) for name in drawn}
+    y = {name: np.array(cases[name][1], float) for name in drawn}
+    # the middle of each curve [decades], and how likely its cases are about it, for every slope
+    middles = {name: np.arange(x[name][0] - REACH, x[name][-1] + REACH, STEP) for name in drawn}
+    likely = {name: _of_group(COMMON[:, None], -COMMON[:, None] * middles[name], x[name], y[name]) for name in drawn}
+    best = {name: likely[name][0].max(axis=1) for name in drawn}
+    at = {name: likely[name][0].argmax(axis=1) for name in drawn}
+    spread = np.sum([np.take_along_axis(likely[n][1], at[n][:, None], axis=1)[:, 0] for n in mixed], axis=0)
+    total = np.sum([best[n] for n in mixed], axis=0) + 0.5 * np.log(np.maximum(spread, 1e-300))
+    slope = float(COMMON[np.argmax(total)])
+    for name in drawn:
+        rest = total - (best[name] if name in mixed else 0.0)
+        points = {}
+        for chance in (0.5, 0.9):
+            level = math.log(chance / (1 - chance))
+            moved = middles[name] if chance == 0.5 else middles[name] + level / slope
+            value = likely[name][0] if chance == 0.5 else _of_group(
+                COMMON[:, None], level - COMMON[:, None] * moved, x[name], y[name])[0]  # fmt: skip
+            profile = (value + rest[:, None]).max(axis=0)
+            inside = np.flatnonzero(profile >= profile.max() - DROP)
+            low, high = inside[0], inside[-1]
+            # where none was missed, or none seen, only the penalty sets the other end
+            open_low, open_high = low == 0 or all(cases[name][1]), high == len(moved) - 1 or not any(cases[name][1])
+            ends = (0.0 if open_low else float(10.0 ** moved[low]), math.inf if open_high else float(10.0 ** moved[high]))
+            points[chance] = (float(10.0 ** moved[int(profile.argmax())]), ends)
+        if name in mixed:
+            middle = float(np.log10(points[0.5][0]))
+            out[name] = replace(
+                out[name], intercept=-slope * middle, slope=slope, at50=points[0.5][0], at90=points[0.9][0],
+                at50_ci95=points[0.5][1], at90_ci95=points[0.9][1], note="",
+            )  # fmt: skip
+        else:
+            out[name] = replace(out[name], at50_ci95=points[0.5][1], at90_ci95=points[0.9][1])
+    return out
+
+
+def _of_group(slope: np.ndarray, intercept: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Log-likelihood of a group's cases, penalised for its intercept, and its part in the information on the slope."""
+    z = intercept[..., None] + slope[..., None] * x
+    p = 1 / (1 + np.exp(-np.clip(z, -700, 700)))
+    w = p * (1 - p)
+    s0, s1, s2 = w.sum(-1), (w * x).sum(-1), (w * x * x).sum(-1)
+    likely = -np.logaddexp(0.0, np.where(y > 0, -z, z)).sum(-1) + 0.5 * np.log(np.maximum(s0, 1e-300))
+    return likely, np.maximum(s2 - s1**2 / np.maximum(s0, 1e-300), 0.0)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from simgap.benchmark.cases import LEVELS
 from simgap.benchmark.catalogue import CATALOGUE
 from simgap.benchmark.grade import LIBRARY, SINGLE, bars, fraction
-from simgap.benchmark.power import PowerCurve, power_curve, shares
+from simgap.benchmark.power import PowerCurve, power_curve, power_curves, shares
 from simgap.benchmark.score import NULLS, CaseScore, Outcome, ParameterScore, score_case
 from simgap.benchmark.score_arms import Arm, score_arms
 
@@ -64,11 +64,18 @@ def _confusion(cases: Sequence[CaseScore]) -> dict[str, Any]:
 
 
 def _curve(cases: Sequence[CaseScore], seen: Callable[[CaseScore], bool]) -> dict[str, Any]:
+    return _drawn(power_curve(*_sized(cases, seen)))
+
+
+def _sized(cases: Sequence[CaseScore], seen: Callable[[CaseScore], bool]) -> tuple[list[float], list[bool]]:
     sized = [c for c in cases if c.size]
-    curve: PowerCurve = power_curve([c.size["after_refit"] for c in sized], [seen(c) for c in sized])
+    return [c.size["after_refit"] for c in sized], [seen(c) for c in sized]
+
+
+def _drawn(curve: PowerCurve) -> dict[str, Any]:
     drawn: dict[str, list[float]] = {}
     if not curve.note:
-        x = np.geomspace(max(curve.sizes[0], 1e-3), curve.sizes[-1], 60)
+        x = np.geomspace(max(min(curve.sizes[0], curve.at50 / 5), 1e-3), max(curve.sizes[-1], 2 * curve.at90), 60)
         drawn = {"size": x.tolist(), "chance": curve.chance(x).tolist()}
     return {
         "n": len(curve.sizes), "seen": int(sum(curve.seen)), "at50": curve.at50, "at50_ci95": list(curve.at50_ci95),
@@ -85,13 +92,14 @@ def _power(cases: Sequence[CaseScore]) -> dict[str, Any]:
     for c in single:
         by[c.truth[0].partition("@")[0]].append(c)
     order = [e for e in dict.fromkeys(entry.effect for entry in CATALOGUE) if e in by]
+    detected, named = (
+        power_curves({e: _sized(by[e], seen) for e in order}) for seen in (lambda c: c.detected, lambda c: c.outcome.good)
+    )
     return {
         "size": "rms change of the output that refitted linear parameters leave, over the noise rms",
         "detected": _curve(single, lambda c: c.detected),
         "named": _curve(single, lambda c: c.outcome.good),
-        "by_effect": {
-            e: {"detected": _curve(by[e], lambda c: c.detected), "named": _curve(by[e], lambda c: c.outcome.good)} for e in order
-        },
+        "by_effect": {e: {"detected": _drawn(detected[e]), "named": _drawn(named[e])} for e in order},
     }
 
 
@@ -159,11 +167,12 @@ def summarise(truths: Mapping[str, Mapping[str, Any]], results: Mapping[str, Map
         ("simgap", "The diagnosis", cases),
         *score_arms(truths, {n: results[n] for n in names}),
     ]
+    judged = [c for c in cases if c.level != "faint"]  # those show where detection begins, and most of them are below it
     declared = [len(d) for c in cases for d in c.declared]
     return {
         "n": len(cases),
-        "verdict": _rate([c.verdict_right for c in cases]),
-        "right": _rate([c.outcome.good for c in cases]),
+        "verdict": _rate([c.verdict_right for c in judged]),
+        "right": _rate([c.outcome.good for c in judged]),
         "bars": [b.as_dict() for b in bars(cases)],
         "levels": {level: _level(some) for level in LEVELS if (some := [c for c in cases if c.level == level])},
         "nulls": _nulls(cases),

@@ -16,7 +16,7 @@ from simgap.benchmark.grade import GRADES, Status, bars, fraction, parse_levels
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.page import Manner, render_page
 from simgap.benchmark.page_pictures import OUTCOMES
-from simgap.benchmark.power import power_curve, shares
+from simgap.benchmark.power import power_curve, power_curves, shares
 from simgap.benchmark.refit import LINEAR
 from simgap.benchmark.score import Outcome, alternatives, score_case
 from simgap.benchmark.score_arms import bic_result, refitted_result, score_arms
@@ -230,6 +230,59 @@ def test_intervals_of_few_cases_are_open_rather_than_wrong() -> None:
     assert math.isnan(blank.at50_ci95[0])
 
 
+def _groups(rng: np.random.Generator, slope: float, count: int) -> tuple[dict, dict[str, float]]:
+    """Groups of a few cases about middles of their own [decades]."""
+    groups, middles = {}, {}
+    for i in range(count):
+        middles[str(i)] = middle = rng.normal(-1.2, 0.4)
+        x = rng.uniform(-2.0, 0.5, rng.integers(5, 14))
+        groups[str(i)] = ((10**x).tolist(), (rng.random(len(x)) < 1 / (1 + np.exp(-slope * (x - middle)))).tolist())
+    return groups, middles
+
+
+def test_groups_share_a_slope_and_have_points_of_their_own() -> None:
+    rng = np.random.default_rng(7)
+    groups, middles = _groups(rng, 5.0, 12)
+    groups["all"] = ([0.05, 0.1, 0.2, 0.4, 0.8], [True] * 5)
+    groups["none"] = ([0.01, 0.02], [False, False])
+    groups["few"] = ([0.01, 0.02], [False, True])
+    curves = power_curves(groups)
+    slopes = {c.slope for c in curves.values() if not c.note}
+    assert len(slopes) == 1
+    assert slopes.pop() == pytest.approx(5.0, rel=0.5)
+    for name, middle in middles.items():
+        c = curves[name]
+        if not c.note:
+            assert math.log10(c.at50) == pytest.approx(middle, abs=0.5)
+            assert c.chance(np.array([c.at50, c.at90])) == pytest.approx([0.5, 0.9], abs=0.01)
+            assert c.at50_ci95[0] < c.at50 < c.at50_ci95[1]
+    assert "all 5" in curves["all"].note
+    assert curves["all"].at50_ci95[0] == 0.0  # none was missed: no limit from below
+    assert 0.01 < curves["all"].at50_ci95[1] < 0.2
+    assert "none of 2" in curves["none"].note
+    assert "too few" in curves["few"].note
+    assert "too few" in power_curves({"a": ([1.0, 2.0, 3.0, 4.0], [False, True, False, True])})["a"].note
+    assert power_curves({"a": ([], [])})["a"].note == "no cases"
+
+
+@pytest.mark.slow
+def test_intervals_of_groups_hold_the_truth() -> None:
+    rng = np.random.default_rng(3)
+    held50, held90, n = 0, 0, 0
+    for _ in range(30):
+        groups, middles = _groups(rng, 5.0, 10)
+        for name, c in power_curves(groups).items():
+            if not math.isnan(c.at50_ci95[0]):
+                n += 1
+                held50 += c.at50_ci95[0] <= 10 ** middles[name] <= c.at50_ci95[1]
+                held90 += c.at90_ci95[0] <= 10 ** (middles[name] + math.log(9) / 5) <= c.at90_ci95[1]
+    assert n > 250
+    for held in (held50, held90):
+        low, high = fraction(held, n)[1]
+        assert low <= 0.97
+        assert high >= 0.93
+
+
 @pytest.mark.slow
 def test_intervals_of_the_points_hold_the_truth() -> None:
     rng = np.random.default_rng(11)
@@ -296,8 +349,8 @@ def test_the_figures_are_json_and_the_page_stands_alone() -> None:
     }
     plain = json.loads(json.dumps({**about, **summary}).replace("NaN", "null"))
     page, pictures = render_page(plain, _manner())
-    assert set(pictures) == {"levels", "power", "effects"}  # no effect has cases enough for a curve of its own
-    assert "curve of its own" in page
+    assert set(pictures) >= {"levels", "power", "effects"}
+    assert ("power_by_effect" in pictures) != ("curve of its own" in page)
     assert all(p.startswith("<?xml") for p in pictures.values())
     assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org/2000/svg", "")
     assert "<script" not in page
