@@ -381,7 +381,7 @@ def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, 
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)
-        coupling = type(effect).family == "coupling" or effect.id == "transmission_error"
+        coupling = type(effect).family == "coupling" or type(effect).name() == "transmission_error"
         out.append(
             Finding(
                 effect=effect.name(),

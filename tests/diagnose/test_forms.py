@@ -134,3 +134,16 @@ def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot):
     assert (finding.effect, finding.place, finding.law) == ("backlash", "gearbox", "backlash_with_impact")
     assert finding.parameters["gap_rad"].value == pytest.approx(2e-4, rel=0.02)
     assert finding.parameters["impact_s_rad"].value == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_gear_that_begins_unstrained_is_told_as_transmission_error(robot):
+    """The contract's gear begins strained by its error and rings; another plant's does not: hysteresis was named beside it."""
+    hidden = {"amplitude_rad": 8e-5, "cycles_per_rev": 2.0, "phase_rad": 0.9}
+    laws = compose(Laws(), find("transmission_error", "gearbox"), hidden)._replace(error_relaxed=1.0)
+    pair = sealed(laws, 13)
+    found = diagnose(robot, pair[:1], pair[1:], Options(effects=("transmission_error", "torque_ripple", "hysteresis"), jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    (finding,) = found.findings
+    assert (finding.effect, finding.place, finding.law) == ("transmission_error", "gearbox", "transmission_error_with_strain")
+    assert finding.parameters["amplitude_rad"].value == pytest.approx(8e-5, rel=0.02)
+    assert finding.parameters["cycles_per_rev"].value == pytest.approx(2.0, rel=0.01)
