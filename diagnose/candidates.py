@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -107,10 +108,11 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
                 h = fitter.hypothesis((*present, variant), base.linear, base.own)
                 tasks.append(fitter.at_start(h))
     answers = iter(fitter.run(tasks))
+    responses = [[next(answers) for _ in _variants(effect)] for _, effect in starts]
+    project = partial(_project, r0=r0, q=q, move=replacing is None)
+    projected = fitter.map([partial(project, effect, some) for (_, effect), some in zip(starts, responses, strict=True)])
     best: dict[Candidate, list[tuple[float, Effect]]] = {c: [] for c in supposed}
-    for candidate, effect in starts:
-        responses = [next(answers) for _ in _variants(effect)]
-        scored = _project(effect, responses, r0, q, move=replacing is None)
+    for (candidate, _), scored in zip(starts, projected, strict=True):
         if scored is not None:
             best[candidate].append(scored)
     out = []

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from diagnose.compare import compare
-from diagnose.experiment import Experiment
+from diagnose.experiment import Experiment, measured_angle
 from diagnose.fitter import Fitted, Fitter
 from diagnose.result import Estimate, Finding
-from diagnose.search import Search
+from diagnose.search import ALIKE_C, Search
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 from mjsim.ode import DivergedError, simulate
 
 __all__ = ["equivalents", "estimates", "excluded_by_angle", "next_experiment", "p_values", "unphysical"]
+
+FURTHER = 3.0  # times the travel of the recording: an excitation that takes the axis further is not asked for
 
 
 def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]:
@@ -42,12 +45,11 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
     return held, float(chi2.sf(max(gain, 0.0), extra)), gain
 
 
-def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = 10.0) -> tuple[str, ...]:
+def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = ALIKE_C) -> tuple[str, ...]:
     """Identifiers that could stand in this effect's place: same rest of the structure, criterion within ``margin``.
 
     A margin of 10 in C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely
-    refines the effect,
-    and gains nothing by it, is not an equivalent.
+    refines the effect, and gains nothing by it, is not an equivalent.
     """
     rest = {k for k in best.key if k != effect.key}
     out = []
@@ -105,9 +107,9 @@ def unphysical(axis: Axis) -> tuple[str, ...]:
 
 
 def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequence[Finding]) -> str | None:
-    """Name the excitation, of a few simple ones, under which the equivalents differ most.
+    """Name the excitation or load, of a few simple ones, under which the equivalents differ most.
 
-    None when there is nothing to tell.
+    None when there is nothing to tell. One that takes the axis much further than it went is not asked for.
     """
     pairs = []
     for f in findings:
@@ -121,36 +123,50 @@ def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequ
     t = r.time - r.time[0]
     level = float(np.sqrt(np.mean(r.torque**2)))
     chirp = np.sin(2 * np.pi * (0.3 * t + 0.5 * (60.0 - 0.3) / max(r.duration, 1e-9) * t**2))
-    trials = {
-        "the same excitation at a quarter of the amplitude": 0.25 * r.torque,
-        "the same excitation at half the amplitude": 0.5 * r.torque,
-        "the same excitation at twice the amplitude": 2.0 * r.torque,
-        f"the same excitation on top of a constant torque of {0.5 * level:.3g}": r.torque + 0.5 * level,
-        f"a chirp from 0.3 to 60 Hz of amplitude {1.4 * level:.3g}": 1.4 * level * chirp,
-        f"a slow triangle (0.2 Hz) of amplitude {1.5 * level:.3g}": 1.5
-        * level
-        * (2 / np.pi)
-        * np.arcsin(np.sin(2 * np.pi * 0.2 * t)),
+    triangle = (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.2 * t))
+    trials: dict[str, tuple[np.ndarray, float]] = {  # the torque, and the load over that of the recording
+        "the same excitation at a quarter of the amplitude": (0.25 * r.torque, 1.0),
+        "the same excitation at half the amplitude": (0.5 * r.torque, 1.0),
+        "the same excitation at twice the amplitude": (2.0 * r.torque, 1.0),
+        f"the same excitation on top of a constant torque of {0.5 * level:.3g}": (r.torque + 0.5 * level, 1.0),
+        f"a chirp from 0.3 to 60 Hz of amplitude {1.4 * level:.3g}": (1.4 * level * chirp, 1.0),
+        f"a slow triangle (0.2 Hz) of amplitude {1.5 * level:.3g}": (1.5 * level * triangle, 1.0),
+        "the same excitation with half the load": (r.torque, 0.5),
+        "the same excitation with half as much load again": (r.torque, 1.5),
     }
+    travel = float(np.ptp(measured_angle(r)))
     out = []
     for finding, name, rival in pairs[:3]:
         scores = {}
-        for label, torque in trials.items():
+        for label, (torque, load) in trials.items():
             try:
-                a = simulate(best.axis, torque, r.dt).velocity
-                b = simulate(rival.axis, torque, r.dt).velocity
+                a = simulate(_loaded(best.axis, load), torque, r.dt)
+                b = simulate(_loaded(rival.axis, load), torque, r.dt)
             except (DivergedError, ValueError):
                 continue
-            scores[label] = float(np.sqrt(np.mean((a - b) ** 2))) / fitter.experiments[0].sigma
+            if max(float(np.ptp(a.angle)), float(np.ptp(b.angle))) < FURTHER * travel:
+                scores[label] = float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) / fitter.experiments[0].sigma
         if not scores:
             continue
         label = max(scores, key=lambda k: scores[k])
         pair = f"{finding.effect.replace('_', ' ')} from {name.replace('_', ' ')}"
         if scores[label] < 0.05:
-            out.append(f"No excitation of the motor alone tells {pair}: measure at another place or with another load.")
+            out.append(f"No excitation and no load that was tried tells {pair}: measure at another place.")
         else:
             out.append(f"To tell {pair}, record {label}: their predictions then differ by {scores[label]:.2g} times the noise.")
     return " ".join(out) or None
+
+
+def _loaded(axis: Axis, load: float) -> Axis:
+    """The axis with another load: the inertia of the last body, and the weight that is known to hang on it, times ``load``."""
+    if load == 1.0:
+        return axis
+    *others, last = axis.chain.bodies
+    chain = dataclasses.replace(axis.chain, bodies=(*others, dataclasses.replace(last, inertia=load * last.inertia)))
+    effects = tuple(
+        e.with_values({"torque_Nm": load * e.values["torque_Nm"]}) if e.id == "gravity_load" else e for e in axis.effects
+    )
+    return dataclasses.replace(axis, chain=chain, effects=effects)
 
 
 def _rival_of(search: Search, best: Fitted, finding: Finding, name: str) -> Fitted | None:

@@ -30,6 +30,8 @@ Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | No
 
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
+APART = 0.15  # of the noise rms: models that come apart by more do not foretell what follows
+FOLDED = 1.04  # chi-square over n from which a fit to all recordings is tried once more, stretch by stretch
 # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
 LEADS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.0)
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
@@ -120,9 +122,9 @@ class HeldOut:
         return float(np.sum(self.sse))
 
 
-def _drawn(fitted: Fitted, count: int, seed: int) -> list[np.ndarray]:
-    """Points (p,) about a fit by its covariance, the later the wider, up to thirty standard errors; the same for a seed."""
-    if count == 0:
+def _drawn(fitted: Fitted, widths: np.ndarray, seed: int) -> list[np.ndarray]:
+    """Points (p,) about a fit, so many standard errors wide by its covariance; the same for a seed."""
+    if len(widths) == 0:
         return []
     J = fitted.fit.J
     scale = np.linalg.norm(J, axis=0) + 1e-300
@@ -130,10 +132,16 @@ def _drawn(fitted: Fitted, count: int, seed: int) -> list[np.ndarray]:
     root = (vt.T / np.maximum(s, 1e-5 * s[0])) * math.sqrt(fitted.chi2 / fitted.n)
     lower, upper = fitted.hypothesis.bounds
     rng = np.random.default_rng(seed)
-    return [
-        np.clip(fitted.fit.x + width * (root @ rng.standard_normal(len(s))) / scale, lower, upper)
-        for width in np.geomspace(1.0, 30.0, count)
-    ]
+    return [np.clip(fitted.fit.x + width * (root @ rng.standard_normal(len(s))) / scale, lower, upper) for width in widths]
+
+
+def _with_own(model: Axis, like: Axis) -> Axis:
+    """A model with the phases of another one."""
+    effects = tuple(
+        a.with_values({spec.name: b.values[spec.name] for spec in a.specs() if spec.nuisance})
+        for a, b in zip(model.effects, like.effects, strict=True)
+    )
+    return dataclasses.replace(model, effects=effects)
 
 
 def _first(experiment: Experiment, share: float) -> Experiment:
@@ -406,6 +414,10 @@ class Fitter:
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
         joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
+        if joint.ok and joint.chi2 > FOLDED * joint.n and any(type(e).rough for e in fitted.effects):
+            # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
+            again = wider.unfolded(joint, fitted.linear)
+            joint = again if again.ok and again.chi2 < joint.chi2 else joint
         self.runs += wider.runs
         if not joint.ok:
             return fitted
@@ -433,7 +445,7 @@ class Fitter:
         view = dataclasses.replace(self.view, lead=rate * self.nominal.chain.bodies[0].inertia)
         part = self._beside(self.experiments, self.experiments, view)
         h, x = fitted.hypothesis, fitted.fit.x
-        starts = [x, *_drawn(fitted, spread, seed)]
+        starts = [x, *_drawn(fitted, np.geomspace(1.0, 30.0, spread), seed)]
         costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(part.residual(h), s) for s in starts])]
         order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
         chosen = order if 0 in order else [*order[:-1], 0]
@@ -441,6 +453,41 @@ class Fitter:
         with self._counting:
             self.runs += part.runs
         return min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+
+    def foretold(self, fitted: Fitted, count: int = 6, seed: int = 0) -> list[np.ndarray] | None:
+        """Which held-out samples (N,), for each recording, a model foretells in spite of what it does not know of its parameters.
+
+        Models drawn by the covariance of the fit are run beside it. Where they come apart by more than ``APART`` of the noise, in
+        a tenth of a second, the free run is no prediction: bodies stick or strike at other moments, and the rest follows.
+        """
+        h = fitted.hypothesis
+        models = [h.axis(x, 0) for x in _drawn(fitted, np.ones(count), seed)]
+        out = []
+        for experiment in self.held_out:
+            solved = self.own_values(h, fitted, experiment)
+            s = self.view.signals(solved[0], experiment, solved[1]) if solved is not None else None
+            if s is None or solved is None:
+                return None
+            runs = self.map([partial(self.view.signals, _with_own(m, solved[0]), experiment, solved[1]) for m in models])
+            # one that cannot be run has gone astray
+            spread = [np.full(len(s.predicted), np.inf) if r is None else (r.predicted - s.predicted) ** 2 for r in runs]
+            width = max(1, round(0.1 / experiment.recording.dt / self.view.decimate))
+            local = np.convolve(np.mean(spread, axis=0), np.ones(width) / width, "same")
+            out.append(self.counted(experiment) & (local < (APART * self.sigma(experiment)) ** 2))
+        return out
+
+    def error_on(self, fitted: Fitted, samples: Sequence[np.ndarray]) -> float | None:
+        """Mean square of the weighted, whitened held-out error on some samples of each recording; None without any."""
+        total, count = 0.0, 0
+        for experiment, chosen in zip(self.held_out, samples, strict=True):
+            solved = self.own_values(fitted.hypothesis, fitted, experiment)
+            e = self.error(solved[0], experiment, solved[1]) if solved is not None else None
+            if e is None:
+                return None
+            w, keep = self.whitened(e, experiment)
+            total += float(np.sum(w[keep & chosen] ** 2))
+            count += int(np.sum(keep & chosen))
+        return total / count if count else None
 
     def let_go(self, fitted: Fitted, seed: int = 0) -> Fitted:
         """The same structure fitted to a led model, and on as it is led ever less, to a free run.

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from diagnose.candidates import Candidate, Screened, conflicts, inherit
+import numpy as np
+
+from diagnose.candidates import Candidate, Screened, conflicts, inherit, screen
 from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
+from diagnose.least_squares import Fit, Linearised, Status, orthonormal
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["Entrant", "in_place", "other_orders", "taken_apart"]
+__all__ = ["Entrant", "folded", "formed", "imitators", "in_place", "other_orders", "refines", "taken_apart"]
 
 Entrant = tuple[tuple[Effect, ...], Screened]
 """The effects that stay, and the one that is tried beside them."""
 
+NEAR, SLACK = 100.0, 0.02  # of chi-square, and of what an effect explains: by so much a secant may misjudge what does as much
 LIKELY = 3  # orders that stand out most, to which an effect locked to position may move
 
 
@@ -72,3 +76,50 @@ def in_place(pool: Mapping[tuple[str, ...], Fitted], offered: Sequence[Candidate
                     seen.add(rival.key)
                     out.append((others, Screened(c, rival, math.inf, (rival,))))
     return out
+
+
+def imitators(fitter: Fitter, best: Fitted, effect: Effect, offered: Sequence[Candidate]) -> list[Entrant]:
+    """What may do as much as an effect of the best structure in its place, by its response there: to be fitted before it is told.
+
+    A rival that entered far from here may have been dropped before it came to its best. Each candidate's response at the best
+    linear parameters is projected on the effect's own, what these parameters take up apart; those that leave little of it are
+    the ones to fit.
+    """
+    others = tuple(e for e in best.effects if e.key != effect.key)
+    bare = fitter.hypothesis(others, best.linear, best.own)
+    (without,) = fitter.run([fitter.at_start(bare)])
+    shared = [i for i, e in enumerate(best.hypothesis.entries) if e.owner != effect.key]
+    if without is None or len(without) != len(best.fit.residual):
+        return []
+    J = best.fit.J[:, shared]
+    fit = Fit(bare.start, float(without @ without), Linearised.known(without, J), Status.BUDGET, 0, 0.0)
+    q = orthonormal(J)
+    response = best.fit.residual - without
+    explained = float(np.sum((response - q @ (q.T @ response)) ** 2))
+    known = {e.key for e in best.effects}
+    folds = type(effect).multistart > 1
+    supposed = [
+        c for c in offered
+        if c.key not in known and not conflicts(c, others)
+        and not effect_class(c.id).form_of and (effect_class(c.id).name(), c.place) != (effect.name(), effect.place)
+        and (folds or effect_class(c.id).multistart == 1)  # those take many starts, and are like each other
+        and not (c.place == effect.place and effect.id in effect_class(c.id).refines)
+    ]  # fmt: skip
+    ranked = screen(fitter, Fitted(bare, fit, best.n), supposed)
+    return [(others, s) for s in ranked if s.gain > explained - max(NEAR, SLACK * explained)]
+
+
+def folded(f: Fitted) -> bool:
+    """Whether the error of a structure has several minima."""
+    return any(type(e).multistart > 1 or type(e).rough for e in f.effects)
+
+
+def formed(f: Fitted) -> bool:
+    """Whether a structure holds another law of an effect that the contract names: its rival in numbers, not in kind."""
+    return any(type(e).form_of for e in f.effects)
+
+
+def refines(f: Fitted, current: Fitted) -> bool:
+    """Whether a structure says more by a refinement of an effect that stands in the other one."""
+    gone = [e for e in current.effects if e.key not in f.key]
+    return any(e.place == old.place and old.id in type(e).refines for e in f.effects for old in gone)

@@ -24,12 +24,12 @@ from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
-from diagnose.moves import Entrant, in_place, other_orders, taken_apart
+from diagnose.moves import Entrant, folded, formed, imitators, in_place, other_orders, refines, taken_apart
 from diagnose.progress import Progress
 from diagnose.whiten import effective_share
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["LEAD", "Search", "SearchOptions"]
+__all__ = ["ALIKE_C", "LEAD", "Search", "SearchOptions"]
 
 T = TypeVar("T")
 
@@ -46,6 +46,7 @@ FAIR = 0.25  # part of what is left, and in a led model of its gain, that an eff
 LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
+ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
@@ -440,8 +441,8 @@ class Search:
                 stuck.add(current.key)
                 if beam:
                     continue
-                folded = sorted((f for f in self.pool.values() if _folded(f)), key=self.criterion)[: self.options.beam]
-                self._unfold(folded)
+                creased = sorted((f for f in self.pool.values() if folded(f)), key=self.criterion)[: self.options.beam]
+                self._unfold(creased)
                 if self._best(current).key != current.key:
                     continue
                 if self._spent():
@@ -463,7 +464,7 @@ class Search:
             if self._settled(current):
                 return self._alone(current)
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
-            near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2 and not _formed(f)]
+            near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2 and not formed(f)]
             beam = list({f.key: f for f in map(self._ground, [current, *near[: self.options.beam - 1]])}.values())
         current = self._weigh(1.0, current)
         for _ in range(self.options.depth):
@@ -555,7 +556,7 @@ class Search:
     def _unfold(self, structures: Sequence[Fitted]) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded."""
         for f in structures:
-            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or not _folded(f):
+            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or not folded(f):
                 continue
             self.unfolded.add(f.key)
             spent = self.fitter.runs
@@ -596,7 +597,7 @@ class Search:
         """The structure with the best criterion among those that pay against the current one."""
         attempt = 0
         for f in sorted(self.pool.values(), key=self.criterion):
-            larger = len(f.effects) > len(current.effects) or _refines(f, current)
+            larger = len(f.effects) > len(current.effects) or refines(f, current)
             if self.worth_of is not None:  # held-out data judge every number that is added
                 larger |= len(f.hypothesis.entries) > len(current.hypothesis.entries)
             if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
@@ -637,6 +638,18 @@ class Search:
             self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30))
         return self.pool.get(key_of(rest), begun)
 
+    def imitated(self, best: Fitted, effect: Effect) -> None:
+        """Fit, from the best structure, what may do as much as one of its effects in its place; the pool keeps them."""
+        if not self.fitter.noise_known or self._spent():
+            return
+        fits = []
+        for others, s in imitators(self.fitter, best, effect, self.candidates):
+            known = self.pool.get(tuple(sorted([*(e.key for e in others), s.candidate.key])))
+            if self._admitted([s.candidate.id, *(e.id for e in others)]) and (known is None or self.ahead(best, known) > ALIKE_C):
+                fits.append(partial(self.fitter.fit, self.fitter.hypothesis((*others, s.effect), best.linear, best.own)))
+        for f in self.fitter.map(fits):
+            self._keep(f)
+
     def _eliminate(self, current: Fitted) -> Fitted:
         """Drop every effect that does not pay; try simpler forms of each."""
         changed = True
@@ -672,19 +685,3 @@ class Search:
             partial(fit, name) for name in type(effect).refines
             if effect.place in effect_class(name).places and not any(e.key == f"{name}@{effect.place}" for e in rest)
         ]  # fmt: skip
-
-
-def _folded(f: Fitted) -> bool:
-    """Whether the error of a structure has several minima."""
-    return any(type(e).multistart > 1 or type(e).rough for e in f.effects)
-
-
-def _formed(f: Fitted) -> bool:
-    """Whether a structure holds another law of an effect that the contract names: its rival in numbers, not in kind."""
-    return any(type(e).form_of for e in f.effects)
-
-
-def _refines(f: Fitted, current: Fitted) -> bool:
-    """Whether a structure says more by a refinement of an effect that stands in the other one."""
-    gone = [e for e in current.effects if e.key not in f.key]
-    return any(e.place == old.place and old.id in type(e).refines for e in f.effects for old in gone)

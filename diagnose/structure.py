@@ -118,20 +118,22 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
     return Structure(float(np.sum(g)) / before, float(student.sf(t, len(g) - 1)))
 
 
-def motion_error(fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WINDOWS) -> float | None:
+def motion_error(
+    fitter: Fitter, fitted: Fitted, windows: Sequence[float] = WINDOWS, on: Sequence[Experiment] | None = None
+) -> float | None:
     """How much of the error is motion that really took place: the most that any of ``windows`` [s] shows.
 
     In units of the velocity noise variance; None where it cannot be told, 0 where it is within four standard errors of none.
     The velocity error and the rate of the angle error, both averaged over a window, share the motion that the model missed
-    and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings is therefore the
-    mean square of the missed motion, whatever the colour of either noise. Over a long window little noise is left, and no
-    motion faster than it; over a short one it is the other way round. What repeats with the turn of
-    the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error.
+    and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings (or those ``on``
+    which it is asked) is therefore the mean square of the missed motion, whatever the colour of either noise. Over a long
+    window little noise is left, and no motion faster than it; over a short one it is the other way round. What repeats with the
+    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error.
     """
     if fitter.view.channel != "velocity":
         return None
     runs = []
-    for experiment in fitter.held_out:
+    for experiment in fitter.held_out if on is None else on:
         r = experiment.recording
         if r.velocity is None or r.angle is None:
             return None

@@ -17,7 +17,7 @@ __all__ = ["summary_page"]
 PICTURES = {
     "levels": "how the cases of each level ended",
     "power": "chance that an effect is seen, and named, over its size",
-    "effects": "every single effect by its size: named, seen or missed",
+    "power_by_effect": "chance that each effect is seen, with its 50 % and 90 % points",
 }
 
 
