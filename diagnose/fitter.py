@@ -457,8 +457,9 @@ class Fitter:
     def foretold(self, fitted: Fitted, count: int = 6, seed: int = 0) -> list[np.ndarray] | None:
         """Which held-out samples (N,), for each recording, a model foretells in spite of what it does not know of its parameters.
 
-        Models drawn by the covariance of the fit are run beside it. Where they come apart by more than ``APART`` of the noise, in
-        a tenth of a second, the free run is no prediction: bodies stick or strike at other moments, and the rest follows.
+        Models drawn by the covariance of the fit are run beside it. Once they come apart by more than ``APART`` of the noise,
+        over a tenth of a second, the free run is no prediction: bodies stick or strike at other moments, and the rest follows.
+        They may come together again, but then with each other and not with the machine.
         """
         h = fitted.hypothesis
         models = [h.axis(x, 0) for x in _drawn(fitted, np.ones(count), seed)]
@@ -473,7 +474,9 @@ class Fitter:
             spread = [np.full(len(s.predicted), np.inf) if r is None else (r.predicted - s.predicted) ** 2 for r in runs]
             width = max(1, round(0.1 / experiment.recording.dt / self.view.decimate))
             local = np.convolve(np.mean(spread, axis=0), np.ones(width) / width, "same")
-            out.append(self.counted(experiment) & (local < (APART * self.sigma(experiment)) ** 2))
+            apart = np.flatnonzero(local >= (APART * self.sigma(experiment)) ** 2)
+            until = int(apart[0]) if len(apart) else len(local)
+            out.append(self.counted(experiment) & (np.arange(len(local)) < until))
         return out
 
     def error_on(self, fitted: Fitted, samples: Sequence[np.ndarray]) -> float | None:

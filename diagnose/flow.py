@@ -490,8 +490,8 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
 def _only_astray(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
     """Whether a held-out error is that of a free run which sticks or strikes at other moments, and no missing physics.
 
-    Such a run goes astray by an error of its parameters far within their intervals. Where models drawn by these stay together
-    the held-out recording still judges: there the model must leave no material error, and the nominal one much more than that.
+    Such a run goes astray by an error of its parameters far within their intervals. While models drawn by these stay together
+    the held-out recording still judges: so far the model must leave no material error, and the nominal one much more than that.
     """
     if not fitter.noise_known or not any(type(e).rough for e in best.effects):
         return False
