@@ -2,8 +2,7 @@
 
 Friction in a gear grows with the torque that it transmits. On a stiff rig that holds a constant load and moves slowly that torque
 does not change, and the friction is Coulomb's for all that the recording says: the diagnosis must say that it cannot tell, and
-what to measure. With a recording added in which the torque changes, it must tell. The machine is the sealed plant of the
-benchmark, with stiff and well damped joints, read with noise.
+what to measure. The machine is the sealed plant of the benchmark, with stiff and well damped joints, read with noise.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ from simgap.benchmark.plant import record
 
 OUT = Path("out/examples/load_friction")
 SHARE, LOAD = 0.12, 60.0  # friction over transmitted torque at the motor; load on the arm [N m]
-STIFF = {"kg": 7.5e6, "ka": 2.23e6, "dg": 4500.0, "da": 2500.0}  # joints that do not wind up under the load for long
+STIFF = {"kg": 1.5e6, "ka": 4.46e5, "dg": 2000.0, "da": 1000.0}  # joints that do not wind up under the load for long
 NOISE = 0.2  # of the velocity [rad/s]
 
 
 def rig(seed: int, hz: float, swing: float) -> Recording:
-    """Ten seconds about the torque that holds the load: ``swing`` [N m] at ``hz`` and a slower part."""
+    """Five seconds about the torque that holds the load: ``swing`` [N m] at ``hz`` and a slower part."""
     rng = np.random.default_rng(seed)
-    t = np.arange(10 * RATE) / RATE
+    t = np.arange(5 * RATE) / RATE
     torque = LOAD / 118.0 + swing * np.sin(2 * np.pi * hz * t) + 0.5 * swing * np.sin(2 * np.pi * 0.37 * hz * t + seed)
     laws = Laws(load_m=SHARE, gravity=LOAD, gravity_phase=np.pi / 2, **STIFF)
     motion = record(laws, Experiment("rig", torque, np.zeros_like(torque)), Measurement(velocity_noise=NOISE), rng)
@@ -56,20 +55,15 @@ def tell(name: str, result: Diagnosis) -> None:
     print(f"  Next: {result.next_experiment or 'nothing to tell apart'}", flush=True)
 
 
-def main(out: Path = OUT) -> tuple[Diagnosis, Diagnosis]:
-    """(slow rig alone, slow rig and a fast one)."""
+def main(out: Path = OUT) -> Diagnosis:
+    """The diagnosis of the slow rig."""
     out.mkdir(parents=True, exist_ok=True)
-    axis = loaded()
     print(f"Machine: friction of {SHARE} of the transmitted torque; a load of {LOAD} N m is known.")
-    slow = [rig(1, 0.1, 0.12)], [rig(2, 0.08, 0.12)]
-    alone = diagnose(axis, *slow, Options())
-    tell("Slow rig alone", alone)
-    both = diagnose(axis, [*slow[0], rig(3, 7.0, 0.9)], [*slow[1], rig(4, 5.5, 0.9)], Options())
-    tell("With a fast recording added", both)
-    write_report(alone, out / "slow_rig.html")
-    write_report(both, out / "both.html")
-    print(f"Reports: {out / 'slow_rig.html'}, {out / 'both.html'}")
-    return alone, both
+    alone = diagnose(loaded(), [rig(1, 0.15, 0.12)], [rig(2, 0.12, 0.12)], Options())
+    tell("Slow rig", alone)
+    write_report(alone, out / "report.html")
+    print(f"Report: {out / 'report.html'}")
+    return alone
 
 
 if __name__ == "__main__":
