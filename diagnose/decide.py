@@ -146,11 +146,11 @@ def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequ
                 continue
             if max(float(np.ptp(a.angle)), float(np.ptp(b.angle))) < FURTHER * travel:
                 scores[label] = float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) / fitter.experiments[0].sigma
-        if not scores:
-            continue
-        label = max(scores, key=lambda k: scores[k])
         pair = f"{finding.effect.replace('_', ' ')} from {name.replace('_', ' ')}"
-        if scores[label] < 0.05:
+        label = max(scores, key=lambda k: scores[k], default="")
+        if not scores:
+            out.append(f"What was tried to tell {pair} takes the axis much further than it went: measure at another place.")
+        elif scores[label] < 0.05:
             out.append(f"No excitation and no load that was tried tells {pair}: measure at another place.")
         else:
             out.append(f"To tell {pair}, record {label}: their predictions then differ by {scores[label]:.2g} times the noise.")

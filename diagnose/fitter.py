@@ -31,7 +31,7 @@ Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | No
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
 APART = 0.15  # of the noise rms: models that come apart by more do not foretell what follows
-FOLDED = 1.04  # chi-square over n from which a fit to all recordings is tried once more, stretch by stretch
+UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
 # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
 LEADS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.0)
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
@@ -414,7 +414,7 @@ class Fitter:
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
         joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
-        if joint.ok and joint.chi2 > FOLDED * joint.n and any(type(e).rough for e in fitted.effects):
+        if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and any(type(e).rough for e in fitted.effects):
             # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
             again = wider.unfolded(joint, fitted.linear)
             joint = again if again.ok and again.chi2 < joint.chi2 else joint

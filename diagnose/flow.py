@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -275,10 +274,9 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     base = search.nominal()
     progress.stage("validate", "what is left, intervals, rivals")
     best = search.polish(best)
-    apart: list[Callable[[], Any]] = [
-        partial(remaining_structure, fitter, best), partial(locate, fitter, base), partial(fitter.refined, best)
-    ]  # fmt: skip
-    structure, mismatches, best = fitter.map(apart)
+    structure = remaining_structure(fitter, best)
+    best = fitter.refined(best)
+    mismatches = locate(fitter, base)
     found = _findings(search, best, options)
     motion = motion_error(fitter, base), motion_error(fitter, best)
     remains = _is_unexplained(search, base, search.held_out(best), structure, motion, options)

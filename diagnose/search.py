@@ -21,7 +21,7 @@ from typing import TypeVar
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, left_over, related, screen, span
 from diagnose.compare import compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
-from diagnose.fitter import PRIOR, Fitted, Fitter, HeldOut, key_of
+from diagnose.fitter import PRIOR, UNEXPLAINED, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
 from diagnose.moves import Entrant, folded, formed, imitators, in_place, other_orders, refines, taken_apart
@@ -39,7 +39,6 @@ MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the sear
 GUIDE = 0.2  # relative standard deviation that they are then given
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
-UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
 WRONG = 20.0  # chi-square over n beyond which something else is missing than the moments at which a body sticks or strikes
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain

@@ -27,7 +27,7 @@ GAP = 6e-4  # [rad], arm side
 def log(path: Path, seed: int) -> None:
     """Ten seconds under the controller, trapezoids (seed 1) or a multisine, as a CSV."""
     rng = np.random.default_rng(seed)
-    # contact by compliant impact: not the law that the diagnosis fits
+    # contact by compliant impact: not the contract's law
     laws = Laws(gap_g=GAP, gap_law_g=GAP_IMPACT, impact_g=0.3)
     experiment = trapezoid(10.0, 15.0, 0.08, 0.1, True, rng) if seed == 1 else speed_multisine(10.0, 5.0, 15.0, 0.08, 0.1, rng)
     motion = record(laws, experiment, Measurement(), rng)

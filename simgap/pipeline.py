@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import importlib
 import math
 import os
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -75,8 +73,6 @@ def diagnose_files(
         _need_place(name, nominal, model)
     loaded = [load(p, model=model) for p in recordings]
     held = [load(p, model=model) for p in held_out]
-    if options is None or options.jobs > 1:
-        threading.Thread(target=_import_report, daemon=True).start()
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
         with following(progress, memory.recalled) as say:
@@ -100,12 +96,6 @@ def diagnose_files(
     result.write_json(out / "diagnosis.json")
     memory.discard()
     return result
-
-
-def _import_report() -> None:
-    """Load what the report and its pictures need, on a core that idles while the nominal model is fitted."""
-    for name in ("scipy.signal", "matplotlib.figure", "matplotlib.backends.backend_svg", "jinja2", "diagnose.report"):
-        importlib.import_module(name)
 
 
 def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 # one thread for the linear algebra: threads of its own would fight those of the search
@@ -20,6 +20,10 @@ from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.ode import simulate
 from mjsim.recording import Recording
+from simgap.benchmark.experiment import RATE, Experiment
+from simgap.benchmark.laws import Laws
+from simgap.benchmark.measurement import Measurement
+from simgap.benchmark.plant import record as plant_record
 
 DT = 5e-4
 NOISE = 0.05  # rms of the velocity noise [rad/s]
@@ -65,6 +69,18 @@ def pair(record: Record) -> Callable[..., tuple[Recording, Recording]]:
         first = record(*effects, **options)
         other = record(*effects, **{"seed": 1, "top": 24.0, **options, "amplitude": 0.8 * options.get("amplitude", 1.0)})
         return first, other
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def sealed() -> Callable[..., list[Recording]]:
+    """``sealed(laws, experiments, seed, noise=0.05)``: recordings of the benchmark's plant, whose laws and solver are its own."""
+
+    def make(laws: Laws, experiments: Sequence[Experiment], seed: int, noise: float = NOISE) -> list[Recording]:
+        rng = np.random.default_rng(seed)
+        motions = [plant_record(laws, e, Measurement(velocity_noise=noise), rng) for e in experiments]
+        return [Recording(m.time, m.torque, m.velocity, m.angle, 1 / RATE) for m in motions]
 
     return make
 

@@ -98,11 +98,7 @@ def power_curve(sizes: Sequence[float], seen: Sequence[bool]) -> PowerCurve:
     if not s:
         return without("no cases")
     if min(hits, len(s) - hits) < OF_EACH or len(s) < FEWEST:
-        if hits == len(s):
-            return without(f"all {len(s)} seen, the smallest at {s[0]:.2g}")
-        if hits == 0:
-            return without(f"none of {len(s)} seen, the largest at {s[-1]:.2g}")
-        return without(f"{hits} of {len(s)} seen: too few for a curve")
+        return without(_why_not(s, k))
     fitted = _fit(np.log10(s), np.array(k, float))
     if fitted is None or fitted[1] <= 0:
         return without(f"{hits} of {len(s)} seen: the chance does not grow with the size")
@@ -111,6 +107,15 @@ def power_curve(sizes: Sequence[float], seen: Sequence[bool]) -> PowerCurve:
     at50, at90 = (10.0 ** float(np.clip((math.log(p / (1 - p)) - a) / b, -6, 6)) for p in (0.5, 0.9))
     ci50, ci90 = (_interval(p, math.log10(at), b, x, y) for p, at in ((0.5, at50), (0.9, at90)))
     return PowerCurve(s, k, a, b, at50, at90, ci50, ci90, "")
+
+
+def _why_not(sizes: Sequence[float], seen: Sequence[bool]) -> str:
+    """What cases in the order of their sizes say that are no curve."""
+    if all(seen):
+        return f"all {len(seen)} seen, the smallest at {sizes[0]:.2g}"
+    if not any(seen):
+        return f"none of {len(seen)} seen, the largest at {sizes[-1]:.2g}"
+    return f"{sum(seen)} of {len(seen)} seen: too few for a curve"
 
 
 def _log_likelihood(a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -157,22 +162,12 @@ def power_curves(groups: Mapping[str, tuple[Sequence[float], Sequence[bool]]]) -
     for name, (sizes, seen) in groups.items():
         order = sorted(range(len(sizes)), key=lambda i: sizes[i])
         cases[name] = tuple(float(sizes[i]) for i in order), tuple(bool(seen[i]) for i in order)
+    mixed = [name for name, (s, k) in cases.items() if len(s) >= FEWEST_IN_GROUP and 0 < sum(k) < len(s)]
     blank = PowerCurve((), (), math.nan, math.nan, math.nan, math.nan, (math.nan,) * 2, (math.nan,) * 2, "no cases")
-    out = {name: replace(blank, sizes=s, seen=k) for name, (s, k) in cases.items()}
-    for name, (s, k) in cases.items():
-        hits = sum(k)
-        if s and hits in (0, len(s)):
-            said = (
-                f"all {hits} seen, the smallest at {s[0]:.2g}" if hits else f"none of {len(s)} seen, the largest at {s[-1]:.2g}"
-            )
-            out[name] = replace(out[name], note=said)
-        elif len(s) < FEWEST_IN_GROUP:
-            out[name] = replace(out[name], note=f"{hits} of {len(s)} seen: too few for a curve") if s else out[name]
-    drawn = [name for name, curve in out.items() if len(curve.sizes) >= FEWEST_IN_GROUP]
-    mixed = [name for name in drawn if not out[name].note or out[name].note == "no cases"]
+    out = {name: replace(blank, sizes=s, seen=k, note=_why_not(s, k)) if s else blank for name, (s, k) in cases.items()}
     if sum(len(cases[name][0]) for name in mixed) < FEWEST:
-        few = "too few cases for a curve"
-        return {name: replace(c, note=few) if c.sizes and c.note == "no cases" else c for name, c in out.items()}
+        return out
+    drawn = [name for name, (s, _) in cases.items() if len(s) >= FEWEST_IN_GROUP]
     x = {name: np.log10(cases[name][0]) for name in drawn}
     y = {name: np.array(cases[name][1], float) for name in drawn}
     # the middle of each curve [decades], and how likely its cases are about it, for every slope

@@ -110,6 +110,8 @@ def _benchmark(summary: Mapping[str, Any] | None) -> str:
     )
     failed = [b["text"] for b in summary["bars"] if b["status"] == "fails"]
     missed = f"Bars that are missed: {'; '.join(failed)}." if failed else "No bar is missed."
+    few = [b["text"] for b in summary["bars"] if b["status"] == "too few cases"]
+    missed += f" Not decided, for want of cases: {'; '.join(few)}." if few else ""
     levels_asked = ",".join(f"{k}:{v}" for k, v in summary["counts"].items())
     sample = "".join(f" --{k} {summary[k]}" for k in ("skip", "first") if summary.get(k))
     ran = f"`simgap benchmark --grade {summary['grade']} --seed {summary['seed']} --levels {levels_asked}{sample} --out DIR`"

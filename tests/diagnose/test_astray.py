@@ -7,20 +7,11 @@ import pytest
 
 from diagnose.flow import Options, _closed, diagnose
 from diagnose.result import Verdict
-from mjsim.recording import Recording
 from simgap.benchmark.catalogue import OUTSIDE, compose, find
-from simgap.benchmark.experiment import Experiment, multisine, steps
+from simgap.benchmark.experiment import multisine, steps
 from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record
 
 NOISE = 0.07
-
-
-def sealed(laws: Laws, experiments: tuple[Experiment, ...], noise: float, seed: int) -> list[Recording]:
-    rng = np.random.default_rng(seed)
-    motions = [record(laws, e, Measurement(velocity_noise=noise), rng) for e in experiments]
-    return [Recording(m.time, m.torque, m.velocity, m.angle, 5e-4) for m in motions]
 
 
 def test_the_part_of_an_error_that_was_closed():
@@ -32,11 +23,11 @@ def test_the_part_of_an_error_that_was_closed():
     assert _closed(3.0, -0.1) == 1.0
 
 
-def test_a_gap_is_named_although_its_free_run_goes_astray(robot):
+def test_a_gap_is_named_although_its_free_run_goes_astray(robot, sealed):
     """Two runs of the plant whose parameters differ by 1e-5 come apart on the held-out recording: it was `unexplained`."""
     rng = np.random.default_rng(4)
     laws = compose(Laws(), find("backlash", "gearbox"), {"gap_rad": 1.23e-3})
-    pair = sealed(laws, (steps(6.0, 1.07, 0.03, rng), multisine(10.0, 0.43, 0.1, 40.0, rng)), NOISE, 5)
+    pair = sealed(laws, (steps(6.0, 1.07, 0.03, rng), multisine(10.0, 0.43, 0.1, 40.0, rng)), 5, NOISE)
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=("backlash", "coulomb_friction", "hysteresis"), jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
     (finding,) = found.findings
@@ -46,11 +37,11 @@ def test_a_gap_is_named_although_its_free_run_goes_astray(robot):
     assert any("goes astray" in note for note in found.notes)
 
 
-def test_what_is_left_on_the_fitted_recording_counts(robot):
+def test_what_is_left_on_the_fitted_recording_counts(robot, sealed):
     """A torque that fades as the motor heats, for which drag is a stand-in that a weak held-out recording does not betray."""
     rng = np.random.default_rng(6)
     laws = compose(Laws(), find("thermal_derating", "actuator", OUTSIDE), {"per_Nm2": 0.42, "time_s": 3.1})
-    pair = sealed(laws, (multisine(8.0, 0.5, 0.1, 30.0, rng), multisine(8.0, 0.02, 0.1, 30.0, rng)), 0.05, 7)
+    pair = sealed(laws, (multisine(8.0, 0.5, 0.1, 30.0, rng), multisine(8.0, 0.02, 0.1, 30.0, rng)), 7)
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=("quadratic_friction", "coulomb_friction"), jobs=1))
     assert found.fit["corrected"].held_out_rms < 1.1 * 0.05, "held-out data alone do not betray it"
     assert found.verdict is Verdict.UNEXPLAINED

@@ -17,8 +17,6 @@ from mjsim.recording import Recording
 from simgap.benchmark.catalogue import compose, find
 from simgap.benchmark.experiment import chirp as sealed_chirp
 from simgap.benchmark.laws import GAP_IMPACT, Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record
 
 DT, N = 1e-3, 8_000
 LUGRE = {"torque_Nm": 0.1, "stiffness_Nm_rad": 1.0, "damping_Nms_rad": 0.01}
@@ -98,21 +96,14 @@ def test_parts_make_the_same_motion(robot):
         assert np.std(one - other) < 1e-3 * np.std(one)
 
 
-def sealed(laws, seed):
-    """Two chirps of the benchmark's plant, whose laws and solver are its own."""
-    rng = np.random.default_rng(seed)
-    motions = [
-        record(laws, experiment, Measurement(velocity_noise=0.05), rng)
-        for experiment in (sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0))
-    ]
-    return [Recording(m.time, m.torque, m.velocity, m.angle, 5e-4) for m in motions]
+CHIRPS = sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)
 
 
-def test_a_slider_is_told_as_hysteresis_with_its_corner(robot):
+def test_a_slider_is_told_as_hysteresis_with_its_corner(robot, sealed):
     """One Maxwell-slip element of another solver: the contract's gradual law leaves three times the noise of it."""
     slip = {"torque_Nm": 4.8, "stiffness_Nm_rad": 1.6e4}
     laws = compose(Laws(), find("hysteresis", "gearbox"), slip)._replace(slip_sharp=1.0)
-    pair = sealed(laws, 11)
+    pair = sealed(laws, CHIRPS, 11)
     only = ("hysteresis", "hardening_stiffness", "coulomb_friction")
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
@@ -123,11 +114,11 @@ def test_a_slider_is_told_as_hysteresis_with_its_corner(robot):
         assert finding.parameters[name].value == pytest.approx(value, rel=0.05)
 
 
-def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot):
+def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot, sealed):
     """A compliant impact of another solver, whose joint has no damping of its own: 73 times the noise variance was left."""
     hidden = {"gap_rad": 2e-4}
     laws = compose(Laws(), find("backlash", "gearbox"), hidden)._replace(gap_law_g=GAP_IMPACT, impact_g=0.5)
-    pair = sealed(laws, 12)
+    pair = sealed(laws, CHIRPS, 12)
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=("backlash", "hardening_stiffness", "coulomb_friction"), jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
     (finding,) = found.findings
@@ -136,11 +127,11 @@ def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot):
     assert finding.parameters["impact_s_rad"].value == pytest.approx(0.5, rel=0.1)
 
 
-def test_a_gear_that_begins_unstrained_is_told_as_transmission_error(robot):
+def test_a_gear_that_begins_unstrained_is_told_as_transmission_error(robot, sealed):
     """The contract's gear begins strained by its error and rings; another plant's does not: hysteresis was named beside it."""
     hidden = {"amplitude_rad": 8e-5, "cycles_per_rev": 2.0, "phase_rad": 0.9}
     laws = compose(Laws(), find("transmission_error", "gearbox"), hidden)._replace(error_relaxed=1.0)
-    pair = sealed(laws, 13)
+    pair = sealed(laws, CHIRPS, 13)
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=("transmission_error", "torque_ripple", "hysteresis"), jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
     (finding,) = found.findings
