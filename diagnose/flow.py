@@ -387,8 +387,8 @@ def _versions() -> dict[str, str]:
 
 def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, ...]:
     out = []
-    for effect in best.effects:
-        poorer = search.without(best, effect)
+    fewer = search.fitter.map([partial(search.without, best, effect) for effect in best.effects])
+    for effect, poorer in zip(best.effects, fewer, strict=True):
         search.imitated(best, effect)
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)

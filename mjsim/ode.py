@@ -107,8 +107,7 @@ def simulate(
     time = t0 + dt * np.arange(count)
     velocity, measured = _sense(s, time, out[:, n], out[:, 0], dt)
     return Trajectory(
-        time, np.array(torque, float), velocity, measured, out[:, :n].copy(), out[:, n : 2 * n].copy(),
-        out[:, 2 * n + s.n_states :].copy(),
+        time, np.array(torque, float), velocity, measured, out[:, :n], out[:, n : 2 * n], out[:, 2 * n + s.n_states :]
     )  # fmt: skip
 
 

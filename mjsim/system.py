@@ -10,7 +10,7 @@ import numpy as np
 
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import ports as P  # noqa: N812
-from mjsim.effects.law import DIRECTION, N_LOCAL, STATE, Law
+from mjsim.effects.law import DIRECTION, N_LOCAL, RATE, STATE, Law
 
 __all__ = ["STEP", "System", "assemble", "split_chain"]
 
@@ -79,6 +79,18 @@ def _stiffness(law: Law, p: tuple[float, ...]) -> float:
     return abs(out[0] - base)
 
 
+def _damping(law: Law, p: tuple[float, ...]) -> float:
+    """Slope of a law's torque over the speed at rest: the damper that it is there."""
+    z, out = [0.0] * N_LOCAL, [0.0] * 3
+    slow = 1e-6
+    z[RATE] = slow
+    law(z, p, out)
+    forward = out[0]
+    z[RATE] = -slow
+    law(z, p, out)
+    return max((out[0] - forward) / (2.0 * slow), 0.0)
+
+
 def assemble(axis: Axis) -> System:
     """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
     ports = [port for effect in axis.effects for port in effect.ports(axis.chain)]
@@ -95,7 +107,7 @@ def assemble(axis: Axis) -> System:
     rows: list[tuple[int, int, int, int, int]] = []
     values: list[float] = []
     n_states = 0
-    stiff = np.zeros(n)  # extra stiffness seen by each body, for the choice of step
+    stiff, damping = np.zeros(n), np.zeros(n)  # extra stiffness and damping seen by each body, for the choice of step
     spatial = 0.0
     friction = np.zeros(n, np.bool_)
     for port in sorted((p for p in ports if type(p) in _KIND), key=lambda p: _KIND[type(p)]):
@@ -111,6 +123,8 @@ def assemble(axis: Axis) -> System:
             else:
                 stiff[site] += k * f[2, site] ** 2
                 stiff[site + 1] += k
+        elif isinstance(port, P.BodyTorque):
+            damping[site] += _damping(port.law, port.p)
         if isinstance(port, P.Twist | P.BodyTorque):
             spatial = max(spatial, port.spatial)
         if isinstance(port, P.Friction):
@@ -134,7 +148,7 @@ def assemble(axis: Axis) -> System:
         output_maps=tuple(p for p in ports if isinstance(p, P.OutputMap)),
         output_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.OutputLag))),
         output_delay=float(sum(p.delay for p in ports if isinstance(p, P.OutputDelay))),
-        omega=_fastest(f, stiff),
+        omega=_fastest(f, stiff, damping),
         spatial=spatial,
         affine=_affine(ports, axis.backlash_law),
     )
@@ -173,9 +187,9 @@ def _affine(ports: list[P.Port], gap_law: P.BacklashLaw) -> bool:
     return True
 
 
-def _fastest(f: np.ndarray, stiff: np.ndarray) -> float:
+def _fastest(f: np.ndarray, stiff: np.ndarray, damping: np.ndarray) -> float:
     """Largest natural frequency or decay rate of the chain [rad/s]."""
-    a = state_matrix(f, stiff)
+    a = state_matrix(np.vstack((f[0], f[1] + damping, f[2:])), stiff)
     return float(np.max(np.abs(np.linalg.eigvals(a))))
 
 

@@ -59,6 +59,25 @@ def test_a_form_is_named_by_the_contract(robot, damped):
     assert (told["effect"], told["law"]) == ("presliding_friction", "presliding_friction_with_damping")
 
 
+def test_friction_that_fades_in_is_coulomb_friction_and_no_bristle(robot):
+    """Near standstill a damped bristle comes close to it, and neither holds the axis nor gives it a spring."""
+    plant = robot + effect_class("coulomb_friction_with_creep")(torque_Nm=0.1, creep_velocity_rad_s=1.0)
+    rng = np.random.default_rng(6)
+    pair = []
+    for amplitude, top in ((0.5, 20.0), (0.35, 30.0)):
+        torque = chirp(N * DT, DT, amplitude, 0.5, top)
+        run = simulate(plant, torque, DT)
+        noise = 0.02 * rng.standard_normal((2, N))
+        pair.append(Recording(run.time, torque, run.velocity + noise[0], run.angle + 5e-3 * noise[1], DT))
+    only = ("coulomb_friction", "presliding_friction", "stribeck_friction", "torque_offset")
+    found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    (finding,) = found.findings
+    assert (finding.effect, finding.place, finding.law) == ("coulomb_friction", "motor", "coulomb_friction_with_creep")
+    assert finding.parameters["torque_Nm"].value == pytest.approx(0.1, rel=0.01)
+    assert finding.parameters["creep_velocity_rad_s"].value == pytest.approx(1.0, rel=0.05)
+
+
 def test_friction_and_an_offset_are_not_held_by_asymmetric_friction(robot):
     """Asymmetric friction fits the pair best at first: taken apart, its friction is refined beside the offset."""
     stribeck = {"torque_Nm": 0.13, "extra_static_torque_Nm": 0.06, "stribeck_velocity_rad_s": 4.0}
