@@ -66,9 +66,9 @@ def simulate(
     """Free-run an axis on a commanded torque (N,) held over each sample of dt [s].
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
-    ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied; ``before``: commanded torque
-    ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the accuracy rule of
-    `System.substeps`; a model that needs more than ``most_substeps`` is not run. Raises DivergedError.
+    ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied, ahead of what the sensor path does to
+    it; ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
+    accuracy rule of `System.substeps`; a model that needs more than ``most_substeps`` is not run. Raises DivergedError.
     """
     from mjsim import kernel
 
@@ -89,6 +89,8 @@ def simulate(
     if split < 1e-9:
         split = 0.0
     locked = angle is not None
+    if angle is not None:
+        angle = _ahead_of_sensor(s, np.asarray(angle, float), dt)
     speed = 0.0
     if s.spatial > 0:
         speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
@@ -125,6 +127,16 @@ def _sense(s: System, time: np.ndarray, v: np.ndarray, q: np.ndarray, dt: float)
     for m in s.output_maps:
         v = m.map.apply(v, m.c)
     return v, q
+
+
+def _ahead_of_sensor(s: System, angle: np.ndarray, dt: float) -> np.ndarray:
+    """The angle (N,) of which a late one was measured: q = q_m + lag dq_m/dt, read a delay later (held at the end)."""
+    if s.output_lag > 0 and len(angle) > 1:
+        angle = angle + s.output_lag * np.gradient(angle, dt)
+    if s.output_delay > 0:
+        k = np.arange(len(angle))
+        angle = np.interp(k + s.output_delay / dt, k, angle)
+    return angle
 
 
 def _cubic(v: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:

@@ -114,7 +114,9 @@ def _benchmark(summary: Mapping[str, Any] | None) -> str:
     missed += f" Not decided, for want of cases: {'; '.join(few)}." if few else ""
     levels_asked = ",".join(f"{k}:{v}" for k, v in summary["counts"].items())
     sample = "".join(f" --{k} {summary[k]}" for k in ("skip", "first") if summary.get(k))
-    ran = f"`simgap benchmark --grade {summary['grade']} --seed {summary['seed']} --levels {levels_asked}{sample} --out DIR`"
+    arms = summary.get("rivals")
+    rivals = f" --arms all --arm-cases {arms['cases_a_level']}" if arms else ""
+    ran = f"`simgap benchmark --grade {summary['grade']} --seed {summary['seed']} --levels {levels_asked}{sample}{rivals} --out DIR`"
     return f"""{summary["n"]} cases by {ran}. The plant has its own laws and solver; the truth was sealed before the first
 diagnosis (SHA-256 `{summary["envelope_sha256"][:16]}...`).
 
@@ -124,6 +126,31 @@ diagnosis (SHA-256 `{summary["envelope_sha256"][:16]}...`).
 
 {_calibrated()}
 {table(["level", "cases", "verdict right", "verdict and effect right"], levels)}
+{_rivals(summary.get("rivals"))}"""
+
+
+def _rivals(rivals: Mapping[str, Any] | None) -> str:
+    """Other ways to model the same recordings, on the cases that they were run on."""
+    if not rivals:
+        return ""
+    rows = []
+    for a in rivals["arms"]:
+        if a["skipped"]:
+            rows.append([a["what"], "not run: " + a["skipped"], *[""] * 5])
+            continue
+        shares = [f"{x['hits']} of {x['n']}" if x and x["n"] else "–" for x in (a["false_alarms"], a["claimed"], a["right"])]
+        ratios = [
+            number(v, 3) if v is not None else "–" for v in (a["all"]["over_noise"], a["all"]["over_refitted"], a["seconds"])
+        ]
+        rows.append([a["what"], *ratios[:2], *shares, ratios[2]])
+    heads = ["", "error over noise", "error over refit", "false alarms", "says something is missing", "names it right", "seconds"]
+    failed = "".join(f" {a['what']} broke in {len(a['failed'])}." for a in rivals["arms"] if a["failed"])
+    return f"""
+Other ways to model the same recordings, on the first {rivals["cases_a_level"]} cases of each level ({len(rivals["cases"])}); medians of the free-run error on
+the held-out recording. False alarms are of cases with nothing missing, the next two columns of cases with an effect of the library;
+no equivalents are credited here, to the diagnosis neither.{failed}
+
+{table(heads, rows)}
 """
 
 

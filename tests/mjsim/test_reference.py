@@ -152,3 +152,15 @@ def test_torque_ahead_of_the_record(name: str) -> None:
     runs = [module.simulate(model, u, DT, before=0.7).velocity for module in (ode, reference)]
     assert relative(*runs) < 1e-6
     assert relative(ode.simulate(model, u, DT).velocity, runs[1]) > 1e-4
+
+
+@pytest.mark.parametrize(("name", "values"), [("sensor_lag", {"time_constant_s": 2e-3}), ("time_delay", {"delay_s": 2.3e-3})])
+def test_a_law_follows_the_angle_ahead_of_a_late_sensor(name: str, values: dict[str, float]) -> None:
+    """Tied to an angle that the sensor hands on late, a ripple would be late too: by .5 % of the motion here."""
+    plant = axis(
+        effect("torque_ripple", amplitude_Nm=0.1, cycles_per_rev=4.0, phase_rad=0.3), effect(name, place="sensor", **values)
+    )
+    u = chirp(4.0)
+    free = ode.simulate(plant, u, DT)
+    tied = ode.simulate(plant, u, DT, angle=free.angle)
+    assert relative(tied.velocity, free.velocity) < 1e-4

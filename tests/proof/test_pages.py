@@ -48,6 +48,24 @@ def test_a_benchmark_is_read_and_not_invented(tmp_path):
     summary["power"]["named"]["at90_ci95"] = [0.0, None]
     path.write_text(json.dumps(summary), encoding="utf-8")
     assert "intervals of the 50 % and 90 % points are open" in summary_page(tmp_path, path).text
+    rate = {"n": 4, "hits": 1, "share": 0.25, "ci95": [0.0, 0.8]}
+    arm = {
+        "what": "Stepwise",
+        "skipped": "",
+        "false_alarms": rate,
+        "claimed": rate,
+        "right": None,
+        "seconds": 2.5,
+        "failed": {"7": "it broke"},
+    }
+    skipped = {"what": "Sparse", "skipped": "pysindy not installed", "failed": {}}
+    ran = [{**arm, "all": {"over_noise": 1.25, "over_refitted": None}}, skipped]
+    path.write_text(json.dumps({**summary, "rivals": {"cases": ["1", "7"], "cases_a_level": 2, "arms": ran}}), encoding="utf-8")
+    told = summary_page(tmp_path, path).text
+    assert "| Stepwise | 1.25 | – | 1 of 4 | 1 of 4 | – | 2.5 |" in told
+    assert "not run: pysindy not installed" in told
+    assert "Stepwise broke in 1." in told
+    assert "--arms all --arm-cases 2 --out DIR" in told
     (tmp_path / "pictures").mkdir()
     (tmp_path / "pictures" / "power.svg").write_text("<svg/>", encoding="utf-8")
     pages = tmp_path / "proof"
