@@ -126,7 +126,8 @@ diagnosis (SHA-256 `{summary["envelope_sha256"][:16]}...`).
 
 {_calibrated()}
 {table(["level", "cases", "verdict right", "verdict and effect right"], levels)}
-{_rivals(summary.get("rivals"))}"""
+{_rivals(summary.get("rivals"))}
+"""
 
 
 def _rivals(rivals: Mapping[str, Any] | None) -> str:
@@ -139,9 +140,10 @@ def _rivals(rivals: Mapping[str, Any] | None) -> str:
             rows.append([a["what"], "not run: " + a["skipped"], *[""] * 5])
             continue
         shares = [f"{x['hits']} of {x['n']}" if x and x["n"] else "–" for x in (a["false_alarms"], a["claimed"], a["right"])]
-        ratios = [
-            number(v, 3) if v is not None else "–" for v in (a["all"]["over_noise"], a["all"]["over_refitted"], a["seconds"])
-        ]
+        taken = (
+            a["seconds"] if a["seconds"] is not None and a["seconds"] >= 1e-3 else None
+        )  # else it is a figure of the diagnosis
+        ratios = [number(v, 3) if v is not None else "–" for v in (a["all"]["over_noise"], a["all"]["over_refitted"], taken)]
         rows.append([a["what"], *ratios[:2], *shares, ratios[2]])
     heads = ["", "error over noise", "error over refit", "false alarms", "says something is missing", "names it right", "seconds"]
     failed = "".join(f" {a['what']} broke in {len(a['failed'])}." for a in rivals["arms"] if a["failed"])
