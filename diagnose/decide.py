@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.compare import compare
 from diagnose.experiment import Experiment, measured_angle
 from diagnose.fitter import Fitted, Fitter
 from diagnose.result import Estimate, Finding
@@ -39,7 +38,7 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
     """(held-out one-sided p, estimation likelihood-ratio p, gain of chi-square in units of the richer model's variance)."""
     from scipy.stats import chi2
 
-    held = compare(search.held_out(poorer), search.held_out(richer), known=search.fitter.noise_known).p_value
+    held = search.compared(poorer, richer).p_value
     gain = richer.n * math.log(poorer.chi2 / richer.chi2)
     extra = max(1, len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
     return held, float(chi2.sf(max(gain, 0.0), extra)), gain

@@ -15,7 +15,7 @@ from diagnose.least_squares import orthonormal
 from mjsim.effects import Effect
 from mjsim.quantity import Motion
 
-__all__ = ["encoder_gain", "gain_beside_encoder", "whole_orders"]
+__all__ = ["encoder_gain", "fit_beside_encoder", "gain_beside_encoder", "whole_orders"]
 
 NEAR = 12  # orders looked at on either side of the effect's own, a quarter of a line's width apart
 
@@ -59,14 +59,38 @@ def gain_beside_encoder(fitter: Fitter, poorer: Fitted, richer: Fitted) -> float
     return left[0] - left[1]
 
 
-def _beside(fitter: Fitter, fitted: Fitted) -> float | None:
-    """Chi-square of a fit once whole orders of the encoder's turn are fitted to its residual as well."""
+def fit_beside_encoder(fitter: Fitter, fitted: Fitted, least: float) -> Fitted | None:
+    """The structure with parameters as they are when the encoder may err at each whole order of its turn, to first order.
+
+    Free parameters bend to take up some of such an error, by a thousandth here, and the model then misses motion that is there.
+    None where this does not lower chi-square by ``least``, or `gain_beside_encoder` is infinite.
+    """
+    c = _with_encoder(fitter, fitted)
+    if c is None:
+        return None
+    size = np.linalg.norm(c, axis=0) + 1e-300
+    step = np.linalg.lstsq(c / size, -fitted.fit.residual, rcond=1e-8)[0] / size
+    x = np.clip(fitted.fit.x + step[: len(fitted.fit.x)], *fitted.hypothesis.bounds)
+    beside = fitter.fit(fitted.hypothesis, x, iterations=0)
+    left = _beside(fitter, beside) if beside.ok else None
+    return beside if left is not None and fitted.chi2 - left > least else None
+
+
+def _with_encoder(fitter: Fitter, fitted: Fitted) -> np.ndarray | None:
+    """Sensitivities of a fit and, beside them, what whole orders of the encoder's turn would leave: columns (M, k)."""
     if fitter.view.channel != "velocity" or fitter.nominal.chain.motion is not Motion.HINGE:
         return None
     shown = _shown(fitter, fitted)
     if shown is None:
         return None
-    c = np.hstack([fitted.fit.J, _columns(fitter, fitted, shown, [whole_orders(angle) for angle, _ in shown])])
+    return np.hstack([fitted.fit.J, _columns(fitter, fitted, shown, [whole_orders(angle) for angle, _ in shown])])
+
+
+def _beside(fitter: Fitter, fitted: Fitted) -> float | None:
+    """Chi-square of a fit once whole orders of the encoder's turn are fitted to its residual as well."""
+    c = _with_encoder(fitter, fitted)
+    if c is None:
+        return None
     r = fitted.fit.residual
     return float(r @ r - np.sum((orthonormal(c).T @ r) ** 2))
 

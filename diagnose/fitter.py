@@ -31,6 +31,7 @@ Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | No
 ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
 UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a fit is unfolded over
 APART = 0.15  # of the noise rms: models that come apart by more do not foretell what follows
+FORETOLD = 0.05  # least part of the held-out samples by which a model that sticks or strikes may be judged
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
 # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
 LEADS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.0)
@@ -459,9 +460,12 @@ class Fitter:
 
         Models drawn by the covariance of the fit are run beside it. Once they come apart by more than ``APART`` of the noise,
         over a tenth of a second, the free run is no prediction: bodies stick or strike at other moments, and the rest follows.
-        They may come together again, but then with each other and not with the machine.
+        They may come together again, but then with each other and not with the machine. None where it does not stick or strike,
+        or foretells too little.
         """
         h = fitted.hypothesis
+        if not any(type(e).rough for e in fitted.effects):
+            return None
         models = [h.axis(x, 0) for x in _drawn(fitted, np.ones(count), seed)]
         out = []
         for experiment in self.held_out:
@@ -477,7 +481,8 @@ class Fitter:
             apart = np.flatnonzero(local >= (APART * self.sigma(experiment)) ** 2)
             until = int(apart[0]) if len(apart) else len(local)
             out.append(self.counted(experiment) & (np.arange(len(local)) < until))
-        return out
+        share = sum(int(s.sum()) for s in out) / sum(int(np.sum(self.counted(e))) for e in self.held_out)
+        return out if share >= FORETOLD else None
 
     def error_on(self, fitted: Fitted, samples: Sequence[np.ndarray]) -> float | None:
         """Mean square of the weighted, whitened held-out error on some samples of each recording; None without any."""
@@ -537,13 +542,16 @@ class Fitter:
         J = 0.5 * (forward + backward)
         return Fitted(h, Fit(f.x, f.cost, Linearised.known(r, J), f.status, f.iterations, f.predicted_gain), fitted.n)
 
-    def validate(self, fitted: Fitted, blocks: int = 40) -> HeldOut | None:
-        """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is."""
+    def validate(self, fitted: Fitted, samples: Sequence[np.ndarray] | None = None, blocks: int = 40) -> HeldOut | None:
+        """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is.
+
+        ``samples``: those (N,) of each recording that count, all when None.
+        """
         h = fitted.hypothesis
         axis = fitted.axis
         sse, count, squares, total, spread = [], [], 0.0, 0, 0.0
         errors = []
-        for experiment in self.held_out:
+        for i, experiment in enumerate(self.held_out):
             solved = self.own_values(h, fitted, experiment)
             if solved is None:
                 return None
@@ -553,6 +561,8 @@ class Fitter:
                 return None
             keep = self.counted(experiment)
             w, valid = self.whitened(e, experiment)
+            if samples is not None:
+                keep, valid = keep & samples[i], valid & samples[i]
             w2 = w**2
             errors.append(w[valid])
             for part in np.array_split(np.flatnonzero(valid), blocks):

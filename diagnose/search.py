@@ -18,18 +18,21 @@ from functools import partial
 from itertools import chain
 from typing import TypeVar
 
+import numpy as np
+
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, left_over, related, screen, span
-from diagnose.compare import compare
+from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import PRIOR, UNEXPLAINED, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
 from diagnose.moves import Entrant, folded, formed, imitators, in_place, other_orders, refines, taken_apart
 from diagnose.progress import Progress
+from diagnose.search_options import SearchOptions
 from diagnose.whiten import effective_share
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["ALIKE_C", "LEAD", "Search", "SearchOptions"]
+__all__ = ["ALIKE_C", "LEAD", "Search"]
 
 T = TypeVar("T")
 
@@ -47,28 +50,6 @@ UNFOLDS = 3  # times in a row, while it gains
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
-
-
-@dataclass(frozen=True)
-class SearchOptions:
-    """Budgets and thresholds.
-
-    price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
-    held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
-    depth: most effects; width: rivals fitted in full at each move; beam: structures from which the next move starts; runs,
-    seconds: budgets after which no further structure is tried.
-    """
-
-    price: float = 8.0
-    entry: float = 25.0
-    material: float = 0.0015
-    p_enter: float = 0.01
-    depth: int = 3
-    width: int = 10
-    beam: int = 2
-    only: tuple[str, ...] = ()
-    runs: int = 8000
-    seconds: float = math.inf
 
 
 @dataclass
@@ -100,6 +81,7 @@ class Search:
         self._encoder: dict[tuple[object, ...], bool] = {}
         self._leads: dict[tuple[object, ...], float] = {}
         self._let_go = 0
+        self._samples: dict[tuple[object, ...], list[np.ndarray] | None] = {}
         self._starts: dict[tuple[object, ...], Fitted] = {}
 
     def _spent(self) -> bool:
@@ -126,19 +108,33 @@ class Search:
         return n * math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300)) - price + order[0] - order[1]
 
     def ahead(self, f: Fitted, other: Fitted) -> float:
-        """How far C of a structure lies below that of another, both counted from what they have in common."""
-        common = self.pool.get(tuple(sorted(set(f.key) & set(other.key))))
-        if self.worth_of is None or common is None:
-            return self.criterion(other) - self.criterion(f)
-        return (self.gain(common, f) if common.key != f.key else 0.0) - (
-            self.gain(common, other) if common.key != other.key else 0.0
-        )
+        """How far C of a structure lies below that of another, which need not be a part of it."""
+        return self.gain(other, f) if f.chi2 < other.chi2 else -self.gain(f, other)
 
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
         if f.key not in self.held:
             self.held[f.key] = self.fitter.validate(f)
         return self.held[f.key]
+
+    def compared(self, before: Fitted, after: Fitted) -> Comparison:
+        """Two structures on held-out data; as far as the one that fits foretells them, where its free run goes astray."""
+        samples, pair = self._foretold(before, after), (self.held_out(before), self.held_out(after))
+        if samples is not None:
+            pair = (self.fitter.validate(before, samples), self.fitter.validate(after, samples))
+        return compare(*pair, known=self.fitter.noise_known)
+
+    def _foretold(self, *structures: Fitted) -> list[np.ndarray] | None:
+        """The held-out samples that one structure foretells which alone fits the estimation data but not the held-out ones."""
+        fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
+        if not self.fitter.noise_known or fits.chi2 > UNEXPLAINED * fits.n or other.chi2 < UNEXPLAINED * other.n:
+            return None
+        held, asked = self.held_out(fits), (fits.key, fits.chi2)
+        if held is None or held.chi2 < UNEXPLAINED * float(np.sum(held.n)):
+            return None
+        if asked not in self._samples:
+            self._samples[asked] = self.fitter.foretold(fits)
+        return self._samples[asked]
 
     def nominal(self) -> Fitted:
         """The refitted nominal model: the rival to beat."""
@@ -352,7 +348,7 @@ class Search:
         """
         if self.gain(before, after) < self.options.entry:
             return False
-        c = compare(self.held_out(before), self.held_out(after), known=self.fitter.noise_known)
+        c = self.compared(before, after)
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if c.relative_gain <= self.options.material or c.p_value * asked >= self.options.p_enter:
             return False
@@ -454,6 +450,8 @@ class Search:
                 expanded.clear()
                 stuck.clear()
                 continue
+            # half of the budget is left for what goes beside an effect that was dear to find
+            self._runs = max(self._runs, self.fitter.runs - self.options.runs // 2)
             current = self._guided(best)
             if self.effective_of is not None:
                 self.effective = self.effective_of(current)
@@ -602,13 +600,21 @@ class Search:
             if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
                 continue
             attempt += larger
-            if self.pays(current, f, attempt) if larger else not self._worse(current, f):
+            if self.pays(current, f, attempt) if larger else self._earned(current, f) and not self._worse(current, f):
                 return f
         return self.pool.get(current.key, current)
 
+    def _earned(self, current: Fitted, f: Fitted) -> bool:
+        """Whether what a structure has in place of something else pays by itself, where the error is the model's own.
+
+        Else an effect that does not pay beside the rest enters in exchange for one that does.
+        """
+        common = self.pool.get(tuple(sorted(set(f.key) & set(current.key))))
+        return self.worth_of is None or common is None or common.key == f.key or self.pays(common, f)
+
     def _worse(self, f: Fitted, other: Fitted) -> bool:
         """Whether held-out data speak for a structure and against another of its size that fits the estimation data better."""
-        c = compare(self.held_out(other), self.held_out(f), known=self.fitter.noise_known)
+        c = self.compared(other, f)
         return c.relative_gain > self.options.material and c.p_value < self.options.p_enter
 
     def polish(self, fitted: Fitted) -> Fitted:

@@ -69,26 +69,15 @@ def split_chain(chain: Chain, port: P.SplitInertia) -> Chain:
     return dataclasses.replace(chain, bodies=(*chain.bodies[:-1], near, far), couplings=(*chain.couplings, joint))
 
 
-def _stiffness(law: Law, p: tuple[float, ...]) -> float:
-    """Slope of a stateful law's torque over its state: the spring that it is before it yields."""
-    z, out = [0.0] * N_LOCAL, [0.0] * 3
-    law(z, p, out)
-    base = out[0]
-    z[STATE] = 1.0
-    law(z, p, out)
-    return abs(out[0] - base)
-
-
-def _damping(law: Law, p: tuple[float, ...]) -> float:
-    """Slope of a law's torque over the speed at rest: the damper that it is there."""
-    z, out = [0.0] * N_LOCAL, [0.0] * 3
-    slow = 1e-6
-    z[RATE] = slow
-    law(z, p, out)
-    forward = out[0]
-    z[RATE] = -slow
-    law(z, p, out)
-    return max((out[0] - forward) / (2.0 * slow), 0.0)
+def _slope(law: Law, p: tuple[float, ...], local: int, step: float) -> float:
+    """How fast a law's torque falls as one local quantity grows from rest: the spring, or damper, that it is there."""
+    torque = []
+    for x in (-step, step):
+        z, out = [0.0] * N_LOCAL, [0.0] * 3
+        z[local] = x
+        law(z, p, out)
+        torque.append(out[0])
+    return (torque[0] - torque[1]) / (2.0 * step)
 
 
 def assemble(axis: Axis) -> System:
@@ -117,14 +106,14 @@ def assemble(axis: Axis) -> System:
         if isinstance(port, P.CouplingTorque | P.BodyTorque) and port.state:
             state = n_states
             n_states += 1
-            k = _stiffness(port.law, port.p)
+            k = abs(_slope(port.law, port.p, STATE, 1.0))  # before it yields
             if isinstance(port, P.BodyTorque):
                 stiff[site] += k
             else:
                 stiff[site] += k * f[2, site] ** 2
                 stiff[site + 1] += k
         elif isinstance(port, P.BodyTorque):
-            damping[site] += _damping(port.law, port.p)
+            damping[site] += max(_slope(port.law, port.p, RATE, 1e-6), 0.0)
         if isinstance(port, P.Twist | P.BodyTorque):
             spatial = max(spatial, port.spatial)
         if isinstance(port, P.Friction):

@@ -7,9 +7,7 @@ import difflib
 import math
 import os
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from diagnose.flow import Options, diagnose
@@ -76,8 +74,6 @@ def diagnose_files(
     loaded = [load(p, model=model) for p in recordings]
     held = [load(p, model=model) for p in held_out]
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
-    if options is None or options.jobs > 1:
-        Thread(target=_load_ahead, daemon=True).start()
     try:
         with following(progress, memory.recalled) as say:
             result = diagnose(nominal, loaded, held, options, say, memory)
@@ -100,12 +96,6 @@ def diagnose_files(
     result.write_json(out / "diagnosis.json")
     memory.discard()
     return result
-
-
-def _load_ahead() -> None:
-    """Import, beside the first fits, what is needed after them: a second of work for one core, at which the other would wait."""
-    for name in ("scipy.signal", "scipy.interpolate", "jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure"):
-        import_module(name)
 
 
 def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options | None) -> str:

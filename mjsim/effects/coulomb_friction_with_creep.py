@@ -48,6 +48,7 @@ class CoulombFrictionWithCreep(Effect):
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "friction"
     multistart: ClassVar[int] = 2
+    # presliding friction is no part of this law but comes close to it: found first, it must not keep it from being tried
     refines: ClassVar[tuple[str, ...]] = ("presliding_friction", "coulomb_friction")
 
     torque_Nm: float = parameter(Quantity.TORQUE, "level of the friction torque at speed", lower=0.0)

@@ -115,7 +115,8 @@ def _benchmark(summary: Mapping[str, Any] | None) -> str:
     levels_asked = ",".join(f"{k}:{v}" for k, v in summary["counts"].items())
     sample = "".join(f" --{k} {summary[k]}" for k in ("skip", "first") if summary.get(k))
     arms = summary.get("rivals")
-    rivals = f" --arms all --arm-cases {arms['cases_a_level']}" if arms else ""
+    names = ",".join(a["id"] for a in arms["arms"][1:]) if arms and summary.get("arms_missing") else "all"
+    rivals = f" --arms {names} --arm-cases {arms['cases_a_level']}" if arms else ""
     ran = f"`simgap benchmark --grade {summary['grade']} --seed {summary['seed']} --levels {levels_asked}{sample}{rivals} --out DIR`"
     return f"""{summary["n"]} cases by {ran}. The plant has its own laws and solver; the truth was sealed before the first
 diagnosis (SHA-256 `{summary["envelope_sha256"][:16]}...`).

@@ -9,7 +9,8 @@ import pytest
 
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
-from diagnose.search import LEAD, Search, SearchOptions
+from diagnose.search import LEAD, Search
+from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView, led_by_torque
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp

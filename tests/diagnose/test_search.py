@@ -14,7 +14,8 @@ from diagnose.experiment import prepare
 from diagnose.fitter import PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
-from diagnose.search import Search, SearchOptions
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
 from mjsim.effects import effect_class
 

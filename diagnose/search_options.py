@@ -1,0 +1,30 @@
+"""How long a search may look, and what it takes for an effect to enter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["SearchOptions"]
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Budgets and thresholds.
+
+    price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
+    held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
+    depth: most effects; width: rivals fitted in full at each move; beam: structures from which the next move starts; runs,
+    seconds: budgets after which no further structure is tried.
+    """
+
+    price: float = 8.0
+    entry: float = 25.0
+    material: float = 0.0015
+    p_enter: float = 0.01
+    depth: int = 3
+    width: int = 10
+    beam: int = 2
+    only: tuple[str, ...] = ()
+    runs: int = 8000
+    seconds: float = math.inf
