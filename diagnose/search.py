@@ -108,8 +108,12 @@ class Search:
         return n * math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300)) - price + order[0] - order[1]
 
     def ahead(self, f: Fitted, other: Fitted) -> float:
-        """How far C of a structure lies below that of another, which need not be a part of it."""
-        return self.gain(other, f) if f.chi2 < other.chi2 else -self.gain(f, other)
+        """How far C of a structure lies below that of another, both counted from what they have in common."""
+        common = self.pool.get(tuple(sorted(set(f.key) & set(other.key))))
+        if self.worth_of is None or common is None:
+            return self.criterion(other) - self.criterion(f)
+        mine, theirs = (self.gain(common, g) if common.key != g.key else 0.0 for g in (f, other))
+        return mine - theirs
 
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
@@ -605,12 +609,16 @@ class Search:
         return self.pool.get(current.key, current)
 
     def _earned(self, current: Fitted, f: Fitted) -> bool:
-        """Whether what a structure has in place of something else pays by itself, where the error is the model's own.
+        """Whether a structure beats another directly, and what it alone has pays by itself, where the error is the model's own.
 
-        Else an effect that does not pay beside the rest enters in exchange for one that does.
+        Two gains counted from far off, each by its own samples' worth, say little of their difference; and an effect that does
+        not pay beside the rest must not enter in exchange for one that does.
         """
         common = self.pool.get(tuple(sorted(set(f.key) & set(current.key))))
-        return self.worth_of is None or common is None or common.key == f.key or self.pays(common, f)
+        if self.worth_of is None or common is None or common.key == f.key:
+            return True
+        directly = self.gain(current, f) if f.chi2 < current.chi2 else -self.gain(f, current)
+        return directly > 0 and self.pays(common, f)
 
     def _worse(self, f: Fitted, other: Fitted) -> bool:
         """Whether held-out data speak for a structure and against another of its size that fits the estimation data better."""
