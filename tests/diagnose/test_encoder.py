@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.encoder import encoder_gain, gain_beside_encoder
+from diagnose.encoder import encoder_gain, fit_beside_encoder, gain_beside_encoder
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
@@ -20,11 +20,11 @@ LOCKED = ("torque_ripple", "transmission_error", "position_dependent_friction")
 ORDER, ERROR = 4.0, 1e-3  # error of the encoder [rad]
 
 
-def erring(recording):
-    """The recording as an encoder shows it that errs four times a turn."""
+def erring(recording, error=ERROR, order=ORDER):
+    """The recording as an encoder shows it that errs so many times a turn, by so many radians."""
     q, v = recording.angle, recording.velocity
     return dataclasses.replace(
-        recording, angle=q + ERROR * np.sin(ORDER * q + 0.3), velocity=v * (1 + ERROR * ORDER * np.cos(ORDER * q + 0.3))
+        recording, angle=q + error * np.sin(order * q + 0.3), velocity=v * (1 + error * order * np.cos(order * q + 0.3))
     )
 
 
@@ -104,3 +104,29 @@ def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch)
     before = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
     assert found[0] < 0.5 * before[0]
     assert found[1] > 0.7 * before[1]
+
+
+@pytest.fixture
+def refitted(robot):
+    """``refitted(recording)``: a fitter, and the nominal model refitted to a recording that is held out as well."""
+    opened = []
+
+    def make(recording):
+        opened.append(Fitter(robot, MotionView(), (prepare(recording),), (prepare(recording),), 1))
+        return opened[-1], opened[-1].fit(opened[-1].hypothesis(()))
+
+    yield make
+    for fitter in opened:
+        fitter.close()
+
+
+def test_parameters_that_bent_to_the_encoder_are_put_right(refitted, record):
+    fitter, base = refitted(erring(record(seconds=8), 2e-3))
+    beside = fit_beside_encoder(fitter, base, 25.0)
+    assert beside.chi2 > base.chi2, "more is left of what the encoder shows"
+    assert motion_error(fitter, beside) < 0.3 * motion_error(fitter, base), "and less of motion"
+
+
+def test_an_encoder_that_does_not_err_changes_nothing(refitted, record):
+    fitter, base = refitted(record())
+    assert fit_beside_encoder(fitter, base, 50.0) is None

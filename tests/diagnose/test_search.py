@@ -194,3 +194,41 @@ def test_held_out_data_judge_structures_of_one_size_as_well(fitter_of, pair):
     search.pool |= {right.key: right, flattered.key: flattered}
     assert search.criterion(flattered) < search.criterion(right)
     assert search._best(right) is right, "by the estimation data alone it would be the other"
+
+
+def test_a_held_out_run_that_goes_astray_judges_as_far_as_it_foretells(fitter_of, pair, monkeypatch):
+    first, other = pair(coulomb())
+    half = np.arange(len(other)) < len(other) // 2
+    lost = np.where(half, 0.0, 5.0 * np.sin(np.arange(len(other)) / 20))
+    fitter = fitter_of((first, dataclasses.replace(other, velocity=other.velocity + lost)))
+    search = Search(fitter, SearchOptions())
+    base, right = search.nominal(), fitter.fit(fitter.hypothesis([coulomb()]))
+    monkeypatch.setattr(fitter, "foretold", lambda f: [half] if f is right else None)
+    blind = compare(search.held_out(base), search.held_out(right), known=True)
+    judged = search.compared(base, right)
+    assert judged.relative_gain > 3 * blind.relative_gain
+    assert judged.p_value < 1e-6
+    assert search.compared(right, base).relative_gain < 0, "and it speaks against the other just as far"
+    monkeypatch.setattr(fitter, "foretold", lambda f: None)
+    search._samples.clear()
+    assert search.compared(base, right) == blind
+
+
+def test_only_laws_that_stick_or_strike_go_astray(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb()))
+    assert fitter.foretold(fitter.fit(fitter.hypothesis(()))) is None
+
+
+def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fitter_of, pair):
+    """Two gains from far off, each counted by its own samples' worth, may say the contrary of the two structures' own errors."""
+    fitter = fitter_of(pair(coulomb()))
+    search = Search(fitter, SearchOptions())
+    search.nominal()
+    right = fitter.fit(fitter.hypothesis([coulomb()]))
+    wrong = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.01)], right.linear))
+    nearly = dataclasses.replace(wrong, fit=dataclasses.replace(wrong.fit, cost=1.1 * right.chi2))
+    search.pool |= {right.key: right, nearly.key: nearly}
+    search.held = {k: search.held_out(right) for k in (right.key, nearly.key)}  # held-out data do not tell them apart
+    search.worth_of = lambda poorer, richer: 0.1 if richer.key == right.key else 1.0
+    assert search.ahead(nearly, right) > 0
+    assert search._best(right) is right
