@@ -40,7 +40,7 @@ from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band, growth_when_held
-from diagnose.whiten import alike, effective_share, innovation, offset_share, settle, whitening_filter, worth
+from diagnose.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -235,6 +235,18 @@ def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
     return nominal[0]
 
 
+def _settled_from_nominal(fitter: Fitter, search: Search) -> Fitted | None:
+    """The nominal structure settled with its own filter, begun where its nominal parameters hold it; None where it is white."""
+    base = search.nominal()
+    fitter.guide = guide_of(fitter, base)
+    try:
+        held = fitter.fit(fitter.hypothesis(()))
+    finally:
+        fitter.guide = 1.0
+    settled = settle(fitter, held)
+    return None if settled is None else settled[1]
+
+
 def _searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
     """The search on plain errors and, where these are coloured by noise, again on whitened ones; whether they were whitened.
 
@@ -256,7 +268,11 @@ def _searched(fitter: Fitter, options: Options, progress: Progress, began: float
     known = fitter.noise_known
     search, best = _search(fitter, options, progress, began, settled_by if known else None)
     if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
-        return search, best, False
+        # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
+        settled = _settled_from_nominal(fitter, search) if known else None
+        if settled is None or not noise_only(settled, unknown=False):
+            return search, best, False
+        best = settled
     for _ in range(MOST_FILTERS):
         filter_ = _whitening(fitter, search, best)
         if alike(filter_, fitter.whitening / fitter.whitening[0]):

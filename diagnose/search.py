@@ -23,13 +23,13 @@ import numpy as np
 from diagnose.candidates import Candidate, Screened, candidates, conflicts, left_over, related, screen, span
 from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
-from diagnose.fitter import PRIOR, UNEXPLAINED, Fitted, Fitter, HeldOut, key_of
+from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
 from diagnose.moves import Entrant, folded, formed, imitators, in_place, other_orders, refines, taken_apart
 from diagnose.progress import Progress
 from diagnose.search_options import SearchOptions
-from diagnose.whiten import effective_share
+from diagnose.whiten import guide_of
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["ALIKE_C", "LEAD", "Search"]
@@ -39,7 +39,6 @@ T = TypeVar("T")
 
 NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
-GUIDE = 0.2  # relative standard deviation that they are then given
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
@@ -503,14 +502,12 @@ class Search:
         """A fit from which to go on, the nominal linear parameters weighing as much as is fair beside so large a misfit.
 
         While physics is missing, refitted parameters stand in for it and lead away from it (an inertia three times the nominal
-        one, with friction and a lag not yet there). Such an error is correlated: its samples are worth few, by Bartlett's share,
-        of a variance as large as the misfit. By these weights a prior of ``GUIDE`` counts; it goes as the misfit goes.
+        one, with friction and a lag not yet there). By `guide_of` a prior counts; it goes as the misfit goes.
         """
         misfit = f.chi2 / f.n
         if not self.fitter.noise_known or misfit < least:
             return self._weigh(1.0, f)
-        weight = misfit / effective_share(self.fitter, f) * (PRIOR / GUIDE) ** 2
-        old = self.fitter.guide
+        weight, old = guide_of(self.fitter, f), self.fitter.guide
         return self._weigh(weight, f) if old == 1.0 or weight < 0.5 * old else f
 
     def _weigh(self, guide: float, current: Fitted) -> Fitted:

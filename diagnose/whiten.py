@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitter import PRIOR, Fitted, Fitter
 
-__all__ = ["alike", "effective_share", "innovation", "levinson", "offset_share", "settle", "whitening_filter", "worth"]
+__all__ = [
+    "alike", "effective_share", "guide_of", "innovation", "levinson", "offset_share", "settle", "whitening_filter", "worth",
+]  # fmt: skip
+
+GUIDE = 0.2  # relative standard deviation of the nominal linear parameters where they guide a search
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -39,6 +43,14 @@ def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
     e = np.where(fitter.counted(experiment), e, 0.0)
     lags = min(lags, len(e) // 4)
     return float(1.0 / (1.0 + 2.0 * np.sum(_correlation(e, lags) ** 2)))
+
+
+def guide_of(fitter: Fitter, f: Fitted) -> float:
+    """Weight by which a prior of ``GUIDE`` on the nominal linear parameters counts beside what a structure leaves.
+
+    Such an error is correlated: its samples are worth few, by Bartlett's share, of a variance as large as the misfit.
+    """
+    return f.chi2 / f.n / effective_share(fitter, f) * (PRIOR / GUIDE) ** 2
 
 
 def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> float:
