@@ -12,6 +12,7 @@ from mjsim.recording import Recording
 
 __all__ = [
     "Experiment",
+    "held_rows",
     "hold_out_blocks",
     "measured_angle",
     "measured_velocity",
@@ -87,8 +88,24 @@ def whole_step(moves: np.ndarray) -> float:
     return float(np.sum(moves) / np.sum(whole)) if np.max(np.abs(times - whole)) < 0.1 else 0.0
 
 
+def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
+    """Rows (N,) bool that were not measured but hold the row before: velocity and angle repeat it to the last digit, in motion.
+
+    None where a channel stands still between coarse steps, or is alone: it may well repeat itself then. ``slow``: part of the
+    rms speed below which the axis may be at rest.
+    """
+    v, q = recording.velocity, recording.angle
+    held = np.zeros(len(recording), bool)
+    if v is None or q is None or plain_step(v) > 0 or plain_step(q) > 0:
+        return held
+    held[1:] = (np.diff(v) == 0) & (np.diff(q) == 0)
+    speed = np.abs(v[~held])  # of each row that was measured, and of the one after it: neither is fast at rest
+    moves = np.maximum(speed, np.append(speed[1:], 0.0)) > slow * math.sqrt(float(np.mean(v**2)))
+    return held & moves[np.cumsum(~held) - 1]
+
+
 def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:
-    """Check a recording and make it an experiment.
+    """Check a recording and make it an experiment; rows that were held and not measured do not count.
 
     Raises InputError when it is too short, does not move, or is clipped flat for much of its length.
     """
@@ -119,9 +136,8 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     _need_one_motion(recording)
     moving = _starts_in_motion(v, noise, spread)
     before = float(recording.torque[0]) if moving else 0.0
-    return Experiment(
-        recording, np.ones(n, bool) if counts is None else counts, max(noise, 1e-6 * spread), moving, before
-    )  # fmt: skip
+    counts = ~held_rows(recording) & (True if counts is None else counts)
+    return Experiment(recording, counts, max(noise, 1e-6 * spread), moving, before)
 
 
 def _need_one_motion(recording: Recording, window: float = 0.02) -> None:

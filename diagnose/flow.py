@@ -25,7 +25,7 @@ from diagnose.decide import (
     unphysical,
 )
 from diagnose.encoder import fit_beside_encoder
-from diagnose.experiment import Experiment, hold_out_blocks, measured_angle, measured_velocity, prepare
+from diagnose.experiment import Experiment, held_rows, hold_out_blocks, measured_angle, measured_velocity, prepare
 from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.force_orders import force_orders
 from diagnose.least_squares import Fit
@@ -51,6 +51,11 @@ SWING = 3.0  # log of the growth over a recording from which a mechanism cannot 
 MOST_FILTERS = 2  # whitened searches
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 POWER = 20.0  # times the material error that the nominal model must leave there, for the test to mean something
+
+HELD = (
+    "The mismatch is no physics of the axis: rows of the recordings repeat the row before and were not measured; where they "
+    "were, the nominal structure agrees to within the noise."
+)
 
 
 @dataclass(frozen=True)
@@ -317,7 +322,16 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     verdict = _verdict(search, base, best, remains)
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     notes = list(unphysical(fitter.nominal))
-    if motion[1] is not None and verdict is Verdict.UNEXPLAINED:
+    held, error = _held(fitter, best)
+    if held:
+        notes.append(
+            f"{held} rows repeat velocity and angle of the row before to the last digit while the axis moves: the logger or the "
+            "sensor held them. They are left out of every fit and error. This is no physics of the axis."
+        )
+    only_held = error > options.missed and verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY)
+    if only_held:
+        verdict = Verdict.UNEXPLAINED  # what differs is known, but no effect of the library
+    if motion[1] is not None and remains:
         notes.append(
             "Motion that the model misses, confirmed by the angle, has "
             f"{math.sqrt(max(motion[1], 0.0)):.2g} times the rms of the velocity noise on held-out data."
@@ -327,7 +341,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
             f"Structure remains that no known effect accounts for: the recorded input and motion predict "
             f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
         )
-    if verdict is Verdict.UNEXPLAINED and mapped is None:
+    if remains and mapped is None:
         notes.append("No torque map over one or two state variables lowers the held-out error for sure: none is given.")
     if settled:
         notes.append(
@@ -369,7 +383,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     unit = _unit(fitter)
     return Diagnosis(
         verdict=verdict,
-        summary=_summary(verdict, found, fits, gap, fitter.noise_known, unit),
+        summary=HELD if only_held else _summary(verdict, found, fits, gap, fitter.noise_known, unit),
         findings=found if verdict in (Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED) else (),
         mismatch=mismatches[0],
         mismatches=mismatches,
@@ -527,6 +541,23 @@ def _only_astray(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -
     if before is None or after is None:
         return False
     return after - 1.0 < options.missed and before - 1.0 > POWER * options.missed
+
+
+def _held(fitter: Fitter, best: Fitted) -> tuple[int, float]:
+    """Rows of all recordings that were held and not measured, and the mean square error that they add, over the noise's."""
+    count, most = 0, 0.0
+    for i, experiment in enumerate((*fitter.experiments, *fitter.held_out)):
+        rows = held_rows(experiment.recording)
+        if not rows.any() or fitter.view.channel != "velocity":
+            continue
+        count += int(rows.sum())
+        known = i < len(fitter.experiments)
+        h, x = best.hypothesis, best.fit.x
+        solved = (h.axis(x, i), h.initial(x, i)) if known else fitter.own_values(h, best, experiment)
+        e = None if solved is None else fitter.error(solved[0], experiment, solved[1])
+        if e is not None and fitter.noise_known:
+            most = max(most, float(np.sum(e[rows] ** 2)) / len(e) / fitter.sigma(experiment) ** 2)
+    return count, most
 
 
 def _left_on_estimation(fitter: Fitter, base: Fitted, pooled: Fitted, options: Options) -> bool:

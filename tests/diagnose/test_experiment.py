@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.experiment import hold_out_blocks, measured_velocity, prepare, white_noise_level
+from diagnose.experiment import held_rows, hold_out_blocks, measured_velocity, prepare, white_noise_level
+from diagnose.flow import Options, diagnose
+from diagnose.result import Verdict
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
@@ -86,3 +88,41 @@ def test_a_clipped_velocity_is_refused(record):
     top = 0.5 * np.max(np.abs(r.velocity))
     with pytest.raises(InputError, match="stands at its limit"):
         prepare(dataclasses.replace(r, velocity=np.clip(r.velocity, -top, top)))
+
+
+def dropped(recording, every=200, rows=8):
+    """The recording as a logger shows it that holds a row for some rows, now and then."""
+    last = np.arange(len(recording))
+    for k in range(every, len(recording) - rows, every):
+        last[k : k + rows] = k - 1
+    return dataclasses.replace(recording, velocity=recording.velocity[last], angle=recording.angle[last])
+
+
+def test_rows_that_were_held_are_known_and_do_not_count(record):
+    recording = record()
+    assert not held_rows(recording).any()
+    found = held_rows(dropped(recording))
+    assert found.sum() > 0.9 * 8 * (len(recording) // 200 - 1), "but for those near standstill"
+    assert np.array_equal(prepare(dropped(recording)).counts, ~found)
+    half = np.arange(len(recording)) < len(recording) // 2
+    assert np.array_equal(prepare(dropped(recording), counts=half).counts, half & ~found)
+
+
+def test_a_coarse_sensor_an_axis_at_rest_and_a_lone_channel_hold_nothing(record):
+    recording = record()
+    coarse = dataclasses.replace(recording, angle=np.round(recording.angle / 0.01) * 0.01, velocity=np.round(recording.velocity))
+    assert not held_rows(coarse).any()
+    assert not held_rows(dataclasses.replace(dropped(recording), angle=None)).any()
+    rest = np.concatenate([np.zeros(500), recording.velocity]), np.concatenate([np.zeros(500), recording.angle])
+    t = recording.dt * np.arange(len(rest[0]))
+    assert not held_rows(Recording(t, np.sin(t), *rest, recording.dt)).any()
+
+
+def test_held_rows_are_said_and_are_no_physics(robot, pair):
+    first, other = (dropped(r) for r in pair())
+    result = diagnose(robot, [first], [other], Options(effects=("coulomb_friction", "actuator_lag"), jobs=1))
+    assert result.verdict is Verdict.UNEXPLAINED
+    assert not result.findings
+    assert "not measured" in result.summary
+    assert any("repeat velocity and angle" in note for note in result.notes)
+    assert result.fit["corrected"].held_out_rms < 1.05 * result.noise_floor, "they are left out of the fit"
