@@ -548,7 +548,6 @@ class Fitter:
         ``samples``: those (N,) of each recording that count, all when None.
         """
         h = fitted.hypothesis
-        axis = fitted.axis
         sse, count, squares, total, spread = [], [], 0.0, 0, 0.0
         errors = []
         for i, experiment in enumerate(self.held_out):
@@ -570,7 +569,7 @@ class Fitter:
                 count.append(len(part))
             squares += float(np.sum(e[keep] ** 2))
             total += int(np.sum(keep))
-            s = self.view.signals(axis, experiment, initial)
+            s = self.view.signals(effects_axis, experiment, initial)
             if s is not None:
                 m = s.measured[keep]
                 spread += float(np.sum((m - m.mean()) ** 2))

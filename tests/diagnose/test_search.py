@@ -232,3 +232,13 @@ def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fi
     search.worth_of = lambda poorer, richer: 0.1 if richer.key == right.key else 1.0
     assert search.ahead(nearly, right) > 0
     assert search._best(right) is right
+
+
+def test_a_held_out_run_that_needs_a_phase_of_its_own_is_judged_with_it(fitter_of, pair, monkeypatch):
+    """A model whose phase of the fitted recording cannot be run on the held-out one: its error there was divided by nought."""
+    fitter = fitter_of(pair(effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=4.0, phase_rad=0.3)))
+    found = fitter.fit(fitter.hypothesis([effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=4.0, phase_rad=0.3)]))
+    own = fitter.own_values(found.hypothesis, found, fitter.held_out[0])[0]
+    run = MotionView.signals
+    monkeypatch.setattr(MotionView, "signals", lambda self, axis, *rest: run(self, axis, *rest) if axis == own else None)
+    assert 0 < fitter.validate(found).nrmse < 0.1
