@@ -545,17 +545,17 @@ def _only_astray(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -
 
 def _held(fitter: Fitter, best: Fitted) -> tuple[int, float]:
     """Rows of all recordings that were held and not measured, and the mean square error that they add, over the noise's."""
+    if fitter.view.channel != "velocity":
+        return 0, 0.0
+    # one recording may be fitted in some blocks and held out in others
+    experiments = {id(e.recording): e for e in (*fitter.held_out, *fitter.experiments)}
     count, most = 0, 0.0
-    for i, experiment in enumerate((*fitter.experiments, *fitter.held_out)):
+    for experiment in experiments.values():
         rows = held_rows(experiment.recording)
-        if not rows.any() or fitter.view.channel != "velocity":
-            continue
         count += int(rows.sum())
-        known = i < len(fitter.experiments)
-        h, x = best.hypothesis, best.fit.x
-        solved = (h.axis(x, i), h.initial(x, i)) if known else fitter.own_values(h, best, experiment)
-        e = None if solved is None else fitter.error(solved[0], experiment, solved[1])
-        if e is not None and fitter.noise_known:
+        solved = fitter.own_values(best.hypothesis, best, experiment) if rows.any() and fitter.noise_known else None
+        e = fitter.error(solved[0], experiment, solved[1]) if solved is not None else None
+        if e is not None:
             most = max(most, float(np.sum(e[rows] ** 2)) / len(e) / fitter.sigma(experiment) ** 2)
     return count, most
 

@@ -121,7 +121,7 @@ class MotionView:
             y = simulate(
                 system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS
             )
-        except (DivergedError, NotApplicableError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         measured = measured_velocity(r)
         predicted = y.velocity if r.velocity is not None else np.gradient(y.angle, r.dt)  # averaged as the measured one
@@ -198,7 +198,7 @@ class ForceView:
                 q, v, a = q + T * v, v + T * a, a + T * np.gradient(a, r.dt)
             offset = sum(m.c for m in s.output_maps if m.map.name == "ADD")
             needed = inverse(s, q, v - offset, a, r.dt)
-        except (DivergedError, NotApplicableError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         sos = self._sos(r.dt)
         if s.input_maps or s.input_delay > 0 or s.input_lag > 0:

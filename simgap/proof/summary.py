@@ -141,15 +141,14 @@ def _rivals(rivals: Mapping[str, Any] | None) -> str:
             rows.append([a["what"], "not run: " + a["skipped"], *[""] * 5])
             continue
         shares = [f"{x['hits']} of {x['n']}" if x and x["n"] else "–" for x in (a["false_alarms"], a["claimed"], a["right"])]
-        taken = (
-            a["seconds"] if a["seconds"] is not None and a["seconds"] >= 1e-3 else None
-        )  # else it is a figure of the diagnosis
+        taken = a["seconds"] if (a["seconds"] or 0.0) >= 1e-3 else None  # else it is a figure of the diagnosis
         ratios = [number(v, 3) if v is not None else "–" for v in (a["all"]["over_noise"], a["all"]["over_refitted"], taken)]
         rows.append([a["what"], *ratios[:2], *shares, ratios[2]])
     heads = ["", "error over noise", "error over refit", "false alarms", "says something is missing", "names it right", "seconds"]
     failed = "".join(f" {a['what']} broke in {len(a['failed'])}." for a in rivals["arms"] if a["failed"])
+    first = "case" if rivals["cases_a_level"] == 1 else f"{rivals['cases_a_level']} cases"
     return f"""
-Other ways to model the same recordings, on the first {rivals["cases_a_level"]} cases of each level ({len(rivals["cases"])}); medians of the free-run error on
+Other ways to model the same recordings, on the first {first} of each level ({len(rivals["cases"])} in all); medians of the free-run error on
 the held-out recording. False alarms are of cases with nothing missing, the next two columns of cases with an effect of the library;
 no equivalents are credited here, to the diagnosis neither.{failed}
 

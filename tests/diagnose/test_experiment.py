@@ -126,3 +126,9 @@ def test_held_rows_are_said_and_are_no_physics(robot, pair):
     assert "not measured" in result.summary
     assert any("repeat velocity and angle" in note for note in result.notes)
     assert result.fit["corrected"].held_out_rms < 1.05 * result.noise_floor, "they are left out of the fit"
+
+
+def test_a_row_of_a_recording_that_is_fitted_in_blocks_is_counted_once(robot, record):
+    recording = dropped(record(seconds=4))
+    result = diagnose(robot, [recording], [], Options(effects=("actuator_lag",), jobs=1))
+    assert any(note.startswith(f"{held_rows(recording).sum()} rows") for note in result.notes)
