@@ -37,7 +37,7 @@ VERDICTS = {
         "No choice of the nominal model's numbers explains the recordings; the physics below was left out.",
     ),
     Verdict.UNEXPLAINED: VerdictWords(
-        "Unexplained", "alarm", "Structure remains in the error that none of the known effects accounts for."
+        "Unexplained", "alarm", "Simulation and recording differ by something that is none of the known effects."
     ),
 }
 
