@@ -33,6 +33,8 @@ UNFOLD = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # parts of a recording that a
 APART = 0.15  # of the noise rms: models that come apart by more do not foretell what follows
 FORETOLD = 0.05  # least part of the held-out samples by which a model that sticks or strikes may be judged
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
+FAR = 3.0  # chi-square over n beyond which other physics is missing than a rival's last digits could tell
+ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
 # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
 LEADS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.0)
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
@@ -90,6 +92,10 @@ class Fitted:
     def ok(self) -> bool:
         """Whether the fit ran at all."""
         return self.fit.status is not Status.FAILED
+
+    def to_go_on(self) -> Fitted:
+        """The same, to be gone on with: it ended by a loose tolerance, or on sensitivities that secants brought up to date."""
+        return dataclasses.replace(self, fit=dataclasses.replace(self.fit, status=Status.BUDGET)) if self.ok else self
 
     def standard_errors(self) -> np.ndarray:
         """Standard errors [SI] of the vector's numbers (p,), from the Gauss-Newton Hessian and the residual variance.
@@ -306,14 +312,13 @@ class Fitter:
         It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
         a parameter that is wrong by half costs one unit of chi-square, times ``guide``.
         """
-        nominal = {p.name: p.value for p in h.nominal.chain.linear_parameters()}
-        return math.sqrt(self.guide) * np.array(
-            [
-                (v - e.scaled(nominal[e.name])) / PRIOR
-                for e, v in zip(h.entries, x, strict=True)
-                if e.owner == "" and e.name in nominal
-            ]
-        )
+        at, nominal = h.linear
+        return math.sqrt(self.guide) * ((x[at] - nominal) / PRIOR)
+
+    def misfit(self, fitted: Fitted) -> float:
+        """Chi-square over n of what a fit leaves of the recordings, without what its prior costs."""
+        said = self.prior(fitted.hypothesis, fitted.fit.x)
+        return (fitted.chi2 - float(said @ said)) / fitted.n
 
     def hypothesis(self, effects: Sequence[Effect], linear: Mapping[str, float] | None = None,
                    own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
@@ -325,24 +330,31 @@ class Fitter:
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
             tolerance: float = 1e-6, borrow: Fitted | None = None, secant: bool = False,
-            fresh: Sequence[str] = ()) -> Fitted:  # fmt: skip
+            fresh: Sequence[str] = (), rival: bool = False) -> Fitted:  # fmt: skip
         """Fit one hypothesis from its start.
 
         ``borrow``: a fitted neighbour whose sensitivities stand in for the shared parameters in the first iteration.
         ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
-        ``fresh``.
+        ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to ROUGHLY is
+        enough.
         """
         start = h.start if x0 is None else x0
-        key = self._key(h, start, (iterations, step, tolerance, secant, tuple(fresh)), borrow) if self.memory is not None else ""
+        rival = rival and self.noise_known
+        key = (
+            self._key(h, start, (iterations, step, tolerance, secant, tuple(fresh), rival), borrow)
+            if self.memory is not None
+            else ""
+        )
         known = self.memory.recall(key) if self.memory is not None else None
         counted = _Counted(self.map)
+        coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival else (math.inf, 0.0)
 
         def solve() -> Fit:
             J0 = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
                 max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant, reach=h.reach,
-                fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh],
+                fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
             )  # fmt: skip
 
         if known is None:
@@ -403,6 +415,11 @@ class Fitter:
             if e.label in known:
                 scale, column = known[e.label]
                 J[:, i] = column if e.log else column * (e.scale / scale)
+        # what the nominal model says is known exactly, and may weigh otherwise by now
+        at = np.zeros(len(x))
+        says = self.prior(h, at)
+        if len(says):
+            J[-len(says) :] = np.column_stack([self.prior(h, row) - says for row in np.eye(len(x))])
         return J
 
     def pooled(self, fitted: Fitted) -> Fitted:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -151,6 +152,13 @@ class Hypothesis:
         sensitivities here say nothing.
         """
         return np.array([1.0 if e.quantity in (Quantity.CYCLES, Quantity.PHASE) else np.inf for e in self.entries])
+
+    @cached_property
+    def linear(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the linear parameters stand in a vector (k,), and their nominal values, scaled (k,)."""
+        nominal = {p.name: p.value for p in self.nominal.chain.linear_parameters()}
+        own = [(i, e.scaled(nominal[e.name])) for i, e in enumerate(self.entries) if e.owner == "" and e.name in nominal]
+        return np.array([i for i, _ in own], int), np.array([value for _, value in own])
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -134,6 +134,7 @@ def levenberg_marquardt(
     secant: bool = False,
     fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
+    coarse: tuple[float, float] = (np.inf, 0.0),
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
@@ -141,7 +142,8 @@ def levenberg_marquardt(
     secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
     Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
-    reach (p,): largest change of each number in one iteration, by which the whole step is shortened.
+    reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
+    coarse: a cost, and the tolerance that is enough above it.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -158,7 +160,9 @@ def levenberg_marquardt(
     status = Status.BUDGET
     gain = np.inf
     iteration = 0
+    asked = tolerance
     for iteration in range(1, max_iterations + 1):
+        tolerance = max(asked, coarse[1]) if cost > coarse[0] else asked
         if secant and iteration > 1:
             updated = J + np.outer(r - r_old - J @ d, d / (d @ d))
             if len(fresh):

@@ -13,13 +13,31 @@ from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, Linearised, Status, orthonormal
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["Entrant", "folded", "formed", "imitators", "in_place", "other_orders", "refines", "taken_apart"]
+__all__ = ["Entrant", "folded", "formed", "ground", "imitators", "in_place", "other_orders", "refines", "taken_apart"]
 
 Entrant = tuple[tuple[Effect, ...], Screened]
 """The effects that stay, and the one that is tried beside them."""
 
 NEAR, SLACK = 100.0, 0.02  # of chi-square, and of what an effect explains: by so much a secant may misjudge what does as much
+NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
 LIKELY = 3  # orders that stand out most, to which an effect locked to position may move
+
+
+def ground(f: Fitted, pool: Mapping[tuple[str, ...], Fitted]) -> Fitted:
+    """A structure with its effects in the simplest forms that explain nearly as much.
+
+    While another effect is missing, refinements stand in for it: what goes beside them is sought from their simpler form, at
+    fewer parameters, and they are tried again once it is there (`Search.refine`).
+    """
+    if f.chi2 < 1.5 * f.n:
+        return f
+    for effect in f.effects:
+        rest = [k for k in f.key if k != effect.key]
+        for name in type(effect).refines:
+            simple = pool.get(tuple(sorted([*rest, f"{name}@{effect.place}"])))
+            if simple is not None and simple.chi2 < NEARLY * f.chi2:
+                return ground(simple, pool)
+    return f
 
 
 def taken_apart(fitter: Fitter, offered: Sequence[Candidate], effect: Effect, others: tuple[Effect, ...]) -> list[Entrant]:

@@ -9,7 +9,6 @@ A move is made only when it also pays on held-out data. Thresholds: docs/decisio
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +25,7 @@ from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut, key_of
 from diagnose.hypothesis import make
 from diagnose.least_squares import Status
-from diagnose.moves import Entrant, folded, formed, imitators, in_place, other_orders, refines, taken_apart
+from diagnose.moves import Entrant, folded, formed, ground, imitators, in_place, other_orders, refines, taken_apart
 from diagnose.progress import Progress
 from diagnose.search_options import SearchOptions
 from diagnose.whiten import guide_of
@@ -37,7 +36,6 @@ __all__ = ["ALIKE_C", "LEAD", "Search"]
 T = TypeVar("T")
 
 
-NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
@@ -80,6 +78,7 @@ class Search:
         self._encoder: dict[tuple[object, ...], bool] = {}
         self._leads: dict[tuple[object, ...], float] = {}
         self._let_go = 0
+        self._without: set[tuple[object, ...]] = set()
         self._samples: dict[tuple[object, ...], list[np.ndarray] | None] = {}
         self._starts: dict[tuple[object, ...], Fitted] = {}
 
@@ -176,7 +175,7 @@ class Search:
         Where the score says it can matter.
         """
         entrants: list[Entrant] = []
-        material = self.fitter.noise_known and base.chi2 > UNEXPLAINED * base.n
+        material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
             supposed = [
@@ -204,7 +203,7 @@ class Search:
 
         What has entered since may tell them apart, or it may be what kept the better one from being seen.
         """
-        if not self.fitter.noise_known or base.chi2 < UNEXPLAINED * base.n:
+        if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED:
             return []
         return self._race(base, self._new(base, in_place(self.pool, self.candidates, base, RIVAL)))
 
@@ -235,6 +234,8 @@ class Search:
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
         self.progress.rivals(len(entrants))
+        if far or any(effect_class(s.candidate.id).family in CURVED for _, s in entrants):
+            self._begun(base)  # once, whatever the number of threads
         begin = [partial(self._done, partial(self._enter, base, p, s, far)) for p, s in entrants]
         firsts = [] if self._spent() else self.fitter.map(begin)
         running: list[Fitted] = []
@@ -254,10 +255,8 @@ class Search:
             if not on or self._spent():
                 continue
             self.progress.rivals(len(on))
-            longer = [
-                partial(self._done, partial(self.fitter.fit, running[k].hypothesis, running[k].fit.x, iterations=iterations))
-                for k in on
-            ]
+            further = partial(self.fitter.fit, iterations=iterations, rival=True)
+            longer = [partial(self._done, partial(further, f.hypothesis, f.fit.x)) for f in (running[k] for k in on)]
             for rank, f in zip(on, self.fitter.map(longer), strict=True):
                 running[rank] = f
         running[:1] = [self._smoothed(f) for f in running[:1]]
@@ -311,7 +310,7 @@ class Search:
         if far and borrowing < len(guesses) and max(order) < borrowing:
             # far off, the refitted parameters may have gone where no way leads back from
             order.append(min(range(borrowing, len(guesses)), key=lambda i: cost[i]))
-        borrows = [base if i < borrowing else None for i in order]
+        borrows = [base if i < borrowing else self._begun(base) for i in order]
         fits = [
             self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=True, fresh=own)
             for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
@@ -325,7 +324,7 @@ class Search:
                 first.hypothesis, first.fit.x, iterations=6, tolerance=0.02, borrow=first, secant=True, fresh=own
             )
         # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
-        return dataclasses.replace(first, fit=dataclasses.replace(first.fit, status=Status.BUDGET))
+        return first.to_go_on()
 
     def _begun(self, base: Fitted) -> Fitted:
         """The structure of ``base`` at the nominal linear parameters, with its sensitivities there."""
@@ -465,7 +464,9 @@ class Search:
                 return self._alone(current)
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2 and not formed(f)]
-            beam = list({f.key: f for f in map(self._ground, [current, *near[: self.options.beam - 1]])}.values())
+            beam = [current, *near[: self.options.beam - 1]]
+            if self.fitter.noise_known:
+                beam = list({f.key: f for f in (ground(b, self.pool) for b in beam)}.values())
         current = self._weigh(1.0, current)
         for _ in range(self.options.depth):
             kept = self._eliminate(current)
@@ -522,10 +523,10 @@ class Search:
         self.pool.clear()
         self.held.clear()
         self.retried.clear()
-        # of rivals that stay rivals a gain of one in C is enough; the current structure to the end
+        self._without.clear()
         fits = [
-            partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12, tolerance=1e-6 if f.key == current.key else 1.0 / f.n)
-            for f in again.values() if f.key
+            partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12) if f.key == current.key
+            else partial(self._weighed, f) for f in again.values() if f.key
         ]  # fmt: skip
         if guide != 1.0:
             fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
@@ -535,21 +536,10 @@ class Search:
             self._keep(self._smoothed(f) if f.key == current.key else f)
         return self.pool.get(current.key, current)
 
-    def _ground(self, f: Fitted) -> Fitted:
-        """The structure with its effects in the simplest forms that explain nearly as much.
-
-        While another effect is missing, refinements stand in for it: what goes beside them is sought from their simpler form, at
-        fewer parameters, and they are tried again once it is there (`refine`).
-        """
-        if not self.fitter.noise_known or f.chi2 < 1.5 * f.n:
-            return f
-        for effect in f.effects:
-            rest = [k for k in f.key if k != effect.key]
-            for name in type(effect).refines:
-                simple = self.pool.get(tuple(sorted([*rest, f"{name}@{effect.place}"])))
-                if simple is not None and simple.chi2 < NEARLY * f.chi2:
-                    return self._ground(simple)
-        return f
+    def _weighed(self, f: Fitted) -> Fitted:
+        """A rival that stays one, under another weight: a gain of one in C is enough, and its sensitivities are known."""
+        fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
+        return fit.to_go_on()
 
     def _unfold(self, structures: Sequence[Fitted]) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded."""
@@ -637,15 +627,19 @@ class Search:
         """
         rest = tuple(e for e in current.effects if e.key != effect.key)
         known = self.pool.get(key_of(rest))
+        asked = (key_of(rest), current.key, round(math.log(current.chi2), 2))
+        if known is not None and asked in self._without:
+            return known
+        self._without.add(asked)
         h = self.fitter.hypothesis(rest, current.linear, current.own)
         if known is not None and known.fit.status is Status.CONVERGED and not rest:
             (r,) = self.fitter.run([self.fitter.at_start(h)])
             if r is None or float(r @ r) > 2.0 * known.chi2:  # else it may be a wrong minimum, which the effect has left
                 return known
-        begun = self.fitter.fit(h, iterations=30)
+        begun = self.fitter.fit(h, iterations=30, rival=True)
         self._keep(begun)
         if known is not None and known.fit.status is not Status.CONVERGED:
-            self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30))
+            self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30, rival=True))
         return self.pool.get(key_of(rest), begun)
 
     def imitated(self, best: Fitted, effect: Effect) -> None:
@@ -656,7 +650,9 @@ class Search:
         for others, s in imitators(self.fitter, best, effect, self.candidates):
             known = self.pool.get(tuple(sorted([*(e.key for e in others), s.candidate.key])))
             if self._admitted([s.candidate.id, *(e.id for e in others)]) and (known is None or self.ahead(best, known) > ALIKE_C):
-                fits.append(partial(self.fitter.fit, self.fitter.hypothesis((*others, s.effect), best.linear, best.own)))
+                fits.append(
+                    partial(self.fitter.fit, self.fitter.hypothesis((*others, s.effect), best.linear, best.own), rival=True)
+                )
         for f in self.fitter.map(fits):
             self._keep(f)
 
@@ -685,7 +681,7 @@ class Search:
             values = dict(cls.starts(self.fitter.scales_for(cls, effect.place))[0])
             values.update({k: v for k, v in effect.values.items() if k in values})
             h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
-            simple = self.fitter.fit(h, iterations=30)
+            simple = self.fitter.fit(h, iterations=30, rival=True)
             self._keep(simple)
             if simple.ok:
                 self._unfold([simple])  # a rival that has stalled is not beaten

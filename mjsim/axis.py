@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 from mjsim.effects.base import Effect
 from mjsim.effects.ports import BacklashLaw
@@ -99,6 +101,10 @@ class Chain:
 
     def linear_parameters(self) -> tuple[LinearParameter, ...]:
         """The free numbers of the linear structure: J, f (where the model has one), k, d."""
+        return self._linear
+
+    @cached_property
+    def _linear(self) -> tuple[LinearParameter, ...]:
         suffix = _suffixes([b.place for b in self.bodies])
         csuffix = _suffixes([c.place for c in self.couplings])
         out = [
@@ -122,17 +128,22 @@ class Chain:
 
     def with_linear(self, values: Mapping[str, float]) -> Chain:
         """A copy with some linear parameters replaced, by name."""
-        bodies, couplings = list(self.bodies), list(self.couplings)
-        known = {p.name: p for p in self.linear_parameters()}
+        known = {p.name: p for p in self._linear}
+        bodies: dict[int, dict[str, Any]] = {}
+        couplings: dict[int, dict[str, Any]] = {}
         for name, value in values.items():
             if name not in known:
                 raise KeyError(f"unknown linear parameter {name!r}; choose from {', '.join(known)}")
             p = known[name]
-            if p.kind in ("inertia", "viscous"):
-                bodies[p.index] = dataclasses.replace(bodies[p.index], **{p.kind: float(value)})  # type: ignore[arg-type]
-            else:
-                couplings[p.index] = dataclasses.replace(couplings[p.index], **{p.kind: float(value)})  # type: ignore[arg-type]
-        return dataclasses.replace(self, bodies=tuple(bodies), couplings=tuple(couplings))
+            changed = bodies if p.kind in ("inertia", "viscous") else couplings
+            changed.setdefault(p.index, {})[p.kind] = float(value)
+        return dataclasses.replace(
+            self,
+            bodies=tuple(dataclasses.replace(b, **bodies[i]) if i in bodies else b for i, b in enumerate(self.bodies)),
+            couplings=tuple(
+                dataclasses.replace(c, **couplings[i]) if i in couplings else c for i, c in enumerate(self.couplings)
+            ),
+        )
 
 
 def _suffixes(places: list[str]) -> list[str]:

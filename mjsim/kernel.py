@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from mjsim.effects.law import N_LOCAL
@@ -50,6 +51,22 @@ def _call_law(typingctx, address, z, p, out):  # pragma: no cover
 
 
 _call: Any = _call_law
+
+
+@intrinsic
+def _view_of(typingctx, array):  # pragma: no cover
+    """The array without a count of its references, which every call that hands it on would raise and lower."""
+
+    def codegen(context, builder, signature, args):
+        view = context.make_array(signature.args[0])(context, builder, args[0])
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
+        view.parent = cgutils.get_null_value(view.parent.type)
+        return view._getvalue()
+
+    return array(array), codegen
+
+
+_view: Any = _view_of
 
 
 def _rates_of(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
@@ -183,8 +200,7 @@ def _relax(s, alpha, beta, h):
     return s * decay + alpha * (1.0 - decay) / beta
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _step(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z):
+def _step_of(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z):
     """One RK4 step of length h from x to xn (each 3 x m: q, v, s); u relaxes from ``lag`` to ``u`` when tau > 0.
 
     wk (17, m) holds the stage slopes and, in its last row, the coupling torques at the start.
@@ -223,6 +239,10 @@ def _step(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, 
         alpha = (wk[2, i] + 2.0 * wk[5, i] + 2.0 * wk[8, i] + wk[11, i]) / 6.0
         beta = (wk[12, i] + 2.0 * wk[13, i] + 2.0 * wk[14, i] + wk[15, i]) / 6.0
         xn[2, i] = _relax(x[2, i], alpha, beta, h)
+
+
+_step: Any = njit(cache=True, nogil=True, error_model="numpy")(_step_of)
+_step_here: Any = njit(cache=True, nogil=True, inline="always")(_step_of)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -389,13 +409,15 @@ def integrate(
     n = len(bodies)
     n_s = s0.shape[0]
     m = max(n, n_s, 1)
-    x = np.zeros((3, m))
-    xn = np.zeros((3, m))
-    xt = np.zeros((3, m))
-    w = np.zeros((14, m))
-    z = np.zeros(N_LOCAL + 3)
-    wk = np.zeros((17, m))
-    mode = np.zeros((3, n), np.int64)
+    own_x = np.zeros((9, m))
+    own_w = np.zeros((14, m))
+    own_z = np.zeros(N_LOCAL + 3)
+    own_wk = np.zeros((17, m))
+    own_mode = np.zeros((3, n), np.int64)
+    # counting references to these at every call costs as much as the work
+    x, xn, xt = _view(own_x[:3]), _view(own_x[3:6]), _view(own_x[6:])
+    w, z, wk, mode = _view(own_w), _view(own_z), _view(own_wk), _view(own_mode)
+    f, el, p = _view(f), _view(el), _view(p)
     for i in range(n):
         x[0, i] = x0[0, i]
         x[1, i] = x0[1, i]
@@ -411,6 +433,7 @@ def integrate(
         if f[5, j] > 0.0:
             mode[1, j] = 1 if w[12, j] > f[5, j] else (-1 if w[12, j] < -f[5, j] else 0)
     total = u.shape[0]
+    status, at = 0, total
     n_event = 2 * n - 1
     ratio = np.ones(n)
     for i in range(1, n):
@@ -495,7 +518,8 @@ def integrate(
             for j in range(n - 1):
                 out[k, 2 * n + n_s + j] = w[4, j]
         if not np.isfinite(x[1, 0]) or abs(x[1, 0]) > 1e12:
-            return 1, k
+            status, at = 1, k
+            break
         if k == total - 1:
             break
         events = 0
@@ -617,7 +641,7 @@ def integrate(
                     ue = uk if tau <= 0.0 else lag
                     _settle(bodies, f, gap_law, gain, el, p, x, t, ue, mode, w, z)
                 while left > 0.0:
-                    _step(bodies, f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
+                    _step_here(bodies, f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
                     if first:
                         first = False
                         for j in range(n - 1):
@@ -740,7 +764,10 @@ def integrate(
                                 _rates(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
                                 mode[1, j] = 1 if w[12, j] > 0 else -1
                         _settle(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
-    return 0, total
+    # used to the end, so that what the views look at is there to the end
+    own_x[0, 0] = own_w[0, 0] = own_z[0] = own_wk[0, 0] = 0.0
+    own_mode[0, 0] = 0
+    return status, at
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

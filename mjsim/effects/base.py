@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -168,6 +169,7 @@ class Effect(abc.ABC):
             object.__setattr__(self, spec.name, value)
 
     @classmethod
+    @functools.cache
     def specs(cls) -> tuple[ParameterSpec, ...]:
         """The parameters, in the order of their fields."""
         return tuple(

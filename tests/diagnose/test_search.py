@@ -14,6 +14,7 @@ from diagnose.experiment import prepare
 from diagnose.fitter import PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
+from diagnose.moves import ground
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
@@ -126,12 +127,12 @@ def test_what_goes_beside_a_refinement_is_sought_from_its_simpler_form(fitter_of
     search = Search(fitter, SearchOptions())
     simple = fitter.fit(fitter.hypothesis([coulomb(0.02)]), iterations=1)
     finer = fitter.fit(fitter.hypothesis([effect_class("asymmetric_friction")(torque_Nm=0.02, asymmetry_Nm=0.001)]), iterations=1)
-    assert search._ground(finer) is finer, "the simpler form is not known yet"
+    assert ground(finer, search.pool) is finer, "the simpler form is not known yet"
     search._keep(simple)
     assert finer.chi2 > 1.5 * finer.n
-    assert search._ground(finer) is simple
+    assert ground(finer, search.pool) is simple
     done = fitter.fit(fitter.hypothesis([effect_class("asymmetric_friction")(torque_Nm=0.1, asymmetry_Nm=0.001)]))
-    assert search._ground(done) is done, "nothing is missing beside it"
+    assert ground(done, search.pool) is done, "nothing is missing beside it"
 
 
 def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair):
