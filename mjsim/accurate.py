@@ -211,6 +211,14 @@ def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque
         kind, i, si = el[e, 0], el[e, 1], el[e, 4]
         if kind < KIND_BODY:
             continue
+        if el[e, 2] == 0:  # friction of constant levels
+            first = el[e, 3]
+            if mode[0, i] == 0:
+                level[0, i] += p[first + 2]
+                level[1, i] += p[first + 3]
+            else:
+                applied[i] -= mode[0, i] * p[first + (0 if mode[0, i] > 0 else 1)]
+            continue
         z[0], z[1], z[2], z[3], z[5], z[6] = t, x[0, i], x[1, i], mode[0, i], x[0, i], u
         z[4] = 0.0
         if n > 1:

@@ -10,7 +10,8 @@ for each mode that occurs; the matrices are read off the same rates, and RK4 onl
 ``bodies``: a tuple of n zeros; its length is a constant of the compiled code, so that every loop over bodies unrolls.
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
-integer: kind, site, law address, first parameter, state index or -1. ``p``: parameters.
+integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
+and backward), first parameter, state index or -1. ``p``: parameters.
 ``mode`` (3, n): friction mode, gap mode, whether the body has friction. ``z``: local quantities of a law and, behind them,
 what it writes. ``x`` (3, m): q, v, internal states.
 """
@@ -148,6 +149,15 @@ def _rates_of(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
         kind = el[e, 0]
         i = el[e, 1]
         si = el[e, 4]
+        if el[e, 2] == 0:  # friction of constant levels
+            at = el[e, 3]
+            if mode[0, i] == 0:
+                w[2, i] += p[at + 2]
+                w[3, i] += p[at + 3]
+            else:
+                w[10, i] += mode[0, i] * p[at + (0 if mode[0, i] > 0 else 1)]
+            e += 1
+            continue
         z[0] = t
         z[1] = x[0, i]
         z[2] = x[1, i]

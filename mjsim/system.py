@@ -118,8 +118,9 @@ def assemble(axis: Axis) -> System:
             spatial = max(spatial, port.spatial)
         if isinstance(port, P.Friction):
             friction[site] = True
-        rows.append((_KIND[type(port)], site, port.law.address, len(values), state))
-        values.extend(port.p)
+        levels = _levels(port) if isinstance(port, P.Friction) else None
+        rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(values), state))
+        values.extend(levels or port.p)
     for port in ports:
         if isinstance(port, P.Gap):
             f[5, port.coupling] += 0.5 * port.width
@@ -143,6 +144,12 @@ def assemble(axis: Axis) -> System:
     )
 
 
+def _levels(port: P.Friction) -> tuple[float, float, float, float] | None:
+    """Sliding level forward, backward, breakaway level forward, backward; None where they are not constant."""
+    forward, backward = constant(port.law, port.p, 1.0), constant(port.law, port.p, -1.0)
+    return None if forward is None or backward is None else (forward[0], backward[0], forward[1], backward[1])
+
+
 def constant(law: Law, p: tuple[float, ...], direction: float) -> tuple[float, float] | None:
     """What the law writes when it is the same for all local quantities but the direction of slip, else None."""
     seen = None
@@ -164,7 +171,7 @@ def _affine(ports: list[P.Port], gap_law: P.BacklashLaw) -> bool:
     """Whether the equations are affine in every mode of friction and gap."""
     for port in ports:
         if isinstance(port, P.Friction):
-            if constant(port.law, port.p, 1.0) is None or constant(port.law, port.p, -1.0) is None:
+            if _levels(port) is None:
                 return False
         elif isinstance(port, P.BodyTorque):
             if port.state or constant(port.law, port.p, 1.0) is None:
