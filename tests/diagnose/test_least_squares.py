@@ -176,3 +176,18 @@ def test_no_number_moves_farther_than_its_reach_in_one_iteration():
     assert fit.x[0] == pytest.approx(2.0, abs=1e-6)
     assert min(visited) > 1.8
     assert max(visited) < 2.4
+
+
+def test_above_a_cost_a_coarser_tolerance_is_enough():
+    """A slow valley: far from the noise the fit ends early, near it it goes on as if nothing had been said."""
+
+    def slow(x):
+        return np.array([1e2 * (x[1] - np.sin(x[0])), 3 - x[0], 10.0])
+
+    full = solve(slow, [-6.0, 0.0], tolerance=1e-9)
+    rough = solve(slow, [-6.0, 0.0], tolerance=1e-9, coarse=(full.cost - 1.0, 0.3))
+    unmoved = solve(slow, [-6.0, 0.0], tolerance=1e-9, coarse=(1e9, 0.3))
+    assert rough.status is Status.CONVERGED
+    assert rough.iterations < full.iterations
+    assert rough.cost > full.cost
+    np.testing.assert_array_equal(unmoved.x, full.x)

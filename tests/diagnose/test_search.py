@@ -11,7 +11,7 @@ from robot_axis import effect
 
 from diagnose.compare import compare
 from diagnose.experiment import prepare
-from diagnose.fitter import PRIOR, Fitter, HeldOut
+from diagnose.fitter import FAR, PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
 from diagnose.moves import ground
@@ -105,6 +105,51 @@ def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, pair):
     fitter.guide = 4.0
     off = fitter.hypothesis((), {"Jm": 2 * fitter.nominal.chain.bodies[0].inertia})
     assert np.max(fitter.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) / PRIOR)
+
+
+def test_what_a_prior_costs_is_no_misfit(fitter_of, pair):
+    fitter = fitter_of(pair())
+    fitter.guide = 1e4
+    inertia = fitter.nominal.chain.bodies[0].inertia
+    off = fitter.fit(fitter.hypothesis((), {"Jm": 1.2 * inertia}), iterations=0)
+    errors = off.fit.residual[: -len(fitter.nominal.chain.linear_parameters())]
+    assert fitter.misfit(off) == pytest.approx(float(errors @ errors) / off.n)
+    assert fitter.misfit(off) < off.chi2 / off.n
+
+
+def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, pair):
+    """Those of the recordings as they are, those of the prior anew."""
+    fitter = fitter_of(pair(coulomb()))
+    lender = fitter.fit(fitter.hypothesis([coulomb()]), iterations=3)
+    fitter.guide = 100.0
+    asked = []
+    lent = fitter._borrowed(lender.hypothesis, lender.fit.x, lender, 1e-3, lambda tasks: asked.append(len(tasks)) or [])
+    rows = len(fitter.nominal.chain.linear_parameters())
+    np.testing.assert_array_equal(lent[:-rows], lender.fit.J[:-rows])
+    np.testing.assert_allclose(lent[-rows:], 10.0 * lender.fit.J[-rows:], atol=1e-6)
+    assert sum(asked) == 0, "nothing is run for what is known"
+
+
+def test_a_rival_far_from_the_noise_is_fitted_roughly_and_one_near_it_is_not(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb(0.3)))
+    bare, right = fitter.hypothesis(()), fitter.hypothesis([coulomb(0.2)])
+    far, fitted = fitter.fit(bare, rival=True), fitter.fit(bare)
+    assert far.chi2 / far.n > FAR
+    assert far.fit.iterations < fitted.fit.iterations
+    assert far.chi2 < 1.02 * fitted.chi2
+    near, exact = fitter.fit(right, rival=True), fitter.fit(right)
+    assert near.chi2 / near.n < FAR
+    np.testing.assert_allclose(near.fit.x, exact.fit.x, rtol=1e-6)
+
+
+def test_a_structure_without_an_effect_is_fitted_once(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb(0.3)))
+    search = Search(fitter, SearchOptions(only=("coulomb_friction",)))
+    best = search.run()
+    first = search.without(best, best.effects[0])
+    runs = fitter.runs
+    assert search.without(best, best.effects[0]) is first
+    assert fitter.runs == runs
 
 
 def test_the_search_ends_without_the_prior_that_guided_it(fitter_of, pair):

@@ -164,3 +164,28 @@ def test_a_law_follows_the_angle_ahead_of_a_late_sensor(name: str, values: dict[
     free = ode.simulate(plant, u, DT)
     tied = ode.simulate(plant, u, DT, angle=free.angle)
     assert relative(tied.velocity, free.velocity) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("coulomb_friction", {"torque_Nm": 0.1}),
+        ("asymmetric_friction", {"torque_Nm": 0.1, "asymmetry_Nm": 0.03}),
+        ("static_friction", {"torque_Nm": 0.1, "peak": 1.5}),
+    ],
+)
+def test_friction_of_constant_levels_is_the_same_as_by_its_law(name: str, values: dict[str, float]) -> None:
+    """The kernel reads the levels where they are constant; by address, its law says the same to the last digit."""
+    model = axis(effect(name, **values), effect("torque_ripple", amplitude_Nm=0.05, cycles_per_rev=4.0, phase_rad=1.0))
+    (friction, _) = model.effects
+    (port,) = friction.ports(model.chain)
+    by_levels = assemble(model)
+    elements, parameters = by_levels.elements.copy(), by_levels.parameters.copy()
+    (row,) = np.flatnonzero(elements[:, 2] == 0)
+    elements[row, 2:4] = port.law.address, len(parameters)
+    by_law = dataclasses.replace(by_levels, elements=elements, parameters=np.array([*parameters, *port.p]))
+    u = 0.5 * chirp(2.0)
+    first, other = ode.simulate(by_levels, u, DT), ode.simulate(by_law, u, DT)
+    assert np.ptp(first.velocity) > 0
+    np.testing.assert_array_equal(first.velocity, other.velocity)
+    np.testing.assert_array_equal(first.coupling_torque, other.coupling_torque)
