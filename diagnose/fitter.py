@@ -93,6 +93,11 @@ class Fitted:
         """Whether the fit ran at all."""
         return self.fit.status is not Status.FAILED
 
+    @property
+    def rough(self) -> bool:
+        """Whether bodies stick or strike in it."""
+        return any(type(e).rough for e in self.hypothesis.effects)
+
     def to_go_on(self) -> Fitted:
         """The same, to be gone on with: it ended by a loose tolerance, or on sensitivities that secants brought up to date."""
         return dataclasses.replace(self, fit=dataclasses.replace(self.fit, status=Status.BUDGET)) if self.ok else self
@@ -336,10 +341,10 @@ class Fitter:
         ``borrow``: a fitted neighbour whose sensitivities stand in for the shared parameters in the first iteration.
         ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
         ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to ROUGHLY is
-        enough.
+        enough, unless bodies stick or strike in it: a rough cost falls slowly.
         """
         start = h.start if x0 is None else x0
-        rival = rival and self.noise_known
+        rival = rival and self.noise_known and not any(type(e).rough for e in h.effects)
         key = (
             self._key(h, start, (iterations, step, tolerance, secant, tuple(fresh), rival), borrow)
             if self.memory is not None
@@ -432,7 +437,7 @@ class Fitter:
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
         joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
-        if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and any(type(e).rough for e in fitted.effects):
+        if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough:
             # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
             again = wider.unfolded(joint, fitted.linear)
             joint = again if again.ok and again.chi2 < joint.chi2 else joint
@@ -481,7 +486,7 @@ class Fitter:
         or foretells too little.
         """
         h = fitted.hypothesis
-        if not any(type(e).rough for e in fitted.effects):
+        if not fitted.rough:
             return None
         models = [h.axis(x, 0) for x in _drawn(fitted, np.ones(count), seed)]
         out = []

@@ -269,7 +269,7 @@ class Search:
 
         A body that sticks or strikes does so a sample sooner or later as a parameter moves, and the error jumps.
         """
-        rough = f.fit.status is Status.STALLED or any(type(e).rough for e in f.effects)
+        rough = f.fit.status is Status.STALLED or f.rough
         if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n:
             return f
         for step in WIDE:
@@ -310,7 +310,9 @@ class Search:
         if far and borrowing < len(guesses) and max(order) < borrowing:
             # far off, the refitted parameters may have gone where no way leads back from
             order.append(min(range(borrowing, len(guesses)), key=lambda i: cost[i]))
-        borrows = [base if i < borrowing else self._begun(base) for i in order]
+        # how a body that sticks or strikes answers to the others' parameters, they do not know without it
+        lent = self._begun(base) if from_nominal and not (cls.rough or base.rough) else None
+        borrows = [base if i < borrowing else lent for i in order]
         fits = [
             self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=True, fresh=own)
             for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
@@ -362,7 +364,7 @@ class Search:
         A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
         right within J/lead: there it must gain as well, a fair part of that; and it must explain a fair part of what was left.
         """
-        stuck = any(type(e).rough for e in before.effects) and before.chi2 > UNEXPLAINED * before.n
+        stuck = before.rough and before.chi2 > UNEXPLAINED * before.n
         if not stuck or not self.fitter.noise_known or not set(before.key) < set(after.key):
             return False
         gain = self.gain(before, after)
@@ -525,8 +527,7 @@ class Search:
         self.retried.clear()
         self._without.clear()
         fits = [
-            partial(self.fitter.fit, f.hypothesis, f.fit.x, iterations=12) if f.key == current.key
-            else partial(self._weighed, f) for f in again.values() if f.key
+            partial(self._weighed, f, last=f.key == current.key) for f in again.values() if f.key
         ]  # fmt: skip
         if guide != 1.0:
             fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
@@ -536,8 +537,13 @@ class Search:
             self._keep(self._smoothed(f) if f.key == current.key else f)
         return self.pool.get(current.key, current)
 
-    def _weighed(self, f: Fitted) -> Fitted:
-        """A rival that stays one, under another weight: a gain of one in C is enough, and its sensitivities are known."""
+    def _weighed(self, f: Fitted, *, last: bool) -> Fitted:
+        """A structure under another weight of the prior: to the ``last``, or as a rival, for which a gain of one in C is enough.
+
+        A rival's sensitivities are known, unless its cost is rough.
+        """
+        if last or f.rough:
+            return self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1e-6 if last else 1.0 / f.n)
         fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
         return fit.to_go_on()
 
@@ -560,7 +566,7 @@ class Search:
                     linear = now.linear
             for seed in range(UNFOLDS):
                 last = self.pool.get(f.key, f)
-                if last.chi2 < UNEXPLAINED * last.n or not any(type(e).rough for e in last.effects) or self._spent():
+                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._spent():
                     break
                 if self._let_go >= LET_GO or last.chi2 > WRONG * last.n:
                     break
