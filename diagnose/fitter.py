@@ -96,7 +96,7 @@ class Fitted:
     @property
     def rough(self) -> bool:
         """Whether bodies stick or strike in it."""
-        return any(type(e).rough for e in self.hypothesis.effects)
+        return self.hypothesis.rough
 
     def to_go_on(self) -> Fitted:
         """The same, to be gone on with: it ended by a loose tolerance, or on sensitivities that secants brought up to date."""
@@ -344,12 +344,9 @@ class Fitter:
         enough, unless bodies stick or strike in it: a rough cost falls slowly.
         """
         start = h.start if x0 is None else x0
-        rival = rival and self.noise_known and not any(type(e).rough for e in h.effects)
-        key = (
-            self._key(h, start, (iterations, step, tolerance, secant, tuple(fresh), rival), borrow)
-            if self.memory is not None
-            else ""
-        )
+        rival = rival and self.noise_known and not h.rough
+        how = (iterations, step, tolerance, secant, tuple(fresh), rival)
+        key = self._key(h, start, how, borrow) if self.memory is not None else ""
         known = self.memory.recall(key) if self.memory is not None else None
         counted = _Counted(self.map)
         coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival else (math.inf, 0.0)
@@ -421,10 +418,10 @@ class Fitter:
                 scale, column = known[e.label]
                 J[:, i] = column if e.log else column * (e.scale / scale)
         # what the nominal model says is known exactly, and may weigh otherwise by now
-        at = np.zeros(len(x))
-        says = self.prior(h, at)
-        if len(says):
-            J[-len(says) :] = np.column_stack([self.prior(h, row) - says for row in np.eye(len(x))])
+        at, _ = h.linear
+        first = len(r) - len(at)
+        J[first:] = 0.0
+        J[first + np.arange(len(at)), at] = math.sqrt(self.guide) / PRIOR
         return J
 
     def pooled(self, fitted: Fitted) -> Fitted:

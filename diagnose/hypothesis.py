@@ -161,6 +161,11 @@ class Hypothesis:
         return np.array([i for i, _ in own], int), np.array([value for _, value in own])
 
     @property
+    def rough(self) -> bool:
+        """Whether bodies stick or strike by a supposed effect, so that the cost has steps."""
+        return any(type(e).rough for e in self.effects)
+
+    @property
     def keys(self) -> tuple[str, ...]:
         """Keys of the supposed effects."""
         return tuple(e.key for e in self.effects)

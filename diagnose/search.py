@@ -234,10 +234,11 @@ class Search:
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
         self.progress.rivals(len(entrants))
-        if far or any(effect_class(s.candidate.id).family in CURVED for _, s in entrants):
+        spent = self._spent()
+        if not spent and any(far or effect_class(s.candidate.id).family in CURVED for _, s in entrants):
             self._begun(base)  # once, whatever the number of threads
         begin = [partial(self._done, partial(self._enter, base, p, s, far)) for p, s in entrants]
-        firsts = [] if self._spent() else self.fitter.map(begin)
+        firsts = [] if spent else self.fitter.map(begin)
         running: list[Fitted] = []
         for (_, s), first in zip(entrants, firsts, strict=False):
             if first is None:
