@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import threading
 
 import numpy as np
 import pytest
@@ -59,23 +58,6 @@ def test_a_model_that_cannot_be_run_is_worth_nothing_and_its_rival_everything(no
     better = compare(None, held(noise))
     assert better.relative_gain == np.inf
     assert better.p_value == 0.0
-
-
-def test_the_widest_level_of_work_is_spread_and_the_order_kept(pair, robot):
-    """Work within a task stays on the task's thread, so that no task waits for a thread that waits for it."""
-    experiments = tuple(prepare(r) for r in pair())
-    fitter = Fitter(robot, MotionView(), experiments[:1], experiments[1:], jobs=2)
-    try:
-
-        def outer(i: int) -> tuple[int, bool]:
-            mine = threading.get_ident()
-            inner = fitter.map([threading.get_ident, threading.get_ident, threading.get_ident])
-            return i, all(t == mine for t in inner)
-
-        answers = fitter.map([lambda i=i: outer(i) for i in range(8)])
-        assert answers == [(i, True) for i in range(8)]
-    finally:
-        fitter.close()
 
 
 @pytest.fixture
