@@ -9,7 +9,7 @@ demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
 test: $(STAMP) lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 proof: $(STAMP)
 	$(BIN)/python -m pytest -m slow
