@@ -314,10 +314,9 @@ class Search:
         # how a body that sticks or strikes answers to the others' parameters, they do not know without it
         lent = self._begun(base) if from_nominal and not (cls.rough or base.rough) else None
         borrows = [base if i < borrowing else lent for i in order]
-        fits = [
-            self.fitter.fit(guesses[i], iterations=3, tolerance=1e-4, borrow=borrow, secant=True, fresh=own)
-            for i, borrow in zip(order, borrows, strict=True) if math.isfinite(cost[i])
-        ]  # fmt: skip
+        begin = partial(self.fitter.fit, iterations=3, tolerance=1e-4, secant=True, fresh=own)
+        tasks = [partial(begin, guesses[i], borrow=b) for i, b in zip(order, borrows, strict=True) if math.isfinite(cost[i])]
+        fits = self.fitter.map(tasks)
         first = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
         if first is None:
             return None

@@ -6,12 +6,15 @@ import dataclasses
 import difflib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from diagnose.flow import Options, diagnose
 from diagnose.memory import Memory, fingerprint
+from diagnose.progress import Step
 from diagnose.result import Diagnosis
 from mjsim.axis import Axis
 from mjsim.errors import InputError
@@ -67,16 +70,17 @@ def diagnose_files(
     Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
     the same end. The file goes when the folder is written.
     """
+    options = options or Options()
     _need_folder(out)
     nominal = load_axis(model)
-    for name in options.effects if options else ():
+    for name in options.effects:
         _need_place(name, nominal, model)
     loaded = [load(p, model=model) for p in recordings]
     held = [load(p, model=model) for p in held_out]
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
         with following(progress, memory.recalled) as say:
-            result = diagnose(nominal, loaded, held, options, say, memory)
+            result = diagnose(nominal, loaded, held, options, _drawing_loaded_beside(say, options.jobs), memory)
     except InputError:
         memory.discard()
         raise
@@ -98,9 +102,27 @@ def diagnose_files(
     return result
 
 
-def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options | None) -> str:
+def _drawing_loaded_beside(say: Callable[[Step], None], jobs: int) -> Callable[[Step], None]:
+    """``say``, and from the search on a thread that loads what draws the report, while fits leave the interpreter alone."""
+    begun = jobs <= 1
+
+    def load() -> None:
+        for name in ("matplotlib.figure", "matplotlib.backends.backend_svg"):
+            import_module(name)
+
+    def tell(step: Step) -> None:
+        nonlocal begun
+        if step.stage == "search" and not begun:
+            begun = True
+            Thread(target=load, daemon=True).start()
+        say(step)
+
+    return tell
+
+
+def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> str:
     """Hash of what the fits of a diagnosis follow from; neither threads nor a budget of time change a fit."""
-    same = dataclasses.replace(options or Options(), jobs=1, seconds=math.inf)
+    same = dataclasses.replace(options, jobs=1, seconds=math.inf)
     return fingerprint(nominal, (*recordings, *held_out), len(recordings), same)
 
 
