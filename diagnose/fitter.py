@@ -36,7 +36,7 @@ UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once mo
 FAR = 3.0  # chi-square over n beyond which other physics is missing than a rival's last digits could tell
 ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
 # rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
-LEADS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.0)
+LEADS = (300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 

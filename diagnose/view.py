@@ -108,7 +108,9 @@ class MotionView:
         r = experiment.recording
         torque = r.torque
         if self.lead > 0:  # lead (v - v_model): the first part is input, the second viscous friction
-            torque = torque + self.lead * measured_velocity(r) / axis.chain.gain
+            v = measured_velocity(r)
+            held = 0.5 * (v + np.append(v[1:], v[-1]))  # as it is on average while it is held, not half a sample late
+            torque = torque + self.lead * held / axis.chain.gain
             first, *others = axis.chain.bodies
             first = dataclasses.replace(first, viscous=first.viscous + self.lead)
             axis = dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=(first, *others)))
