@@ -35,8 +35,11 @@ FORETOLD = 0.05  # least part of the held-out samples by which a model that stic
 UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
 FAR = 3.0  # chi-square over n beyond which other physics is missing than a rival's last digits could tell
 ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
-# rates [1/s] at which a model is led in turn: from J/lead of 3 ms to a free run
-LEADS = (300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
+# rates [1/s] at which a model is led in turn: from J/lead of 1 ms to a free run
+LEADS = (1000.0, 560.0, 300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
+WRONG = 2.0  # chi-square over n of a led model, at first: something else is missing than such moments; later: they are lost
+LOST = 1.2  # times the least cost under a lead: an event was lost as the lead gave way, and other points are drawn
+DRAWS = 3  # sets of them at most
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -516,17 +519,29 @@ class Fitter:
             count += int(np.sum(keep & chosen))
         return total / count if count else None
 
-    def let_go(self, fitted: Fitted, seed: int = 0) -> Fitted:
+    def let_go(self, fitted: Fitted, seed: int = 0) -> Fitted | None:
         """The same structure fitted to a led model, and on as it is led ever less, to a free run.
 
         Where bodies stick or strike a free run has a minimum for each order in which they do; a led model is soon put right.
+        None where it cannot be led, or leaves more than noise as soon as it is: something else is missing than those moments.
         """
-        now = fitted
+        now, least = fitted, math.inf
         for k, rate in enumerate(LEADS):
-            found = self.led(now, rate, 6, spread=16 if k or seed else 0, keep=3, seed=len(LEADS) * seed + k)
-            if found is None:
-                return fitted
-            now = found
+            best: Fitted | None = None
+            for draw in range(DRAWS):
+                spread = 16 if k or seed or draw else 0
+                at = len(LEADS) * (DRAWS * seed + draw) + k
+                found = self.led(now, rate, 6 if k else 20, spread=spread, keep=3, seed=at)
+                if found is None:
+                    return None
+                best = found if best is None or found.chi2 < best.chi2 else best
+                if best.chi2 < (LOST * least if k else WRONG * best.n):
+                    break
+            if best is None or (not k and best.chi2 > WRONG * best.n):
+                return None
+            now, least = best, min(least, best.chi2)
+            if now.chi2 > WRONG * max(least, now.n):
+                break  # from here it would only be drawn to another order of events
         return self.fit(now.hypothesis, now.fit.x, iterations=20)
 
     def unfolded(self, fitted: Fitted, linear: Mapping[str, float] | None, iterations: int = 12) -> Fitted:

@@ -40,7 +40,6 @@ MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the sear
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
-WRONG = 20.0  # chi-square over n beyond which something else is missing than the moments at which a body sticks or strikes
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
 LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
@@ -566,12 +565,13 @@ class Search:
                     linear = now.linear
             for seed in range(UNFOLDS):
                 last = self.pool.get(f.key, f)
-                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._spent():
+                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._late():
                     break
-                if self._let_go >= LET_GO or last.chi2 > WRONG * last.n:
+                free = self.fitter.let_go(last, seed) if self._let_go < LET_GO else None
+                if free is None:
                     break
                 self._let_go += 1
-                self._keep(self.fitter.let_go(last, seed))
+                self._keep(free)
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 
     def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:

@@ -83,10 +83,20 @@ def test_stiction_is_found_where_plain_fits_stick(robot, fitter):
     plain = fitter.fit(fitter.hypothesis((start,), far), iterations=25)
     best = plain
     for seed in range(3):
-        best = min(best, fitter.let_go(best, seed), key=lambda f: f.chi2)
+        free = fitter.let_go(best, seed)
+        assert free is not None
+        best = min(best, free, key=lambda f: f.chi2)
     assert best.chi2 < 0.6 * plain.chi2
     assert best.effects[0].torque_Nm == pytest.approx(STICTION["torque_Nm"], rel=0.05)
     assert best.effects[0].peak == pytest.approx(STICTION["peak"], rel=0.05)
+
+
+def test_a_led_model_that_leaves_more_than_noise_is_not_let_go(fitter):
+    """Coulomb friction in place of stiction: no order of events will do, and the rest of the way is spared."""
+    before = fitter.runs
+    wrong = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=10)
+    assert fitter.let_go(wrong) is None
+    assert fitter.runs - before < 1500
 
 
 def test_the_same_fit_each_time(fitter):
