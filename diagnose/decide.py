@@ -23,7 +23,7 @@ FURTHER = 3.0  # times the travel of the recording: an excitation that takes the
 
 def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]:
     """Values with 95 % intervals of the parameters of one owner ("" the linear structure, else an effect's key)."""
-    errors = fitted.standard_errors()
+    errors = fitted.standard_errors(fitter.noise_known)
     out = {}
     motion = fitter.nominal.chain.motion
     for e, x, s in zip(fitted.hypothesis.entries, fitted.fit.x, errors, strict=True):

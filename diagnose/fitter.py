@@ -105,14 +105,16 @@ class Fitted:
         """The same, to be gone on with: it ended by a loose tolerance, or on sensitivities that secants brought up to date."""
         return dataclasses.replace(self, fit=dataclasses.replace(self.fit, status=Status.BUDGET)) if self.ok else self
 
-    def standard_errors(self) -> np.ndarray:
+    def standard_errors(self, noise_known: bool = True) -> np.ndarray:
         """Standard errors [SI] of the vector's numbers (p,), from the Gauss-Newton Hessian and the residual variance.
 
         Two integrations of one law differ by up to about ENGINE of the noise, and that error does not average out over n samples:
-        it can shift an estimate by ENGINE sqrt(n) standard errors, which is added in quadrature.
+        it can shift an estimate by ENGINE sqrt(n) standard errors, which is added in quadrature. So can the whole of what is left
+        beside noise where bodies stick or strike: it is then an event at another moment, and the minimum one of many.
         """
         J = self.fit.J
-        variance = self.chi2 / max(self.n - J.shape[1], 1) + self.n * ENGINE**2
+        events = max(0.0, self.chi2 / self.n - UNEXPLAINED) if self.rough and noise_known else 0.0
+        variance = self.chi2 / max(self.n - J.shape[1], 1) + self.n * (ENGINE**2 + events)
         scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
         s = np.maximum(s, 1e-10 * s[0])

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diagnose.decide import estimates
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.search import LEAD, Search
@@ -103,6 +104,18 @@ def test_the_same_fit_each_time(fitter):
     start = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.0),)), iterations=5)
     first, second = (fitter.led(start, LEAD, 3, spread=4, keep=2) for _ in range(2))
     assert np.array_equal(first.fit.x, second.fit.x)
+
+
+def test_an_interval_at_another_order_of_events_holds_the_truth(robot, fitter):
+    """A minimum of many is narrow, and says nothing of how far the right one is."""
+    start = effect_class("static_friction")(torque_Nm=0.054, peak=4.2)
+    wrong = fitter.refined(fitter.fit(fitter.hypothesis((start,)), iterations=25))
+    assert wrong.chi2 > 1.1 * wrong.n
+    for name, estimate in estimates(wrong, fitter, owner=wrong.key[0]).items():
+        assert estimate.ci95[0] <= STICTION[name] <= estimate.ci95[1]
+    right = fitter.refined(fitter.fit(fitter.hypothesis((effect_class("static_friction")(**STICTION),))))
+    sure = estimates(right, fitter, owner=right.key[0])["torque_Nm"]
+    assert sure.ci95[1] - sure.ci95[0] < 0.02 * sure.value
 
 
 def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
