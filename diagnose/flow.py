@@ -31,10 +31,11 @@ from diagnose.force_orders import force_orders
 from diagnose.least_squares import Fit
 from diagnose.locate import locate
 from diagnose.memory import Memory
+from diagnose.moves import put_together
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
-from diagnose.search import Search
+from diagnose.search import ALIKE_C, Search
 from diagnose.search_options import SearchOptions
 from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, remaining_structure
@@ -295,7 +296,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     search, best, whitened = _searched(fitter, options, progress, began)
     base = search.nominal()
     progress.stage("validate", "what is left, intervals, rivals")
-    best = search.polish(best)
+    best = search.polish(_put_together(search, best))
     structure = remaining_structure(fitter, best)
     best = fitter.refined(best)
     mismatches = locate(fitter, base)
@@ -567,6 +568,16 @@ def _left_on_estimation(fitter: Fitter, base: Fitted, pooled: Fitted, options: O
         return False
     left = float(r @ r) / base.n - 1.0
     return left > options.missed and _closed(base.chi2 / base.n - 1.0, left) < options.closed
+
+
+def _put_together(search: Search, best: Fitted) -> Fitted:
+    """The same with one effect for two, where nothing tells them apart: the simplest name of a motion."""
+    for effects in put_together(search.candidates, best.effects):
+        simpler = search.fitter.fit(search.fitter.hypothesis(effects, best.linear, best.own), iterations=10)
+        if simpler.ok and search.ahead(best, simpler) <= ALIKE_C:
+            search.pool[simpler.key] = simpler
+            return simpler
+    return best
 
 
 def _verdict(search: Search, base: Fitted, best: Fitted, remains: bool) -> Verdict:

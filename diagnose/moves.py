@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -13,7 +14,18 @@ from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, Linearised, Status, orthonormal
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["Entrant", "folded", "formed", "ground", "imitators", "in_place", "other_orders", "refines", "taken_apart"]
+__all__ = [
+    "Entrant",
+    "folded",
+    "formed",
+    "ground",
+    "imitators",
+    "in_place",
+    "other_orders",
+    "put_together",
+    "refines",
+    "taken_apart",
+]
 
 Entrant = tuple[tuple[Effect, ...], Screened]
 """The effects that stay, and the one that is tried beside them."""
@@ -57,6 +69,18 @@ def taken_apart(fitter: Fitter, offered: Sequence[Candidate], effect: Effect, ot
         values = cls.starts(fitter.scales_for(cls, c.place))
         starts = tuple(make(c.id, c.place, inherit(cls, v, first)) for v in values)
         out.append((beside, Screened(c, starts[0], math.inf, starts)))
+    return out
+
+
+def put_together(offered: Sequence[Candidate], effects: tuple[Effect, ...]) -> list[tuple[Effect, ...]]:
+    """Structures with one effect fewer that make the same motion: a compound effect for its parts."""
+    out = []
+    for c in offered:
+        for parts in combinations(effects, 2):
+            whole = effect_class(c.id).whole(parts)
+            rest = tuple(e for e in effects if e not in parts)
+            if whole is not None and whole.key == c.key and not conflicts(c, rest):
+                out.append((*rest, whole))
     return out
 
 

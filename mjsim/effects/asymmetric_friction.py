@@ -59,6 +59,15 @@ class AsymmetricFriction(Effect):
 
         return CoulombFriction(place=self.place, torque_Nm=self.torque_Nm), TorqueOffset(torque_Nm=-self.asymmetry_Nm)
 
+    @classmethod
+    def whole(cls, parts: Sequence[Effect]) -> Effect | None:
+        """Coulomb friction and an offset at one place."""
+        by_id = {e.id: e for e in parts}
+        friction, offset = by_id.get("coulomb_friction"), by_id.get("torque_offset")
+        if len(parts) != 2 or friction is None or offset is None or friction.place not in cls.places:
+            return None
+        return cls(place=friction.place, torque_Nm=friction.values["torque_Nm"], asymmetry_Nm=-offset.values["torque_Nm"])
+
     def native(self, editor: MjcfEditor) -> str | None:
         """MJCF's own elements, or what plain MuJoCo lacks."""
         # F sign(v) + A, also at rest, is Coulomb friction F beside a constant torque -A

@@ -216,6 +216,11 @@ class Effect(abc.ABC):
         """Simpler effects that together make the same motion, the one that others refine first; () for none."""
         return ()
 
+    @classmethod
+    def whole(cls, parts: Sequence[Effect]) -> Effect | None:
+        """The one effect whose `parts()` these are, in any order; None where they are not."""
+        return None
+
     def native(self, editor: MjcfEditor) -> str | None:
         """Write the effect into an MJCF by its own elements.
 

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diagnose.candidates import Candidate
 from diagnose.experiment import prepare
-from diagnose.flow import Options, diagnose
+from diagnose.fitter import Fitter
+from diagnose.flow import Options, _put_together, diagnose
 from diagnose.hypothesis import make
 from diagnose.result import Verdict
 from diagnose.scales import scales_by_place
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
+from diagnose.view import MotionView
 from mjsim.effects import Effect, effect_class, registered
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
@@ -111,8 +116,35 @@ def test_parts_make_the_same_motion(robot):
         for part in whole.parts():
             apart = apart + part
         assert whole.parts()[0].id in cls.refines
+        assert cls.whole(whole.parts()[::-1]) == whole
+        assert cls.whole(whole.parts()[:1]) is None
         one, other = (simulate(axis, torque, DT).velocity for axis in (robot + whole, apart))
         assert np.std(one - other) < 1e-3 * np.std(one)
+
+
+def test_parts_that_nothing_tells_from_one_effect_are_named_by_it(robot):
+    """An offset that entered first and friction beside it are asymmetric friction; nothing else is put together."""
+    asymmetric = effect_class("asymmetric_friction")(torque_Nm=0.1, asymmetry_Nm=0.05)
+    torque = chirp(4.0, DT, 0.5, 0.5, 20.0)
+    run = simulate(robot + asymmetric, torque, DT)
+    noise = 0.02 * np.random.default_rng(8).standard_normal(len(torque))
+    experiment = prepare(Recording(run.time, torque, run.velocity + noise, run.angle, DT))
+    fitter = Fitter(robot, MotionView(), (experiment,), (experiment,), 1)
+    try:
+        search = Search(fitter, SearchOptions())
+        apart = fitter.fit(fitter.hypothesis(asymmetric.parts()))
+        search.candidates = (Candidate("torque_ripple", "motor"),)
+        assert _put_together(search, apart) is apart
+        search.candidates = (Candidate("asymmetric_friction", "motor"), Candidate("torque_ripple", "motor"))
+        found = _put_together(search, apart)
+        assert found.key == ("asymmetric_friction@motor",)
+        assert found.chi2 == pytest.approx(apart.chi2, rel=1e-3)
+        (effect,) = found.effects
+        assert effect.asymmetry_Nm == pytest.approx(0.05, rel=0.05)
+        lone = fitter.fit(fitter.hypothesis(asymmetric.parts()[:1]))
+        assert _put_together(search, lone) is lone
+    finally:
+        fitter.close()
 
 
 CHIRPS = sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)
