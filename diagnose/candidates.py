@@ -93,9 +93,10 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     candidate takes the place
     of that effect of the base, from which it inherits the parameters that they share.
     """
-    J = base.fit.J
-    q = orthonormal(J)
+    q = orthonormal(base.fit.J)
     r0 = base.fit.residual
+    present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
+    linear, own = base.linear, base.own
     starts: list[tuple[Candidate, Effect]] = []
     tasks = []
     for candidate in supposed:
@@ -103,10 +104,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
         for values in cls.starts(fitter.scales_for(cls, candidate.place)):
             effect = make(candidate.id, candidate.place, values if replacing is None else inherit(cls, values, replacing))
             starts.append((candidate, effect))
-            present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
-            for variant in _variants(effect):
-                h = fitter.hypothesis((*present, variant), base.linear, base.own)
-                tasks.append(fitter.at_start(h))
+            tasks += [fitter.at_start(fitter.hypothesis((*present, e), linear, own)) for e in _variants(effect)]
     answers = iter(fitter.run(tasks))
     responses = [[next(answers) for _ in _variants(effect)] for _, effect in starts]
     project = partial(_project, r0=r0, q=q, move=replacing is None)

@@ -7,6 +7,7 @@ transmission error of the same order reaches the velocity through the mechanism,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def gain_beside_encoder(fitter: Fitter, poorer: Fitted, richer: Fitted) -> float
     Amplitudes and phases are each recording's own, and both structures' parameters follow (to first order). Infinite where there
     is no angle, the axis slides or the velocity is not judged.
     """
-    left = [_beside(fitter, f) for f in (poorer, richer)]
+    left = fitter.map([partial(_beside, fitter, f) for f in (poorer, richer)])
     if left[0] is None or left[1] is None:
         return float("inf")
     return left[0] - left[1]

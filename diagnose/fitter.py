@@ -360,7 +360,7 @@ class Fitter:
             J0 = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
-                max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant, reach=h.reach,
+                max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant, reach=h.reach, beside=self.threads.beside,
                 fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
             )  # fmt: skip
 

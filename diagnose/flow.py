@@ -38,7 +38,7 @@ from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdi
 from diagnose.search import ALIKE_C, Search
 from diagnose.search_options import SearchOptions
 from diagnose.second_encoder import judge_second_encoder
-from diagnose.structure import Structure, motion_error, remaining_structure
+from diagnose.structure import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band, growth_when_held
 from diagnose.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
@@ -301,7 +301,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     best = fitter.refined(best)
     mismatches = locate(fitter, base)
     found = _findings(search, best, options)
-    motion = motion_error(fitter, base), motion_error(fitter, best)
+    motion = motion_errors(fitter, base, best)
     remains = _is_unexplained(search, base, search.held_out(best), structure, motion, options)
     remains = remains or _is_left_behind(fitter, base, best, options)
     astray = remains and _only_astray(fitter, base, best, options)
@@ -523,7 +523,7 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
     left = best.chi2 / best.n - 1.0
     if left <= options.missed or _closed(base.chi2 / base.n - 1.0, left) >= options.closed:
         return False
-    before, after = (motion_error(fitter, f, on=fitter.experiments) for f in (base, best))
+    before, after = motion_errors(fitter, base, best, fitter.experiments)
     return before is not None and after is not None and after > options.missed and _closed(before, after) < options.closed
 
 
@@ -636,10 +636,10 @@ def _rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     out: list[Rival] = []
     ranked = sorted(search.pool.values(), key=search.criterion)[:most]
     search.fitter.map([partial(search.held_out, f) for f in ranked[:8]])
-    for f in ranked:
+    for f, rms in zip(ranked, search.fitter.map([partial(_rms, search.fitter, f) for f in ranked]), strict=True):
         held = search.held.get(f.key)
         out.append(
-            Rival(f.key, len(f.hypothesis.entries), _rms(search.fitter, f), held.rms if held else math.nan,
+            Rival(f.key, len(f.hypothesis.entries), rms, held.rms if held else math.nan,
                   search.criterion(f) - reference, f.fit.status.name.lower())
         )  # fmt: skip
     return tuple(out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -120,6 +120,17 @@ def _bounded_step(A: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray
     return np.clip(x + d, lower, upper) - x
 
 
+def _moved(
+    A: np.ndarray, scale: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray,
+    reach: np.ndarray | None, mu: float,
+) -> np.ndarray:  # fmt: skip
+    """Where the step damped by ``mu`` leads."""
+    d = _bounded_step(A + mu * np.diag(scale), g, x, lower, upper)
+    if reach is not None:
+        d = d * min(1.0, float(np.min(reach / np.maximum(np.abs(d), 1e-300))))
+    return np.asarray(np.clip(x + d, lower, upper))
+
+
 def levenberg_marquardt(
     residual: Residual,
     x0: np.ndarray,
@@ -135,6 +146,7 @@ def levenberg_marquardt(
     fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
     coarse: tuple[float, float] = (np.inf, 0.0),
+    beside: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]] | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
@@ -143,7 +155,9 @@ def levenberg_marquardt(
     Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
-    coarse: a cost, and the tolerance that is enough above it.
+    coarse: a cost, and the tolerance that is enough above it;
+    beside: runs the first of some tasks, and the others if that costs no time: once a step has failed, the next one may be tried
+    beside it, which changes no outcome.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -182,11 +196,11 @@ def levenberg_marquardt(
         scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
         improved = False
         first_gain: float | None = None
+        tried: dict[bytes, np.ndarray | None] = {}
+        failed = False
+        moved = partial(_moved, A, scale, g, x, lower, upper, reach)
         for _ in range(12):
-            d = _bounded_step(A + mu * np.diag(scale), g, x, lower, upper)
-            if reach is not None:
-                d = d * min(1.0, float(np.min(reach / np.maximum(np.abs(d), 1e-300))))
-            trial = np.clip(x + d, lower, upper)
+            trial = moved(mu)
             d = trial - x
             gain = -float(2 * g @ d + d @ A @ d) / cost
             first_gain = gain if first_gain is None else first_gain
@@ -196,7 +210,14 @@ def levenberg_marquardt(
             if gain <= 0:
                 mu = max(mu, 1e-6) * 10
                 continue
-            r_new = residual(trial)
+            if trial.tobytes() in tried:
+                r_new = tried.pop(trial.tobytes())
+            elif failed and beside is not None:
+                following = moved(max(mu, 1e-6) * 10)
+                r_new, *more = beside([partial(residual, trial), partial(residual, following)])
+                tried = {following.tobytes(): r_next for r_next in more}
+            else:
+                r_new = residual(trial)
             if r_new is not None and (c_new := float(r_new @ r_new)) < cost:
                 actual = (cost - c_new) / cost
                 r_old = r
@@ -204,6 +225,7 @@ def levenberg_marquardt(
                 mu = max(mu * (0.1 if actual > 0.5 * gain else 1.0), 1e-9)
                 improved = True
                 break
+            failed = True
             mu = max(mu, 1e-6) * 10
         if status is Status.CONVERGED:
             break

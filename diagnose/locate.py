@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -141,7 +142,7 @@ def binned(y: np.ndarray, x: np.ndarray, keep: np.ndarray, bins: int = 24) -> tu
 
 def locate(fitter: Fitter, fitted: Fitted) -> tuple[Mismatch, ...]:
     """Time, frequency, state and place of what a fitted model leaves, for every recording; the first one is for estimation."""
-    return tuple(_located(fitter, on) for on in played(fitter, fitted))
+    return tuple(fitter.map([partial(_located, fitter, on) for on in played(fitter, fitted)]))
 
 
 def _located(fitter: Fitter, on: Played) -> Mismatch:

@@ -25,6 +25,8 @@ class SideBySide:
         self.jobs = jobs
         self._pool = ThreadPoolExecutor(max_workers=max(1, jobs))
         self._here = threading.local()
+        self._counting = threading.Lock()
+        self._at_work = 0
 
     def map(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
         """Answers in the order of the tasks, so that the number of threads changes nothing. The first error is raised."""
@@ -34,7 +36,6 @@ class SideBySide:
         answers: dict[int, T] = {}
 
         def work() -> None:
-            self._here.working = True
             while left:
                 try:
                     i, task = left.popleft()
@@ -42,8 +43,18 @@ class SideBySide:
                     return
                 answers[i] = task()
 
+        def help_out() -> None:
+            self._here.working = True
+            with self._counting:
+                self._at_work += 1
+            try:
+                work()
+            finally:
+                with self._counting:
+                    self._at_work -= 1
+
         inside = getattr(self._here, "working", False)
-        helpers = [self._pool.submit(work) for _ in range(min(self.jobs, len(tasks)) - inside)]
+        helpers = [self._pool.submit(help_out) for _ in range(min(self.jobs, len(tasks)) - inside)]
         try:
             if inside:
                 work()
@@ -56,6 +67,10 @@ class SideBySide:
                 helper.cancel()
             raise
         return [answers[i] for i in range(len(tasks))]
+
+    def beside(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """The answer of the first task, and those of the others if a thread has nothing else to do at the moment."""
+        return self.map(tasks if 1 < self.jobs > self._at_work else tasks[:1])
 
     def close(self) -> None:
         """Stop: what the threads are at ends with an error as soon as it asks for more."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from mjsim.axis import Axis
 from mjsim.ode import simulate
 from mjsim.quantity import Motion
 
-__all__ = ["Structure", "motion_error", "remaining_structure"]
+__all__ = ["Structure", "motion_error", "motion_errors", "remaining_structure"]
 
 
 WINDOWS = (0.02, 0.006, 0.002)  # over which missed motion is looked for [s]
@@ -79,36 +80,42 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
     return np.column_stack([through, s])
 
 
+def _regressed(
+    fitter: Fitter, experiment: Experiment, axis: Axis, initial: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Responses of the dictionary (M, k) and the residual (M,) on the samples that count, both over the noise."""
+    e = fitter.error(axis, experiment, initial)
+    if e is None:
+        return None
+    keep, sigma = fitter.counted(experiment), fitter.sigma(experiment)
+    return _dictionary(fitter, axis, experiment, initial)[: len(e)][keep] / sigma, e[keep] / sigma
+
+
 def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Structure:
     """Share of the held-out residual that the dictionary predicts, and how sure that it predicts any."""
     from scipy.stats import t as student
 
-    rows, targets = [], []
-    for i, experiment in enumerate(fitter.experiments):
-        axis, initial = fitted.hypothesis.axis(fitted.fit.x, i), fitted.hypothesis.initial(fitted.fit.x, i)
-        e = fitter.error(axis, experiment, initial)
-        assert e is not None
-        keep = fitter.counted(experiment)
-        rows.append(_dictionary(fitter, axis, experiment, initial)[: len(e)][keep] / fitter.sigma(experiment))
-        targets.append(e[keep] / fitter.sigma(experiment))
-    X, y = np.concatenate(rows), np.concatenate(targets)
+    h, x = fitted.hypothesis, fitted.fit.x
+    solved: list[tuple[Axis, np.ndarray | None]] = [(h.axis(x, i), h.initial(x, i)) for i in range(len(fitter.experiments))]
+    for experiment in fitter.held_out:
+        own = fitter.own_values(h, fitted, experiment)
+        if own is None:
+            return Structure(0.0, 1.0)
+        solved.append(own)
+    everything = (*fitter.experiments, *fitter.held_out)
+    regressed = fitter.map([partial(_regressed, fitter, e, *own) for e, own in zip(everything, solved, strict=True)])
+    played = [r for r in regressed if r is not None]
+    estimation, held_out = played[: len(fitter.experiments)], played[len(fitter.experiments) :]
+    if len(played) < len(everything):
+        return Structure(0.0, 1.0)
+    X, y = (np.concatenate(parts) for parts in zip(*estimation, strict=True))
     scale = np.sqrt(np.mean(X**2, axis=0)) + 1e-300
     X = X / scale
     gram = X.T @ X + 1e-4 * len(X) * np.eye(X.shape[1])
     weights = np.linalg.solve(gram, X.T @ y)
     gains, before = [], 0.0
-    for experiment in fitter.held_out:
-        solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
-        if solved is None:
-            return Structure(0.0, 1.0)
-        e = fitter.error(solved[0], experiment, solved[1])
-        if e is None:
-            return Structure(0.0, 1.0)
-        keep = fitter.counted(experiment)
-        z = e[keep] / fitter.sigma(experiment)
-        predicted = (
-            _dictionary(fitter, solved[0], experiment, solved[1])[: len(e)][keep] / fitter.sigma(experiment) / scale
-        ) @ weights
+    for responses, z in held_out:
+        predicted = (responses / scale) @ weights
         # a gain of any size that carries over counts, a wrong amplitude does not hide it
         gain = 2 * z * predicted - predicted**2
         gains += [float(np.sum(p)) for p in np.array_split(gain, blocks)]
@@ -151,6 +158,14 @@ def motion_error(
         runs.append((error, angle_error, experiment.counts, r.dt))
     found = [_shared(runs, window) for window in windows]
     return max((x for x in found if x is not None), default=None)
+
+
+def motion_errors(
+    fitter: Fitter, base: Fitted, best: Fitted, on: Sequence[Experiment] | None = None
+) -> tuple[float | None, float | None]:
+    """The motion that each of two models misses, as the angle confirms it."""
+    before, after = fitter.map([partial(motion_error, fitter, f, on=on) for f in (base, best)])
+    return before, after
 
 
 def _encoder_error(error: np.ndarray, angle: np.ndarray, counts: np.ndarray, dt: float) -> np.ndarray:

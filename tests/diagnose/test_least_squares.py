@@ -76,6 +76,37 @@ def test_a_wall_is_stepped_back_from():
     np.testing.assert_allclose(solve(walled, [-1.2, 1.0], tolerance=1e-12).x, [1, 1], rtol=1e-5)
 
 
+@given(st.lists(st.booleans(), min_size=1, max_size=20), st.tuples(st.floats(-2, 2), st.floats(-2, 2)))
+@settings(max_examples=40, deadline=None)
+def test_a_step_that_is_tried_beside_another_changes_nothing(idle, x0):
+    """Whatever threads are idle and when."""
+
+    def walled(x):
+        return None if x[0] > 1.5 else rosenbrock(x)
+
+    asked = []
+
+    def beside(tasks):
+        asked.append(len(tasks))
+        return run(tasks if idle[len(asked) % len(idle)] else tasks[:1])
+
+    alone, helped = solve(walled, x0), solve(walled, x0, beside=beside)
+    assert helped.status is alone.status
+    assert helped.cost == alone.cost
+    np.testing.assert_array_equal(helped.x, alone.x)
+
+
+def test_a_step_is_tried_beside_the_one_before_once_one_has_failed():
+    ran = []
+
+    def beside(tasks):
+        ran.append(len(tasks))
+        return run(tasks)
+
+    solve(rosenbrock, [-1.2, 1.0], tolerance=1e-12, beside=beside)
+    assert set(ran) == {2}
+
+
 def test_a_known_jacobian_is_used_for_the_first_step():
     a = np.array([[2.0, 1.0], [1.0, 3.0], [0.0, 1.0]])
     b = np.array([1.0, 2.0, 3.0])

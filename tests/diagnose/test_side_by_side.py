@@ -86,3 +86,22 @@ def test_closed_threads_refuse_what_a_running_task_asks_for():
     threads.close()
     with pytest.raises(RuntimeError):
         threads.map([lambda: 1, lambda: 2])
+
+
+def test_what_may_come_next_is_worked_out_beside_by_an_idle_thread_only():
+    threads = SideBySide(2)
+    try:
+        assert threads.beside([lambda: 1, lambda: 2]) == [1, 2]  # both are idle
+        assert threads.map([lambda: threads.beside([lambda: 1, lambda: 2]), lambda: []])[0] in ([1], [1, 2])
+        together = threading.Barrier(2)
+
+        def busy() -> list[int]:
+            together.wait(20)
+            answer = threads.beside([lambda: 1, lambda: 2])
+            together.wait(20)
+            return answer
+
+        assert threads.map([busy, busy]) == [[1], [1]]
+    finally:
+        threads.close()
+    assert SideBySide(1).beside([lambda: 1, lambda: 2]) == [1]
