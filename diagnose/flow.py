@@ -185,7 +185,7 @@ def _search(
     chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
     if not fitter.noise_known:
         chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.02, p_enter=0.02)
-    search = Search(fitter, chosen, progress, settled_by=settled_by)
+    search = Search(fitter, chosen, progress=progress, settled_by=settled_by)
     base = search.nominal()
     if not base.ok:
         raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -21,10 +21,13 @@ __all__ = [
     "ground",
     "imitators",
     "in_place",
+    "named",
     "other_orders",
+    "promising",
     "put_together",
     "refines",
     "taken_apart",
+    "with_other_laws",
 ]
 
 Entrant = tuple[tuple[Effect, ...], Screened]
@@ -165,3 +168,31 @@ def refines(f: Fitted, current: Fitted) -> bool:
     """Whether a structure says more by a refinement of an effect that stands in the other one."""
     gone = [e for e in current.effects if e.key not in f.key]
     return any(e.place == old.place and old.id in type(e).refines for e in f.effects for old in gone)
+
+
+def named(f: Fitted) -> tuple[str, ...]:
+    """What a structure is called: the contract's names of its effects and their places, whatever their laws."""
+    return tuple(sorted(f"{e.name()}@{e.place}" for e in f.effects))
+
+
+def promising(
+    pool: Mapping[tuple[str, ...], Fitted], current: Fitted, without: Collection[tuple[str, ...]], least: float = 0.7
+) -> list[Fitted]:
+    """Structures one effect larger, not those ``without``, that gain much on the estimation data: chi-square falls to ``least``.
+
+    Held-out data need not bear them out. Where two effects are missing, each may spoil what the other gains elsewhere: together
+    they have to pay, not each first.
+    """
+    larger = [f for f in pool.values() if len(f.effects) == len(current.effects) + 1 and f.key not in without]
+    return [f for f in larger if f.chi2 < least * current.chi2]
+
+
+def with_other_laws(
+    pool: Mapping[tuple[str, ...], Fitted], offered: Sequence[Candidate], current: Fitted, within: float
+) -> list[Fitted]:
+    """Structures as large as the current one and nearly as good, by ``within`` in the logarithm of chi-square, best first, that
+    hold an effect of which another law is offered."""
+    known = {effect_class(c.id).form_of for c in offered} - {""}
+    alike = [f for f in pool.values() if len(f.effects) == len(current.effects) and f.key != current.key]
+    near = [f for f in alike if math.log(f.chi2 / current.chi2) < within and any(e.id in known for e in f.effects)]
+    return sorted(near, key=lambda f: f.chi2)

@@ -17,68 +17,65 @@ from functools import partial
 from itertools import chain
 from typing import TypeVar
 
-import numpy as np
-
-from diagnose.candidates import Candidate, Screened, candidates, conflicts, left_over, related, screen, span
-from diagnose.compare import Comparison, compare
-from diagnose.encoder import encoder_gain, gain_beside_encoder
-from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut, key_of
+from diagnose.candidates import Screened, candidates, conflicts, left_over, related, screen, span
+from diagnose.fitter import UNEXPLAINED, Fitted, key_of
 from diagnose.hypothesis import make
+from diagnose.judge import Judge
 from diagnose.least_squares import Status
-from diagnose.moves import Entrant, folded, formed, ground, imitators, in_place, other_orders, refines, taken_apart
+from diagnose.moves import (
+    Entrant,
+    folded,
+    formed,
+    ground,
+    imitators,
+    in_place,
+    other_orders,
+    promising,
+    refines,
+    taken_apart,
+    with_other_laws,
+)
 from diagnose.progress import Progress
-from diagnose.search_options import SearchOptions
 from diagnose.whiten import guide_of
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["ALIKE_C", "LEAD", "Search"]
-
+__all__ = ["ALIKE_C", "Search"]
 T = TypeVar("T")
-
 
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
-LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
-FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
 LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
+SAME = (
+    0.002  # difference in the logarithm of chi-square of one minimum: a model let go that comes back to it has no better one near
+)
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
-ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
 @dataclass
-class Search:
+class Search(Judge):
     """State of a search: everything fitted so far, by structure."""
 
-    fitter: Fitter
-    options: SearchOptions
     progress: Progress = field(default_factory=Progress)
-    pool: dict[tuple[str, ...], Fitted] = field(default_factory=dict)
-    held: dict[tuple[str, ...], HeldOut | None] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
     retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)
     unfolded: set[tuple[str, ...]] = field(default_factory=set)
     tested: int = 0
-    effective: float = 1.0
     effective_of: Callable[[Fitted], float] | None = None
-    worth_of: Callable[[Fitted, Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[float, ...]] | None = None
     settled_by: Callable[[Fitted], bool] | None = None  # whether what a structure leaves is noise alone
     only_beside: Mapping[str, str] = field(default_factory=dict)  # an effect that may only stand beside another, and that one
 
     def __post_init__(self) -> None:
-        self.candidates: tuple[Candidate, ...] = candidates(self.fitter, self.options.only)
+        self.candidates = candidates(self.fitter, self.options.only)
         self._began = time.monotonic()
         self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
-        self._encoder: dict[tuple[object, ...], bool] = {}
-        self._leads: dict[tuple[object, ...], float] = {}
         self._let_go = 0
         self._without: set[tuple[object, ...]] = set()
-        self._samples: dict[tuple[object, ...], list[np.ndarray] | None] = {}
         self._starts: dict[tuple[object, ...], Fitted] = {}
 
     def _spent(self) -> bool:
@@ -88,54 +85,6 @@ class Search:
     def _late(self) -> bool:
         """Whether the budget of seconds is used up."""
         return time.monotonic() - self._began > self.options.seconds
-
-    def criterion(self, f: Fitted) -> float:
-        """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
-        order = sum(effect_class(e.id).places.index(e.place) for e in f.effects)
-        n = f.n * self.effective
-        return n * math.log(max(f.chi2, 1e-300) / f.n) + self.options.price * len(f.hypothesis.entries) + order
-
-    def gain(self, poorer: Fitted, richer: Fitted) -> float:
-        """How far C falls from one structure to the other, each sample counted for what it is worth to tell these two apart."""
-        if self.worth_of is None:
-            return self.criterion(poorer) - self.criterion(richer)
-        order = [sum(effect_class(e.id).places.index(e.place) for e in f.effects) for f in (poorer, richer)]
-        price = self.options.price * (len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
-        n = richer.n * self.worth_of(poorer, richer)
-        return n * math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300)) - price + order[0] - order[1]
-
-    def ahead(self, f: Fitted, other: Fitted) -> float:
-        """How far C of a structure lies below that of another, both counted from what they have in common."""
-        common = self.pool.get(tuple(sorted(set(f.key) & set(other.key))))
-        if self.worth_of is None or common is None:
-            return self.criterion(other) - self.criterion(f)
-        mine, theirs = (self.gain(common, g) if common.key != g.key else 0.0 for g in (f, other))
-        return mine - theirs
-
-    def held_out(self, f: Fitted) -> HeldOut | None:
-        """Held-out error, computed once per structure."""
-        if f.key not in self.held:
-            self.held[f.key] = self.fitter.validate(f)
-        return self.held[f.key]
-
-    def compared(self, before: Fitted, after: Fitted) -> Comparison:
-        """Two structures on held-out data; as far as the one that fits foretells them, where its free run goes astray."""
-        samples, pair = self._foretold(before, after), (self.held_out(before), self.held_out(after))
-        if samples is not None:
-            pair = (self.fitter.validate(before, samples), self.fitter.validate(after, samples))
-        return compare(*pair, known=self.fitter.noise_known)
-
-    def _foretold(self, *structures: Fitted) -> list[np.ndarray] | None:
-        """The held-out samples that one structure foretells which alone fits the estimation data but not the held-out ones."""
-        fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
-        if not self.fitter.noise_known or fits.chi2 > UNEXPLAINED * fits.n or other.chi2 < UNEXPLAINED * other.n:
-            return None
-        held, asked = self.held_out(fits), (fits.key, fits.chi2)
-        if held is None or held.chi2 < UNEXPLAINED * float(np.sum(held.n)):
-            return None
-        if asked not in self._samples:
-            self._samples[asked] = self.fitter.foretold(fits)
-        return self._samples[asked]
 
     def nominal(self) -> Fitted:
         """The refitted nominal model: the rival to beat."""
@@ -160,21 +109,22 @@ class Search:
         self.screened[base.key] = ranked
         self.tested += len(ranked)
         floor = 0.4 * self.options.entry
-        visible = base.chi2 > 1.05 * base.n or not self.fitter.noise_known
-        promising = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
+        # a structure that leaves less than the noise explains a part of that: its level is not known any more
+        visible = abs(base.chi2 / base.n - 1.0) > 0.05 or not self.fitter.noise_known
+        tried = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
         # a response that is not linear in its amplitude: fitted whatever the secant says, while there is something to explain, or
         # (a structure) a filter that may have taken it in
         whatever = CURVED if visible else CURVED[:1] if len(self.fitter.whitening) > 1 else ()
-        promising += [s for s in ranked if effect_class(s.candidate.id).family in whatever and s not in promising]
-        return self._race(base, [(base.effects, s) for s in promising])
+        tried += [s for s in ranked if effect_class(s.candidate.id).family in whatever and s not in tried]
+        return self._race(base, [(base.effects, s) for s in tried])
 
-    def refine(self, base: Fitted) -> list[Fitted]:
+    def refine(self, base: Fitted, *, forms: bool = False) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` is replaced by one that refines it.
 
-        Where the score says it can matter.
+        Where the score says it can matter; by other laws (``forms``) where it leaves something material, or if asked for.
         """
         entrants: list[Entrant] = []
-        material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
+        material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
             supposed = [
@@ -221,11 +171,11 @@ class Search:
         return all(name not in ids or other in ids for name, other in self.only_beside.items())
 
     def _untried(self, base: Fitted, key: tuple[str, ...]) -> bool:
-        """Whether a structure was not fitted yet, or from so far off that it may do better from here; true once for each base."""
-        known = self.pool.get(key)
-        if known is not None and (known.chi2 < 1.2 * base.chi2 or (base.key, key) in self.retried):
+        """Whether a structure was not fitted yet, or from so far off that it may do better from here; once as the base is now."""
+        known, mark = self.pool.get(key), (base.key, (*key, f"{math.log(base.chi2):.1f}"))
+        if known is not None and (known.chi2 < 1.2 * base.chi2 or mark in self.retried):
             return False
-        self.retried.add((base.key, key))
+        self.retried.add(mark)
         return True
 
     def _race(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Fitted]:
@@ -342,62 +292,6 @@ class Search:
         share = 100 * math.sqrt(current.chi2 / current.n / (self.nominal().chi2 / self.nominal().n))
         self.progress.best(f"{' + '.join(current.key)} ({share:.3g} % of the refitted nominal's error)")
 
-    def pays(self, before: Fitted, after: Fitted, attempt: int = 1) -> bool:
-        """Whether ``after`` is better by the criterion, materially, and on held-out data.
-
-        ``attempt``: how many structures the held-out data have been asked about in this move, this one included. It was the
-        estimation data that chose them among the candidates, so that where the noise is known only these are corrected for;
-        where the error is the model's own, which both share, all candidates are.
-        """
-        if self.gain(before, after) < self.options.entry:
-            return False
-        c = self.compared(before, after)
-        asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
-        if c.relative_gain <= self.options.material or c.p_value * asked >= self.options.p_enter:
-            return False
-        return not self._encoder_errs(before, after) and not self._events_only(before, after)
-
-    def _events_only(self, before: Fitted, after: Fitted) -> bool:
-        """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.
-
-        A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
-        right within J/lead: there it must gain as well, a fair part of that; and it must explain a fair part of what was left.
-        """
-        stuck = before.rough and before.chi2 > UNEXPLAINED * before.n
-        if not stuck or not self.fitter.noise_known or not set(before.key) < set(after.key):
-            return False
-        gain = self.gain(before, after)
-        if gain < FAIR * before.n * math.log(before.chi2 / before.n):
-            return True
-        asked = (before.key, before.chi2, after.key, after.chi2)
-        if asked not in self._leads:
-            richer = self.fitter.led(after, LEAD, 15, spread=8, keep=2)
-            own = self.fitter.led(before, LEAD, 15, spread=8, keep=2)
-            effects = tuple(e for e in after.effects if e.key in before.key)
-            begun = self.fitter.fit(self.fitter.hypothesis(effects, after.linear, after.own), iterations=0)
-            poorer = [f for f in (own, self.fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
-            if richer is None or not poorer:
-                self._leads[asked] = math.inf
-            else:
-                self._leads[asked] = self.gain(min(poorer, key=lambda f: f.chi2), richer)
-        return self._leads[asked] < max(self.options.entry, FAIR * gain)
-
-    def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:
-        """Whether an encoder that errs over its turn does as much as the one effect that was added.
-
-        At whole orders of its turn it may err beside any effect, which must gain there too; and at whatever order a
-        position-locked effect has it is that effect's rival.
-        """
-        new = [e for e in after.effects if e.key not in before.key]
-        if len(new) != 1 or len(after.key) != len(before.key) + 1 or not self.fitter.noise_known:
-            return False
-        asked = (before.key, before.chi2, new[0], after.chi2)
-        if asked not in self._encoder:
-            gain = before.chi2 - after.chi2
-            own = encoder_gain(self.fitter, before, new[0]) > gain - max(self.options.entry, ALIKE * gain)
-            self._encoder[asked] = own or gain_beside_encoder(self.fitter, before, after) < self.options.entry
-        return self._encoder[asked]
-
     def run(self) -> Fitted:
         """The best structure that the search finds."""
         current = self.nominal()
@@ -422,9 +316,15 @@ class Search:
             if best.key != current.key and self._settled(best):
                 return self._alone(best)
             self.refine(best)
+            refined = self._best(current)
+            if refined.key != best.key:  # by another law, before it is unfolded at length by a wrong one
+                self.refine(refined)
             self.swap(self._best(current))
-            self._unfold([self._best(current)])
             best = self._best(current)
+            if best.key != current.key:
+                best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
+            self._unfold([best])
+            best = self._best(self.pool.get(current.key, current))
             self.progress.end_round()
             if best.key == current.key and best.chi2 < 0.9 * current.chi2:
                 current = best  # the same effects at better numbers: what can be added is another question now
@@ -435,7 +335,7 @@ class Search:
                 beam = [current]  # nothing that was added to its simpler form will do: to itself, then
                 continue
             if best.key == current.key:
-                beam = [] if current.key in stuck else self._promising(current, expanded)
+                beam = [] if current.key in stuck else self._larger(current, expanded)
                 stuck.add(current.key)
                 if beam:
                     continue
@@ -468,7 +368,7 @@ class Search:
             beam = [current, *near[: self.options.beam - 1]]
             if self.fitter.noise_known:
                 beam = list({f.key: f for f in (ground(b, self.pool) for b in beam)}.values())
-        current = self._weigh(1.0, current)
+        current = self._against_other_laws(self._weigh(1.0, current))
         for _ in range(self.options.depth):
             kept = self._eliminate(current)
             if kept.key == current.key:
@@ -477,6 +377,13 @@ class Search:
             self.refine(kept)
             current = self._best(kept)
         return self._eliminate(current)
+
+    def _against_other_laws(self, current: Fitted) -> Fitted:
+        """The best structure once those near it were tried by other laws: one may have come second by its law alone."""
+        near = [f for f in with_other_laws(self.pool, self.candidates, current, RIVAL) if self.ahead(current, f) > ALIKE_C]
+        for f in near[: self.options.beam] if self.fitter.noise_known and not self._spent() else []:
+            self.refine(f, forms=True)
+        return self._best(current)
 
     def _shown(self, current: Fitted) -> Fitted:
         """With the effects that the angle shows whatever the model is, where they pay: the rest is sought beside them."""
@@ -572,20 +479,15 @@ class Search:
                     break
                 self._let_go += 1
                 self._keep(free)
+                if abs(math.log(free.chi2 / last.chi2)) < SAME:
+                    break
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 
-    def _promising(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
-        """Structures one effect larger that gain much on the estimation data, though held-out data do not bear them out alone.
-
-        Where two effects are missing, each may spoil what the other gains elsewhere: together they have to pay, not each first.
-        """
-        if not self.fitter.noise_known or current.chi2 < 1.2 * current.n or len(current.effects) + 1 >= self.options.depth:
+    def _larger(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
+        """Structures one effect larger that gain much on the estimation data: where to go on from when none pays."""
+        if not self.fitter.noise_known or len(current.effects) + 1 >= self.options.depth:
             return []
-        larger = [
-            f for f in self.pool.values()
-            if len(f.effects) == len(current.effects) + 1 and f.key not in expanded and f.chi2 < 0.7 * current.chi2
-        ]  # fmt: skip
-        return sorted(larger, key=self.criterion)[: self.options.beam]
+        return sorted(promising(self.pool, current, expanded), key=self.criterion)[: self.options.beam]
 
     def _best(self, current: Fitted) -> Fitted:
         """The structure with the best criterion among those that pay against the current one."""
@@ -597,26 +499,9 @@ class Search:
             if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
                 continue
             attempt += larger
-            if self.pays(current, f, attempt) if larger else self._earned(current, f) and not self._worse(current, f):
+            if self.pays(current, f, attempt) if larger else self.earned(current, f) and not self.worse(current, f):
                 return f
         return self.pool.get(current.key, current)
-
-    def _earned(self, current: Fitted, f: Fitted) -> bool:
-        """Whether a structure beats another directly, and what it alone has pays by itself, where the error is the model's own.
-
-        Two gains counted from far off, each by its own samples' worth, say little of their difference; and an effect that does
-        not pay beside the rest must not enter in exchange for one that does.
-        """
-        common = self.pool.get(tuple(sorted(set(f.key) & set(current.key))))
-        if self.worth_of is None or common is None or common.key == f.key:
-            return True
-        directly = self.gain(current, f) if f.chi2 < current.chi2 else -self.gain(f, current)
-        return directly > 0 and self.pays(common, f)
-
-    def _worse(self, f: Fitted, other: Fitted) -> bool:
-        """Whether held-out data speak for a structure and against another of its size that fits the estimation data better."""
-        c = self.compared(other, f)
-        return c.relative_gain > self.options.material and c.p_value < self.options.p_enter
 
     def polish(self, fitted: Fitted) -> Fitted:
         """The same structure fitted on to a tight tolerance."""
@@ -672,7 +557,7 @@ class Search:
                 # dropped, or in the simpler form that it refines: a refinement may have entered while another effect was missing
                 poorer = chain([rest], (make_it() for make_it in self._simpler(current, effect)))
                 worth = (p for p in poorer if p.ok and self._admitted([e.id for e in p.effects]))
-                found = next((p for p in worth if not self.pays(p, current)), None)
+                found = next((p for p in worth if not (self.pays(p, current) or self.stands(p, current))), None)
                 if found is not None:
                     current, changed = found, True
                     break

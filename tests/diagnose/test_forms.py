@@ -83,6 +83,26 @@ def test_friction_that_fades_in_is_coulomb_friction_and_no_bristle(robot):
     assert finding.parameters["creep_velocity_rad_s"].value == pytest.approx(1.0, rel=0.05)
 
 
+def test_tustins_law_is_stribeck_friction_and_nothing_beside_it(robot):
+    """The extra level fades by the speed and not by its square: quadratic friction made up for that before."""
+    values = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 3.0, "exponent": 1.0}
+    plant = robot + effect_class("stribeck_friction_with_exponent")(**values)
+    rng = np.random.default_rng(9)
+    pair = []
+    for amplitude, top in ((0.7, 15.0), (0.5, 20.0)):
+        torque = chirp(N * DT, DT, amplitude, 0.3, top)
+        run = simulate(plant, torque, DT)
+        noise = 0.03 * rng.standard_normal(N)
+        pair.append(Recording(run.time, torque, run.velocity + noise, run.angle + 1e-4 * rng.standard_normal(N), DT))
+    only = ("coulomb_friction", "stribeck_friction", "quadratic_friction", "torque_offset")
+    found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
+    assert found.verdict is Verdict.MISSING_PHYSICS
+    (finding,) = found.findings
+    assert (finding.effect, finding.law) == ("stribeck_friction", "stribeck_friction_with_exponent")
+    for name, value in values.items():
+        assert finding.parameters[name].value == pytest.approx(value, rel=0.1)
+
+
 def test_friction_and_an_offset_are_not_held_by_asymmetric_friction(robot):
     """Asymmetric friction fits the pair best at first: taken apart, its friction is refined beside the offset."""
     stribeck = {"torque_Nm": 0.13, "extra_static_torque_Nm": 0.06, "stribeck_velocity_rad_s": 4.0}

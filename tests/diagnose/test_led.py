@@ -10,7 +10,8 @@ import pytest
 from diagnose.decide import estimates
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
-from diagnose.search import LEAD, Search
+from diagnose.judge import LEAD
+from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView, led_by_torque
 from mjsim.effects import effect_class

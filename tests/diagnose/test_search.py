@@ -13,7 +13,7 @@ from diagnose.experiment import prepare
 from diagnose.fitter import FAR, PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
-from diagnose.moves import ground
+from diagnose.moves import ground, named, promising, with_other_laws
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
@@ -270,3 +270,55 @@ def test_a_held_out_run_that_needs_a_phase_of_its_own_is_judged_with_it(fitter_o
     run = MotionView.signals
     monkeypatch.setattr(MotionView, "signals", lambda self, axis, *rest: run(self, axis, *rest) if axis == own else None)
     assert 0 < fitter.validate(found).nrmse < 0.1
+
+
+def test_another_law_of_the_same_name_stands_once_it_fits_better_and_no_worse_on_held_out_data(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb()))
+    search = Search(fitter, SearchOptions())
+    search.nominal()
+    plain = fitter.fit(fitter.hypothesis([coulomb()]))
+    form = effect("coulomb_friction_with_creep", torque_Nm=coulomb().torque_Nm, creep_velocity_rad_s=0.5)
+    creeping = fitter.fit(fitter.hypothesis([form], plain.linear), iterations=0)
+    assert named(creeping) == named(plain)
+    better = dataclasses.replace(creeping, fit=dataclasses.replace(creeping.fit, cost=0.99 * plain.chi2))
+    here = search.held_out(plain)
+
+    def scaled(factor: float) -> HeldOut:
+        return dataclasses.replace(here, errors=here.errors * factor, sse=here.sse * factor**2)
+
+    search.held = {plain.key: here, better.key: scaled(0.9999)}
+    assert search.stands(plain, better)
+    assert not search.stands(search.nominal(), better), "of another name"
+    search.held[better.key] = scaled(1.0001)
+    assert not search.stands(plain, better), "held-out data speak against it"
+    search.held[better.key] = scaled(0.9999)
+    level = dataclasses.replace(creeping, fit=dataclasses.replace(creeping.fit, cost=0.9999 * plain.chi2))
+    assert not search.stands(plain, level), "no better on the estimation data"
+
+
+def test_what_comes_near_is_tried_by_its_other_laws(fitter_of, pair):
+    """As large as the best, nearly as good, and of an effect that has another law; not what is far off or has none."""
+    fitter = fitter_of(pair(coulomb()))
+    search = Search(fitter, SearchOptions())
+    best = search.nominal()
+    stribeck = effect("stribeck_friction", torque_Nm=0.1, extra_static_torque_Nm=0.1, stribeck_velocity_rad_s=1.0)
+    others = effect("torque_offset", torque_Nm=0.01), stribeck, effect("quadratic_friction", coefficient_Nm_s2_rad2=1e-3)
+    effects = (coulomb(), *others)
+    fits = [fitter.fit(fitter.hypothesis([e], best.linear), iterations=0) for e in effects]
+    costs = (1.0, 1.01, 1.05, 1.05)
+    first, *_ = fits = [dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c)) for f, c in zip(fits, costs, strict=True)]
+    pool = {f.key: f for f in (best, *fits)}
+    assert [f.key for f in with_other_laws(pool, search.candidates, first, 0.1)] == [("stribeck_friction@motor",)]
+    assert with_other_laws(pool, search.candidates, first, 0.01) == []
+
+
+def test_a_structure_is_promising_by_how_far_chi_square_falls_whatever_the_level_of_the_noise(fitter_of, pair):
+    fitter = fitter_of(pair(coulomb()))
+    search = Search(fitter, SearchOptions())
+    base = search.nominal()
+    larger = fitter.fit(fitter.hypothesis([coulomb()], base.linear), iterations=0)
+    quiet = dataclasses.replace(base, fit=dataclasses.replace(base.fit, cost=1.0 * base.n))
+    for share, told in ((0.6, True), (0.8, False)):
+        f = dataclasses.replace(larger, fit=dataclasses.replace(larger.fit, cost=share * base.n))
+        assert bool(promising({f.key: f}, quiet, set())) is told
+    assert promising({f.key: f}, quiet, {f.key}) == []

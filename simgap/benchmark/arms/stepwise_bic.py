@@ -12,7 +12,8 @@ import math
 
 from diagnose.candidates import candidates
 from diagnose.fitter import Fitted
-from diagnose.search import Search, SearchOptions
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
 from simgap.benchmark.arms.base import Answer, Arm, Task
 from simgap.benchmark.arms.nominal import fitting, orders, refitted
 

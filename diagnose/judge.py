@@ -1,0 +1,171 @@
+"""Whether one structure is better than another: by the criterion, on held-out data, and against what may stand in for it.
+
+    C = n log(chi2 / n) + price * (free parameters)
+
+Thresholds: docs/decisions/false-alarms.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagnose.candidates import Candidate
+from diagnose.compare import Comparison, compare
+from diagnose.encoder import encoder_gain, gain_beside_encoder
+from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut
+from diagnose.moves import named
+from diagnose.search_options import SearchOptions
+from mjsim.effects import effect_class
+
+__all__ = ["LEAD", "Judge"]
+
+LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
+FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
+ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
+
+
+@dataclass
+class Judge:
+    """Everything fitted so far, by structure, and how it compares."""
+
+    fitter: Fitter
+    options: SearchOptions
+    pool: dict[tuple[str, ...], Fitted] = field(default_factory=dict)
+    held: dict[tuple[str, ...], HeldOut | None] = field(default_factory=dict)
+    candidates: tuple[Candidate, ...] = ()
+    effective: float = 1.0
+    worth_of: Callable[[Fitted, Fitted], float] | None = None
+    _encoder: dict[tuple[object, ...], bool] = field(default_factory=dict, init=False)
+    _leads: dict[tuple[object, ...], float] = field(default_factory=dict, init=False)
+    _samples: dict[tuple[object, ...], list[np.ndarray] | None] = field(default_factory=dict, init=False)
+
+    def criterion(self, f: Fitted) -> float:
+        """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
+        order = sum(effect_class(e.id).places.index(e.place) for e in f.effects)
+        n = f.n * self.effective
+        return n * math.log(max(f.chi2, 1e-300) / f.n) + self.options.price * len(f.hypothesis.entries) + order
+
+    def gain(self, poorer: Fitted, richer: Fitted) -> float:
+        """How far C falls from one structure to the other, each sample counted for what it is worth to tell these two apart."""
+        if self.worth_of is None:
+            return self.criterion(poorer) - self.criterion(richer)
+        order = [sum(effect_class(e.id).places.index(e.place) for e in f.effects) for f in (poorer, richer)]
+        price = self.options.price * (len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
+        n = richer.n * self.worth_of(poorer, richer)
+        return n * math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300)) - price + order[0] - order[1]
+
+    def ahead(self, f: Fitted, other: Fitted) -> float:
+        """How far C of a structure lies below that of another, both counted from what they have in common."""
+        common = self.pool.get(tuple(sorted(set(f.key) & set(other.key))))
+        if self.worth_of is None or common is None:
+            return self.criterion(other) - self.criterion(f)
+        mine, theirs = (self.gain(common, g) if common.key != g.key else 0.0 for g in (f, other))
+        return mine - theirs
+
+    def held_out(self, f: Fitted) -> HeldOut | None:
+        """Held-out error, computed once per structure."""
+        if f.key not in self.held:
+            self.held[f.key] = self.fitter.validate(f)
+        return self.held[f.key]
+
+    def compared(self, before: Fitted, after: Fitted) -> Comparison:
+        """Two structures on held-out data; as far as the one that fits foretells them, where its free run goes astray."""
+        samples, pair = self._foretold(before, after), (self.held_out(before), self.held_out(after))
+        if samples is not None:
+            pair = (self.fitter.validate(before, samples), self.fitter.validate(after, samples))
+        return compare(*pair, known=self.fitter.noise_known)
+
+    def _foretold(self, *structures: Fitted) -> list[np.ndarray] | None:
+        """The held-out samples that one structure foretells which alone fits the estimation data but not the held-out ones."""
+        fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
+        if not self.fitter.noise_known or fits.chi2 > UNEXPLAINED * fits.n or other.chi2 < UNEXPLAINED * other.n:
+            return None
+        held, asked = self.held_out(fits), (fits.key, fits.chi2)
+        if held is None or held.chi2 < UNEXPLAINED * float(np.sum(held.n)):
+            return None
+        if asked not in self._samples:
+            self._samples[asked] = self.fitter.foretold(fits)
+        return self._samples[asked]
+
+    def pays(self, before: Fitted, after: Fitted, attempt: int = 1) -> bool:
+        """Whether ``after`` is better by the criterion, materially, and on held-out data.
+
+        ``attempt``: how many structures the held-out data have been asked about in this move, this one included. It was the
+        estimation data that chose them among the candidates, so that where the noise is known only these are corrected for;
+        where the error is the model's own, which both share, all candidates are.
+        """
+        if self.gain(before, after) < self.options.entry:
+            return False
+        c = self.compared(before, after)
+        asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
+        if c.relative_gain <= self.options.material or c.p_value * asked >= self.options.p_enter:
+            return False
+        return not self._encoder_errs(before, after) and not self._events_only(before, after)
+
+    def _events_only(self, before: Fitted, after: Fitted) -> bool:
+        """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.
+
+        A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
+        right within J/lead: there it must gain as well, a fair part of that; and it must explain a fair part of what was left.
+        """
+        stuck = before.rough and before.chi2 > UNEXPLAINED * before.n
+        if not stuck or not self.fitter.noise_known or not set(before.key) < set(after.key):
+            return False
+        gain = self.gain(before, after)
+        if gain < FAIR * before.n * math.log(before.chi2 / before.n):
+            return True
+        asked = (before.key, before.chi2, after.key, after.chi2)
+        if asked not in self._leads:
+            richer = self.fitter.led(after, LEAD, 15, spread=8, keep=2)
+            own = self.fitter.led(before, LEAD, 15, spread=8, keep=2)
+            effects = tuple(e for e in after.effects if e.key in before.key)
+            begun = self.fitter.fit(self.fitter.hypothesis(effects, after.linear, after.own), iterations=0)
+            poorer = [f for f in (own, self.fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
+            if richer is None or not poorer:
+                self._leads[asked] = math.inf
+            else:
+                self._leads[asked] = self.gain(min(poorer, key=lambda f: f.chi2), richer)
+        return self._leads[asked] < max(self.options.entry, FAIR * gain)
+
+    def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:
+        """Whether an encoder that errs over its turn does as much as the one effect that was added.
+
+        At whole orders of its turn it may err beside any effect, which must gain there too; and at whatever order a
+        position-locked effect has it is that effect's rival.
+        """
+        new = [e for e in after.effects if e.key not in before.key]
+        if len(new) != 1 or len(after.key) != len(before.key) + 1 or not self.fitter.noise_known:
+            return False
+        asked = (before.key, before.chi2, new[0], after.chi2)
+        if asked not in self._encoder:
+            gain = before.chi2 - after.chi2
+            own = encoder_gain(self.fitter, before, new[0]) > gain - max(self.options.entry, ALIKE * gain)
+            self._encoder[asked] = own or gain_beside_encoder(self.fitter, before, after) < self.options.entry
+        return self._encoder[asked]
+
+    def earned(self, current: Fitted, f: Fitted) -> bool:
+        """Whether a structure beats another directly, and what it alone has pays by itself, where the error is the model's own.
+
+        Two gains counted from far off, each by its own samples' worth, say little of their difference; and an effect that does
+        not pay beside the rest must not enter in exchange for one that does.
+        """
+        common = self.pool.get(tuple(sorted(set(f.key) & set(current.key))))
+        if self.worth_of is None or common is None or common.key == f.key:
+            return True
+        directly = self.gain(current, f) if f.chi2 < current.chi2 else -self.gain(f, current)
+        return directly > 0 and self.pays(common, f)
+
+    def worse(self, f: Fitted, other: Fitted) -> bool:
+        """Whether held-out data speak for a structure and against another of its size that fits the estimation data better."""
+        c = self.compared(other, f)
+        return c.relative_gain > self.options.material and c.p_value < self.options.p_enter
+
+    def stands(self, simpler: Fitted, current: Fitted) -> bool:
+        """Whether another law of what the simpler structure names as well beats it, and not on the estimation data alone."""
+        if named(simpler) != named(current) or self.gain(simpler, current) < self.options.entry:
+            return False
+        return self.compared(simpler, current).relative_gain > 0.0

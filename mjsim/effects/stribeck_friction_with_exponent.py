@@ -1,0 +1,74 @@
+"""Stribeck friction whose extra level fades otherwise than by the square of the speed (Tustin's law has the exponent 1).
+
+tau_f = (F + F_s exp(-|v/v_s|^d)) sign(v);  it holds up to F + F_s at rest
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.law import RATE, law
+from mjsim.effects.ports import Friction, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
+
+__all__ = ["StribeckFrictionWithExponent"]
+
+
+@law
+def level(z: Any, p: Any, out: Any) -> None:
+    """F + F_s exp(-|v/v_s|^d); at rest F + F_s."""
+    out[0] = p[0] + p[1] * math.exp(-((abs(z[RATE]) / p[2]) ** p[3]))
+    out[1] = p[0] + p[1]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class StribeckFrictionWithExponent(Effect):
+    """Stribeck friction with an exponent; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "stribeck_friction_with_exponent"
+    form_of: ClassVar[str] = "stribeck_friction"
+    places: ClassVar[tuple[str, ...]] = ("motor",)
+    sentence: ClassVar[str] = (
+        "Stribeck friction at the {place}: {torque_Nm} at speed, {extra_static_torque_Nm} more near standstill, fading over "
+        "{stribeck_velocity_rad_s} by an exponent of {exponent} (1: Tustin's law, 2: Stribeck's usual one)."
+    )
+    citation: ClassVar[str] = "A. Tustin, J. IEE 94 (1947) 143; Bo and Pavelescu, Wear 82 (1982) 277"
+    tolerance: ClassVar[float] = 1e-4
+    amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "extra_static_torque_Nm")
+    rough: ClassVar[bool] = True
+    family: ClassVar[str] = "friction"
+    refines: ClassVar[tuple[str, ...]] = ("stribeck_friction", "coulomb_friction")
+
+    torque_Nm: float = parameter(Quantity.TORQUE, "Coulomb level at high speed", lower=0.0)
+    extra_static_torque_Nm: float = parameter(Quantity.TORQUE, "level at standstill above the Coulomb level", lower=0.0)
+    stribeck_velocity_rad_s: float = parameter(Quantity.VELOCITY, "speed at which the extra level has fallen to 1/e", lower=1e-9)
+    exponent: float = parameter(Quantity.RATIO, "exponent of the speed in that fall", lower=0.3, upper=5.0)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        p = (self.torque_Nm, self.extra_static_torque_Nm, self.stribeck_velocity_rad_s, self.exponent)
+        return (Friction(need_body(chain, self.place), level, p),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks."""
+        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
+        return "the higher friction at low speed: frictionloss has the level at high speed only"
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit."""
+        f = 0.1 * scales.torque
+        return [
+            {"torque_Nm": f, "extra_static_torque_Nm": f, "stribeck_velocity_rad_s": part * scales.velocity, "exponent": exponent}
+            for part, exponent in ((0.1, 1.0), (0.3, 1.0), (0.1, 3.0))
+        ]
