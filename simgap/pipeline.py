@@ -6,7 +6,8 @@ import dataclasses
 import difflib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -79,7 +80,7 @@ def diagnose_files(
     held = [load(p, model=model) for p in held_out]
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
-        with following(progress, memory.recalled) as say:
+        with following(progress, memory.recalled) as say, _compiling_told(say):
             result = diagnose(nominal, loaded, held, options, _drawing_loaded_beside(say, options.jobs), memory)
     except InputError:
         memory.discard()
@@ -100,6 +101,26 @@ def diagnose_files(
     result.write_json(out / "diagnosis.json")
     memory.discard()
     return result
+
+
+@contextmanager
+def _compiling_told(say: Callable[[Step], None]) -> Iterator[None]:
+    """Say so when the simulation has to be compiled: whoever waits for the first answer on a machine waits a minute longer."""
+    from numba.core import event
+
+    class Once(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.told:
+                self.told = True
+                say(Step("compile", "the simulation of such an axis, once on this machine: about a minute"))
+
+        def on_end(self, event: Any) -> None:
+            """Of no interest."""
+
+    with event.install_listener("numba:compile", Once()):
+        yield
 
 
 def _drawing_loaded_beside(say: Callable[[Step], None], jobs: int) -> Callable[[Step], None]:

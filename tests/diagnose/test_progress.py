@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from numba import njit
 from robot_axis import effect
 
 from diagnose.flow import Options, diagnose
@@ -14,6 +15,7 @@ from diagnose.progress import Progress, Step
 from mjsim.models import shipped_model
 from simgap.cli import cli
 from simgap.following import following
+from simgap.pipeline import _compiling_told
 
 FEW = ("coulomb_friction", "torque_offset", "time_delay")
 
@@ -113,3 +115,16 @@ def test_the_command_is_quiet_when_asked(pair, tmp_path):
     assert said[("--quiet",)] == ""
     assert "compare: refitting the nominal model" in said[()]
     assert "best so far coulomb_friction@motor" in said[()]
+
+
+def test_compiling_is_told_once():
+    """Where compiled code is not on disk yet the first answer takes a minute longer, and a silent tool would look stuck."""
+    told: list[Step] = []
+    with _compiling_told(told.append):
+        for factor in (2.0, 3.0):
+            njit(lambda x, factor=factor: factor * x)(1.0)
+    assert [s.stage for s in told] == ["compile"]
+    with _compiling_told(told.append):
+        pass
+    njit(lambda x: x)(1.0)
+    assert len(told) == 1
