@@ -191,8 +191,9 @@ def with_other_laws(
     pool: Mapping[tuple[str, ...], Fitted], offered: Sequence[Candidate], current: Fitted, within: float
 ) -> list[Fitted]:
     """Structures as large as the current one and nearly as good, by ``within`` in the logarithm of chi-square, best first, that
-    hold an effect of which another law is offered."""
+    hold an effect of which another law is offered; not those that only refine the current one, and fit as it does."""
     known = {effect_class(c.id).form_of for c in offered} - {""}
     alike = [f for f in pool.values() if len(f.effects) == len(current.effects) and f.key != current.key]
     near = [f for f in alike if math.log(f.chi2 / current.chi2) < within and any(e.id in known for e in f.effects)]
+    near = [f for f in near if not refines(f, current)]
     return sorted(near, key=lambda f: f.chi2)

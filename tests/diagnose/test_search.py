@@ -305,11 +305,15 @@ def test_what_comes_near_is_tried_by_its_other_laws(fitter_of, pair):
     others = effect("torque_offset", torque_Nm=0.01), stribeck, effect("quadratic_friction", coefficient_Nm_s2_rad2=1e-3)
     effects = (coulomb(), *others)
     fits = [fitter.fit(fitter.hypothesis([e], best.linear), iterations=0) for e in effects]
-    costs = (1.0, 1.01, 1.05, 1.05)
-    first, *_ = fits = [dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c)) for f, c in zip(fits, costs, strict=True)]
+    costs = (1.01, 1.0, 1.05, 1.05)
+    friction, offset, *_ = fits = [
+        dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c)) for f, c in zip(fits, costs, strict=True)
+    ]
     pool = {f.key: f for f in (best, *fits)}
-    assert [f.key for f in with_other_laws(pool, search.candidates, first, 0.1)] == [("stribeck_friction@motor",)]
-    assert with_other_laws(pool, search.candidates, first, 0.01) == []
+    near = [f.key for f in with_other_laws(pool, search.candidates, offset, 0.1)]
+    assert near == [("coulomb_friction@motor",), ("stribeck_friction@motor",)]
+    assert with_other_laws(pool, search.candidates, offset, 0.005) == []
+    assert with_other_laws(pool, search.candidates, friction, 0.1) == [], "what refines it fits as it does"
 
 
 def test_a_structure_is_promising_by_how_far_chi_square_falls_whatever_the_level_of_the_noise(fitter_of, pair):
