@@ -1,5 +1,7 @@
 """Whether one structure is better than another: by the criterion, on held-out data, and against what may stand in for it.
 
+The criterion compares whitened chi-squares (residual autocorrelation is thereby counted) with a price per parameter:
+
     C = n log(chi2 / n) + price * (free parameters)
 
 Thresholds: docs/decisions/false-alarms.md.

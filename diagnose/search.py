@@ -1,10 +1,6 @@
 """Search over structures: add, swap and drop effects until no move pays, with every rival refitted from good starts.
 
-The criterion compares whitened chi-squares (residual autocorrelation is thereby counted) with a price per parameter:
-
-    C = n log(chi2 / n) + price * (free parameters)
-
-A move is made only when it also pays on held-out data. Thresholds: docs/decisions/false-alarms.md.
+What pays is for `diagnose.judge` to say: by the criterion, and on held-out data. Thresholds: docs/decisions/false-alarms.md.
 """
 
 from __future__ import annotations
@@ -381,7 +377,9 @@ class Search(Judge):
     def _against_other_laws(self, current: Fitted) -> Fitted:
         """The best structure once those near it were tried by other laws: one may have come second by its law alone."""
         near = [f for f in with_other_laws(self.pool, self.candidates, current, RIVAL) if self.ahead(current, f) > ALIKE_C]
-        for f in near[: self.options.beam] if self.fitter.noise_known and not self._spent() else []:
+        if not near or not self.fitter.noise_known or self._spent():
+            return current
+        for f in near[: self.options.beam]:
             self.refine(f, forms=True)
         return self._best(current)
 

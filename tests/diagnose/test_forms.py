@@ -27,18 +27,23 @@ DT, N = 1e-3, 8_000
 LUGRE = {"torque_Nm": 0.1, "stiffness_Nm_rad": 1.0, "damping_Nms_rad": 0.01}
 
 
+def two_chirps(plant, seed, noise, low, *chirps):
+    """A recording for each (amplitude [N m], highest frequency [Hz]), from ``low`` [Hz]; noise in rad/s and 1e-4 rad."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for amplitude, top in chirps:
+        torque = chirp(N * DT, DT, amplitude, low, top)
+        run = simulate(plant, torque, DT)
+        velocity = run.velocity + noise * rng.standard_normal(N)
+        out.append(Recording(run.time, torque, velocity, run.angle + 1e-4 * rng.standard_normal(N), DT))
+    return out
+
+
 @pytest.fixture(scope="module")
 def damped(robot):
     """Two chirps of an axis whose bristle is damped, as the contract's presliding friction has it not."""
     plant = robot + effect_class("presliding_friction_with_damping")(**LUGRE)
-    rng = np.random.default_rng(5)
-    out = []
-    for amplitude, top in ((0.5, 20.0), (0.35, 30.0)):
-        torque = chirp(N * DT, DT, amplitude, 0.5, top)
-        run = simulate(plant, torque, DT)
-        noise = 0.02 * rng.standard_normal(N)
-        out.append(Recording(run.time, torque, run.velocity + noise, run.angle + 1e-4 * rng.standard_normal(N), DT))
-    return out
+    return two_chirps(plant, 5, 0.02, 0.5, (0.5, 20.0), (0.35, 30.0))
 
 
 def test_every_form_is_of_an_effect_of_the_contract():
@@ -67,13 +72,7 @@ def test_a_form_is_named_by_the_contract(robot, damped):
 def test_friction_that_fades_in_is_coulomb_friction_and_no_bristle(robot):
     """Near standstill a damped bristle comes close to it, and neither holds the axis nor gives it a spring."""
     plant = robot + effect_class("coulomb_friction_with_creep")(torque_Nm=0.1, creep_velocity_rad_s=1.0)
-    rng = np.random.default_rng(6)
-    pair = []
-    for amplitude, top in ((0.5, 20.0), (0.35, 30.0)):
-        torque = chirp(N * DT, DT, amplitude, 0.5, top)
-        run = simulate(plant, torque, DT)
-        noise = 0.02 * rng.standard_normal((2, N))
-        pair.append(Recording(run.time, torque, run.velocity + noise[0], run.angle + 5e-3 * noise[1], DT))
+    pair = two_chirps(plant, 6, 0.02, 0.5, (0.5, 20.0), (0.35, 30.0))
     only = ("coulomb_friction", "presliding_friction", "stribeck_friction", "torque_offset")
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
@@ -87,13 +86,7 @@ def test_tustins_law_is_stribeck_friction_and_nothing_beside_it(robot):
     """The extra level fades by the speed and not by its square: quadratic friction made up for that before."""
     values = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 3.0, "exponent": 1.0}
     plant = robot + effect_class("stribeck_friction_with_exponent")(**values)
-    rng = np.random.default_rng(9)
-    pair = []
-    for amplitude, top in ((0.7, 15.0), (0.5, 20.0)):
-        torque = chirp(N * DT, DT, amplitude, 0.3, top)
-        run = simulate(plant, torque, DT)
-        noise = 0.03 * rng.standard_normal(N)
-        pair.append(Recording(run.time, torque, run.velocity + noise, run.angle + 1e-4 * rng.standard_normal(N), DT))
+    pair = two_chirps(plant, 9, 0.03, 0.3, (0.7, 15.0), (0.5, 20.0))
     only = ("coulomb_friction", "stribeck_friction", "quadratic_friction", "torque_offset")
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
@@ -107,13 +100,7 @@ def test_friction_and_an_offset_are_not_held_by_asymmetric_friction(robot):
     """Asymmetric friction fits the pair best at first: taken apart, its friction is refined beside the offset."""
     stribeck = {"torque_Nm": 0.13, "extra_static_torque_Nm": 0.06, "stribeck_velocity_rad_s": 4.0}
     plant = robot + effect_class("stribeck_friction")(**stribeck) + effect_class("torque_offset")(torque_Nm=-0.04)
-    rng = np.random.default_rng(7)
-    pair = []
-    for amplitude, top in ((0.5, 15.0), (0.4, 20.0)):
-        torque = chirp(N * DT, DT, amplitude, 0.3, top)
-        run = simulate(plant, torque, DT)
-        speed = run.velocity + 0.05 * rng.standard_normal(len(torque))
-        pair.append(Recording(run.time, torque, speed, run.angle + 1e-4 * rng.standard_normal(len(torque)), DT))
+    pair = two_chirps(plant, 7, 0.05, 0.3, (0.5, 15.0), (0.4, 20.0))
     only = ("coulomb_friction", "asymmetric_friction", "stribeck_friction", "torque_offset", "quadratic_friction")
     found = diagnose(robot, pair[:1], pair[1:], Options(effects=only, jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
