@@ -117,7 +117,7 @@ class Fitted:
         variance = self.chi2 / max(self.n - J.shape[1], 1) + self.n * (ENGINE**2 + events)
         scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
-        s = np.maximum(s, 1e-10 * s[0])
+        s = np.maximum(s, 1e-10 * s[0] + 1e-300)
         slope = np.array([abs(e.slope(v)) for e, v in zip(self.hypothesis.entries, self.fit.x, strict=True)])
         with np.errstate(over="ignore"):  # what the data do not answer to at all has no bound
             return slope * np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
@@ -141,9 +141,9 @@ class HeldOut:
 
 def _drawn(fitted: Fitted, widths: np.ndarray, seed: int) -> list[np.ndarray]:
     """Points (p,) about a fit, so many standard errors wide by its covariance; the same for a seed."""
-    if len(widths) == 0:
-        return []
     J = fitted.fit.J
+    if len(widths) == 0 or not J.any():
+        return []
     scale = np.linalg.norm(J, axis=0) + 1e-300
     _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
     root = (vt.T / np.maximum(s, 1e-5 * s[0])) * math.sqrt(fitted.chi2 / fitted.n)
@@ -403,7 +403,9 @@ class Fitter:
         return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
 
     def _borrowed(self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run) -> np.ndarray | None:
-        """A Jacobian at x whose columns for the parameters of ``base`` are taken from there."""
+        """A Jacobian at x whose columns for the parameters of ``base`` are taken from there; None where it has none to lend."""
+        if not base.fit.J.any():
+            return None
         lower, upper = h.bounds
         x = np.clip(x, lower, upper)
         known = {e.label: (e.scale, base.fit.J[:, i]) for i, e in enumerate(base.hypothesis.entries)}

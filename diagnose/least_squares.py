@@ -47,7 +47,10 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Outcome: x (p,), cost = sum of squares, residual (N,) and J (N, p) at the last linearisation, status, gradient measure."""
+    """Outcome: x (p,), cost = sum of squares, residual (N,) and J (N, p) at the last linearisation, status, gradient measure.
+
+    J is zero where none could be had: a neighbour of the start could not be run.
+    """
 
     x: np.ndarray
     cost: float
@@ -170,7 +173,7 @@ def levenberg_marquardt(
         return Fit(x, 0.0, Linearised.known(r, np.zeros((len(r), n_x))), Status.CONVERGED, 0, 0.0)
     mu = damping
     r_old, d = r, np.zeros(n_x)
-    J = np.empty((len(r), n_x))
+    J = np.zeros((len(r), n_x))  # what a fit keeps whose first Jacobian fails
     status = Status.BUDGET
     gain = np.inf
     iteration = 0

@@ -67,6 +67,13 @@ def test_a_model_that_cannot_be_run_at_its_start_has_failed():
     assert not np.isfinite(fit.cost)
 
 
+def test_a_start_whose_neighbour_cannot_be_run_leaves_no_sensitivities():
+    fit = solve(lambda x: rosenbrock(x) if x[0] == 0.0 else None, [0.0, 0.0])
+    assert fit.status is Status.STALLED
+    assert fit.cost == pytest.approx(1.01)
+    np.testing.assert_array_equal(fit.J, np.zeros((3, 2)))
+
+
 def test_a_wall_is_stepped_back_from():
     """The model cannot be run beyond 1.5: the step is shortened, not given up."""
 

@@ -112,6 +112,15 @@ def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, pai
     assert sum(asked) == 0, "nothing is run for what is known"
 
 
+def test_who_has_no_sensitivities_lends_none_and_is_sure_of_nothing(fitter_of, pair):
+    """Its first differences failed, or nobody asked for them: what it keeps is zero."""
+    fitter = fitter_of(pair(coulomb()))
+    bare = fitter.fit(fitter.hypothesis([coulomb()]), iterations=0)
+    assert fitter._borrowed(bare.hypothesis, bare.fit.x, bare, 1e-3, fitter.map) is None
+    assert np.all(np.isinf(bare.standard_errors()))
+    assert fitter.fit(bare.hypothesis, bare.fit.x, borrow=bare, secant=True).chi2 < bare.chi2
+
+
 def test_a_rival_far_from_the_noise_is_fitted_roughly_and_one_near_it_is_not(fitter_of, pair):
     fitter = fitter_of(pair(coulomb(0.3)))
     bare, right = fitter.hypothesis(()), fitter.hypothesis([coulomb(0.2)])
