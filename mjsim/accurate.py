@@ -625,7 +625,7 @@ def simulate(
     (2, n): angles and velocities at the start, at rest when None; ``before``: commanded torque ahead of the first sample.
     Raises DivergedError.
     """
-    s = axis if isinstance(axis, System) else assemble(axis)
+    s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, count = s.n, len(torque)
     mine = twin(s)
     m, d = mine.model, mine.data

@@ -72,7 +72,7 @@ def simulate(
     """
     from mjsim import kernel
 
-    s = axis if isinstance(axis, System) else assemble(axis)
+    s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, count = s.n, len(torque)
     u = _own(apply_input(s, np.asarray(torque, float)))
     x0 = np.zeros((2, n))

@@ -15,6 +15,7 @@ from mjsim.effects.law import DIRECTION, N_LOCAL, RATE, STATE, Law
 __all__ = ["STEP", "System", "assemble", "split_chain"]
 
 STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
+MOST_STEPS = 64  # of the accuracy rule in a sample
 
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
 
@@ -52,7 +53,13 @@ class System:
         w = max(self.omega, self.spatial * max_speed / 3.0)
         if self.input_lag > 0:
             w = max(w, (1.0 if self.affine else 0.15) / self.input_lag)
-        return max(1, min(64, math.ceil(dt * w / target - 1e-9)))
+        return max(1, min(MOST_STEPS, math.ceil(dt * w / target - 1e-9)))
+
+    def resolved(self, dt: float) -> System:
+        """Itself, where no step of a sample dt [s] resolves its lag with the lag as a delay: the two differ by its square."""
+        if not 0.0 < self.input_lag < dt / MOST_STEPS:
+            return self
+        return dataclasses.replace(self, input_lag=0.0, input_delay=self.input_delay + self.input_lag)
 
 
 def split_chain(chain: Chain, port: P.SplitInertia) -> Chain:

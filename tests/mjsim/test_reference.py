@@ -145,6 +145,18 @@ def test_a_short_lag_is_resolved() -> None:
     assert relative(ode.simulate(model, u, DT).velocity, reference.simulate(model, u, DT).velocity) < 1e-10
 
 
+@pytest.mark.parametrize("tau", [1e-8, 1e-6, 7.8e-6])
+@pytest.mark.parametrize("coulomb", [0.0, 0.1])
+def test_a_lag_shorter_than_any_step_delays(tau: float, coulomb: float) -> None:
+    model = axis(effect("actuator_lag", time_constant_s=tau), effect("coulomb_friction", torque_Nm=coulomb))
+    u = chirp(1.0)
+    exact = reference.simulate(model, u, DT).velocity
+    without = ode.simulate(axis(effect("coulomb_friction", torque_Nm=coulomb)), u, DT).velocity
+    left = relative(ode.simulate(model, u, DT).velocity, exact)
+    assert left < 4e-6
+    assert left < 0.01 * relative(without, exact) + 1e-7, "the lag is there to first order"
+
+
 @pytest.mark.parametrize("name", ["lag", "delay"])
 def test_torque_ahead_of_the_record(name: str) -> None:
     model = axis(*(effect(k, **v) for k, v in CASES[name]))  # type: ignore[arg-type]
