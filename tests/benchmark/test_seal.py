@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import simgap.benchmark
+import simgap.benchmark.cases
 from mjsim.errors import InputError
 from simgap.benchmark.cases import LEVELS, SIZE, make_case
-from simgap.benchmark.experiment import draw_experiment
+from simgap.benchmark.experiment import Experiment, draw_experiment
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.measurement import Measurement
 from simgap.benchmark.plant import record
@@ -114,3 +115,17 @@ def test_the_effect_asked_for_is_concealed() -> None:
     assert truth["effects"] == ["torque_ripple"]
     with pytest.raises(InputError, match="slipping_clutch"):
         make_case("out_of_library", np.random.default_rng(3), "backlash")
+
+
+def test_a_held_out_recording_that_friction_holds_is_recorded_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With another drive: a recording that stands still shows nothing, and is refused by whoever diagnoses it."""
+    draws = []
+
+    def weak_first(kind: str, rng: np.random.Generator, amplitude: float) -> Experiment:
+        draws.append(kind)
+        return draw_experiment(kind, rng, amplitude * (1e-3 if len(draws) == 2 else 1.0))
+
+    monkeypatch.setattr(simgap.benchmark.cases, "draw_experiment", weak_first)
+    case = make_case("nothing", np.random.default_rng([3, 1]))
+    assert len(draws) == 3
+    assert rms(case.held_out.velocity_true) > 3 * case.truth["measurement"]["velocity_noise"]  # type: ignore[index]
