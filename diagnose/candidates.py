@@ -17,6 +17,7 @@ from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 __all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "screen", "span"]
 
 
+QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 WRONG_SIGN = 0.3  # what the promise of an amplitude of the wrong sign counts
 
 
@@ -98,15 +99,21 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
     linear, own = base.linear, base.own
     starts: list[tuple[Candidate, Effect]] = []
-    tasks = []
+    variants: list[list[Effect]] = []
     for candidate in supposed:
         cls = effect_class(candidate.id)
         for values in cls.starts(fitter.scales_for(cls, candidate.place)):
             effect = make(candidate.id, candidate.place, values if replacing is None else inherit(cls, values, replacing))
-            starts.append((candidate, effect))
-            tasks += [fitter.at_start(fitter.hypothesis((*present, e), linear, own)) for e in _variants(effect)]
+            if replacing is None or "phase_rad" not in effect.values or "phase_rad" in replacing.values:
+                starts.append((candidate, effect))
+                variants.append(list(_variants(effect)))
+            else:  # what comes in place of an effect is not moved: its phase is one of four
+                turned = [effect.with_values({"phase_rad": effect.values["phase_rad"] + turn}) for turn in QUARTERS]
+                starts += [(candidate, e) for e in turned]
+                variants += [[e] for e in turned]
+    tasks = [fitter.at_start(fitter.hypothesis((*present, e), linear, own)) for some in variants for e in some]
     answers = iter(fitter.run(tasks))
-    responses = [[next(answers) for _ in _variants(effect)] for _, effect in starts]
+    responses = [[next(answers) for _ in some] for some in variants]
     project = partial(_project, r0=r0, q=q, move=replacing is None)
     projected = fitter.map([partial(project, effect, some) for (_, effect), some in zip(starts, responses, strict=True)])
     best: dict[Candidate, list[tuple[float, Effect]]] = {c: [] for c in supposed}

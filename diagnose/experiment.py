@@ -22,6 +22,8 @@ __all__ = [
     "whole_step",
 ]
 
+CHANCE = 3.0  # times the repeated rows that quantisation explains, beyond which a sensor held them
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -98,7 +100,11 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
     held = np.zeros(len(recording), bool)
     if v is None or q is None or plain_step(v) > 0 or plain_step(q) > 0:
         return held
-    held[1:] = (np.diff(v) == 0) & (np.diff(q) == 0)
+    same = np.diff(v) == 0, np.diff(q) == 0
+    held[1:] = same[0] & same[1]
+    by_chance = float(np.mean(same[0][~same[1]])) * float(np.sum(same[1])) if not np.all(same[1]) else 0.0
+    if np.sum(held) <= CHANCE * (by_chance + math.sqrt(by_chance)):  # a quantised velocity repeats as often as the angle moves
+        return np.zeros(len(recording), bool)
     speed = np.abs(v[~held])  # of each row that was measured, and of the one after it: neither is fast at rest
     moves = np.maximum(speed, np.append(speed[1:], 0.0)) > slow * math.sqrt(float(np.mean(v**2)))
     return held & moves[np.cumsum(~held) - 1]

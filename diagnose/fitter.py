@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.experiment import Experiment
+from diagnose.experiment import Experiment, hold_out_blocks
 from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
 from diagnose.memory import Memory
@@ -452,11 +452,24 @@ class Fitter:
         h = self.hypothesis(joint.effects, joint.linear, own)
         return dataclasses.replace(fitted, hypothesis=h, fit=dataclasses.replace(fitted.fit, x=h.start))
 
-    def _beside(self, experiments: tuple[Experiment, ...], like: Sequence[Experiment], view: View) -> Fitter:
+    def in_blocks(self) -> Fitter | None:
+        """A fitter that holds out every third stretch of each estimation recording; None where stretches are held out already."""
+        if {id(e.recording) for e in self.experiments} & {id(e.recording) for e in self.held_out}:
+            return None
+        masks = [hold_out_blocks(e.recording) for e in self.experiments]
+        fitted, held = (
+            tuple(dataclasses.replace(e, counts=e.counts & m[part]) for e, m in zip(self.experiments, masks, strict=True))
+            for part in (0, 1)
+        )
+        return self._beside(fitted, self.experiments, self.view, held)
+
+    def _beside(
+        self, experiments: tuple[Experiment, ...], like: Sequence[Experiment], view: View, held_out: tuple[Experiment, ...] = ()
+    ) -> Fitter:
         """A fitter on the same threads for other experiments, each weighted as the one it is like, or for another view."""
-        other = Fitter(self.nominal, view, experiments, (), self.jobs, self.varies, self.orders, self.whitening)
+        other = Fitter(self.nominal, view, experiments, held_out, self.jobs, self.varies, self.orders, self.whitening)
         other.scales, other.guide, other.threads = self.scales, self.guide, self.threads
-        other._sigma = {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
+        other._sigma |= {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
         return other
 
     def led(

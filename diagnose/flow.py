@@ -7,7 +7,6 @@ import math
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,33 +14,29 @@ from threadpoolctl import threadpool_limits
 
 from diagnose.ahead import k_step
 from diagnose.calibration import false_alarm_rate
-from diagnose.candidates import candidates
 from diagnose.decide import (
     equivalents,
     estimates,
-    excluded_by_angle,
     next_experiment,
     p_values,
     unphysical,
 )
 from diagnose.encoder import fit_beside_encoder
-from diagnose.experiment import Experiment, held_rows, hold_out_blocks, measured_angle, measured_velocity, prepare
+from diagnose.experiment import Experiment, held_rows, hold_out_blocks, prepare
 from diagnose.fitter import Fitted, Fitter, HeldOut
-from diagnose.force_orders import force_orders
 from diagnose.least_squares import Fit
 from diagnose.locate import locate
 from diagnose.memory import Memory
 from diagnose.moves import put_together
-from diagnose.orders import find_orders, torque_to_velocity
+from diagnose.options import Options
+from diagnose.passes import searched
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
 from diagnose.search import ALIKE_C, Search
-from diagnose.search_options import SearchOptions
 from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band, growth_when_held
-from diagnose.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -49,38 +44,12 @@ from mjsim.recording import Recording
 __all__ = ["Options", "diagnose"]
 
 SWING = 3.0  # log of the growth over a recording from which a mechanism cannot be moved as recorded
-MOST_FILTERS = 2  # whitened searches
-OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 POWER = 20.0  # times the material error that the nominal model must leave there, for the test to mean something
 
 HELD = (
     "The mismatch is no physics of the axis: rows of the recordings repeat the row before and were not measured; where they "
     "were, the nominal structure agrees to within the noise."
 )
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of a diagnosis.
-
-    judge: "motion", "force" or None (what the binding says, else by the channels); effects: identifiers to consider, all when
-    empty; jobs: threads; seconds: budget; depth: most effects. structure_share, structure_p: least part of the held-out squared
-    error that must be predictable, and its p-value, for structure to remain; missed: least mean square of missed motion over
-    that of the noise; left: least part of the mismatch that must be left where the noise is not known, closed: of the rms error
-    above the noise, the part that must be closed where it is (docs/decisions/false-alarms.md).
-    """
-
-    judge: str | None = None
-    effects: tuple[str, ...] = ()
-    jobs: int = 2
-    seed: int = 0
-    seconds: float = math.inf
-    depth: int = 3
-    structure_share: float = 0.05
-    structure_p: float = 1e-4
-    missed: float = 0.05
-    left: float = 0.01
-    closed: float = 0.97
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axis | None = None) -> View:
@@ -130,19 +99,6 @@ def _experiments(
     return tuple(estimation), tuple(held)
 
 
-def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
-    """Spatial orders of the residual of a fitted model on its first experiment."""
-    experiment = fitter.experiments[0]
-    r = experiment.recording
-    if fitter.view.channel == "torque":
-        return force_orders(fitter, fitted)
-    e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
-    if e is None:
-        return ()
-    b, a = torque_to_velocity(fitted.axis, r.dt)
-    return find_orders(e, measured_angle(r), measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment))
-
-
 def diagnose(
     nominal: Axis,
     recordings: Sequence[Recording],
@@ -177,123 +133,9 @@ def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:
     return recording.varies
 
 
-def _search(
-    fitter: Fitter, options: Options, progress: Progress, began: float, settled_by: Callable[[Fitted], bool] | None = None
-) -> tuple[Search, Fitted]:
-    left = options.seconds - (time.monotonic() - began)
-    # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
-    chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
-    if not fitter.noise_known:
-        chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.02, p_enter=0.02)
-    search = Search(fitter, chosen, progress=progress, settled_by=settled_by)
-    base = search.nominal()
-    if not base.ok:
-        raise InputError(
-            fitter.experiments[0].recording.source, "the nominal model diverges on this input", "a model that can be run",
-            "check units, signs and the actuator's gain",
-        )  # fmt: skip
-    _need_same_sign(fitter, base)
-    fitter.set_orders(_orders(fitter, base))
-    search.only_beside = excluded_by_angle(fitter.experiments)
-    search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
-    search.orders_of = lambda f: _orders(fitter, f)
-    if not fitter.noise_known:
-        search.effective = effective_share(fitter, base)
-        search.effective_of = lambda f: effective_share(fitter, f)
-        search.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
-    return search, search.run()
-
-
-def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:
-    """Refuse a recording whose motion goes against its torque: a sign, and no physics.
-
-    The nominal model goes the other way, and refitted it does not follow either (which it does where a resonance was shifted).
-    """
-    for i, experiment in enumerate(fitter.experiments):
-        keep = fitter.counted(experiment)
-        alike = []
-        for axis in (fitter.nominal, base.hypothesis.axis(base.fit.x, i)):
-            s = fitter.view.signals(axis, experiment, None)
-            if s is not None and min(np.std(s.measured[keep]), np.std(s.predicted[keep])) > 0:
-                alike.append(float(np.corrcoef(s.measured[keep], s.predicted[keep])[0, 1]))
-        if alike and alike[0] < -clear and alike[-1] < clear:
-            raise InputError(
-                experiment.recording.source, f"the axis moves against its torque (correlation with the model {alike[0]:.2f})",
-                "torque and motion counted in one direction", "turn the sign of one: gain = -1 in the binding",
-            )  # fmt: skip
-
-
-def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
-    """The filter of the residual ([1] where it is white).
-
-    That of the refitted nominal model unless the best structure earns its own.
-    A structure that was found on plain errors may have taken the noise for physics, under feedback above all, and its filter then
-    keeps what it took. The two are compared by the likelihood of their innovations, each with its own filter.
-    """
-    settled = settle(fitter, best)
-    if settled is None:
-        return np.ones(1)
-    if not best.effects:
-        return settled[0]
-    nominal = settle(fitter, search.nominal())
-    if nominal is None or search.criterion(nominal[1]) - search.criterion(settled[1]) > search.options.entry:
-        return settled[0]
-    return nominal[0]
-
-
-def _settled_from_nominal(fitter: Fitter, search: Search) -> Fitted | None:
-    """The nominal structure settled with its own filter, begun where its nominal parameters hold it; None where it is white."""
-    base = search.nominal()
-    fitter.guide = guide_of(fitter, base)
-    try:
-        held = fitter.fit(fitter.hypothesis(()))
-    finally:
-        fitter.guide = 1.0
-    settled = settle(fitter, held)
-    return None if settled is None else settled[1]
-
-
-def _searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
-    """The search on plain errors and, where these are coloured by noise, again on whitened ones; whether they were whitened.
-
-    A residual is coloured by its noise or by motion that the model misses; only noise may be whitened away. Once the angle shows
-    that a structure misses no motion, and its residual is coloured, nothing is sought beside it on plain errors: there the
-    colour counts as mismatch. A structure found on whitened errors may bear out another filter, or none: then it is sought
-    once more.
-    """
-
-    def noise_only(f: Fitted, unknown: bool) -> bool:
-        missed = motion_error(fitter, f)
-        return unknown if missed is None else missed < options.missed
-
-    def settled_by(f: Fitted) -> bool:
-        # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
-        coloured = noise_only(f, unknown=False) and whitening_filter(fitter, f, material=2 * options.missed) is not None
-        return coloured and offset_share(fitter, f) < OFFSET
-
-    known = fitter.noise_known
-    search, best = _search(fitter, options, progress, began, settled_by if known else None)
-    if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
-        # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
-        settled = _settled_from_nominal(fitter, search) if known else None
-        if settled is None or not noise_only(settled, unknown=False):
-            return search, best, False
-        best = settled
-    for _ in range(MOST_FILTERS):
-        filter_ = _whitening(fitter, search, best)
-        if alike(filter_, fitter.whitening / fitter.whitening[0]):
-            break
-        progress.stage("search", "again on whitened errors, since the residual is coloured")
-        fitter.whitening = filter_ / innovation(fitter, best, filter_) if len(filter_) > 1 else filter_
-        plain = search
-        search, best = _search(fitter, options, progress, began)
-        search.tested += plain.tested
-    return search, best, len(fitter.whitening) > 1
-
-
 def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
-    search, best, whitened = _searched(fitter, options, progress, began)
+    search, best, whitened = searched(fitter, options, progress, began)
     base = search.nominal()
     progress.stage("validate", "what is left, intervals, rivals")
     best = search.polish(_put_together(search, best))
@@ -360,6 +202,11 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
             "What is left repeats with the turn of the encoder, whatever the speed: the encoder errs, the axis does not move so."
         )
     notes += _steps(search, best, _unit(fitter))
+    notes += [
+        f"The held-out recording hardly exercises {f.effect.replace('_', ' ')} at the {f.place}: it was judged on stretches of "
+        "the estimation recordings that were held out of its fit. Record a held-out run that exercises it."
+        for f in found if search.hardly_exercised(best, f"{f.form or f.effect}@{f.place}")
+    ]  # fmt: skip
     second = judge_second_encoder(fitter.nominal.chain, fitter.experiments, fitter.held_out)
     notes += [second.sentence()] if second is not None else []
     if whitened:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -27,6 +28,7 @@ __all__ = ["LEAD", "Judge"]
 
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
+SHOWN = 10.0  # times the material gain, on the estimation data, of an effect that held-out data may be too few for
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
@@ -42,6 +44,7 @@ class Judge:
     effective: float = 1.0
     worth_of: Callable[[Fitted, Fitted], float] | None = None
     _encoder: dict[tuple[object, ...], bool] = field(default_factory=dict, init=False)
+    _in_blocks: dict[tuple[object, ...], Comparison] = field(default_factory=dict, init=False)
     _leads: dict[tuple[object, ...], float] = field(default_factory=dict, init=False)
     _samples: dict[tuple[object, ...], list[np.ndarray] | None] = field(default_factory=dict, init=False)
 
@@ -102,11 +105,39 @@ class Judge:
         """
         if self.gain(before, after) < self.options.entry:
             return False
-        c = self.compared(before, after)
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
-        if c.relative_gain <= self.options.material or c.p_value * asked >= self.options.p_enter:
+        if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
             return False
         return not self._encoder_errs(before, after) and not self._events_only(before, after)
+
+    def _pays_on(self, c: Comparison, asked: int) -> bool:
+        return c.relative_gain > self.options.material and c.p_value * asked < self.options.p_enter
+
+    def _pays_in_blocks(self, before: Fitted, after: Fitted, asked: int) -> bool:
+        """Whether a structure pays on stretches held out of the estimation recordings, where the held-out ones cannot tell.
+
+        These cannot where the two predict the same on them: if the richer one is right, its gain there is the mean square of
+        their difference. What gains much on the recordings that are fitted must then pay on their own held-out stretches.
+        """
+        if not self.fitter.noise_known or math.log(before.chi2 / after.chi2) < SHOWN * self.options.material:
+            return False
+        pair = (self.held_out(before), self.held_out(after))
+        if pair[0] is None or pair[1] is None or self.compared(before, after).relative_gain < -self.options.material:
+            return False
+        expected = float(np.sum((pair[0].errors - pair[1].errors) ** 2)) / pair[1].chi2
+        parts = self.fitter.in_blocks() if expected < 2 * self.options.material else None
+        if parts is None:
+            return False
+        key = (before.key, before.chi2, after.key, after.chi2)
+        if key not in self._in_blocks:
+            fits = parts.map([partial(parts.fit, f.hypothesis, f.fit.x, iterations=15) for f in (before, after)])
+            self._in_blocks[key] = compare(*(parts.validate(f) for f in fits), known=True)
+        return self._pays_on(self._in_blocks[key], asked)
+
+    def hardly_exercised(self, f: Fitted, key: str) -> bool:
+        """Whether an effect of a structure pays on stretches of the estimation recordings alone."""
+        poorer = self.pool.get(tuple(k for k in f.key if k != key))
+        return poorer is not None and not self._pays_on(self.compared(poorer, f), 1) and self._pays_in_blocks(poorer, f, 1)
 
     def _events_only(self, before: Fitted, after: Fitted) -> bool:
         """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.

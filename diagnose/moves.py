@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from diagnose.candidates import Candidate, Screened, conflicts, inherit, screen
+from diagnose.candidates import QUARTERS, Candidate, Screened, conflicts, inherit, screen
 from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, Linearised, Status, orthonormal
@@ -87,17 +87,25 @@ def put_together(offered: Sequence[Candidate], effects: tuple[Effect, ...]) -> l
     return out
 
 
-def other_orders(fitter: Fitter, effect: Effect, others: tuple[Effect, ...]) -> list[Entrant]:
-    """A position-locked effect once more at the orders that now stand out: it may have entered at a wrong one."""
+def other_orders(fitter: Fitter, effect: Effect, others: tuple[Effect, ...], *, material: bool) -> list[Entrant]:
+    """A position-locked effect once more at the orders that now stand out: it may have entered at a wrong one.
+
+    One that refines a simpler effect entered with a phase that its mean level drowned: where it leaves something ``material`` it
+    is tried at every order, its own too, in each quarter turn, with its level as it is and the rest as at the start.
+    """
     if "cycles_per_rev" not in effect.values:
         return []
     scales = fitter.scales_for(type(effect), effect.place)
-    known = {v["cycles_per_rev"] for v in type(effect).starts(scales)}
-    orders = [n for n in scales.orders[:LIKELY] if n in known]
-    starts = tuple(
-        effect.with_values({"cycles_per_rev": n, "phase_rad": phase})
-        for n in orders if abs(n - effect.values["cycles_per_rev"]) > 0.02 * n for phase in (0.0, 1.57, 3.14, -1.57)
-    )  # fmt: skip
+    cls, own = type(effect), effect.values["cycles_per_rev"]
+    known = {v["cycles_per_rev"]: v for v in cls.starts(scales)}
+    if cls.refines and material:
+        some = next(iter(known.values()), dict(effect.values))
+        level = {name: effect.values[name] for name in cls.amplitudes}
+        values = [{**v, **level} for v in ({**some, "cycles_per_rev": n} for n in dict.fromkeys((*known, own)))]
+    else:
+        orders = [n for n in scales.orders[:LIKELY] if n in known and abs(n - own) > 0.02 * n]
+        values = [{**effect.values, "cycles_per_rev": n} for n in orders]
+    starts = tuple(effect.with_values({**v, "phase_rad": phase}) for v in values for phase in QUARTERS)
     return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
 
 

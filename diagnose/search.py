@@ -13,6 +13,8 @@ from functools import partial
 from itertools import chain
 from typing import TypeVar
 
+import numpy as np
+
 from diagnose.candidates import Screened, candidates, conflicts, left_over, related, screen, span
 from diagnose.fitter import UNEXPLAINED, Fitted, key_of
 from diagnose.hypothesis import make
@@ -43,6 +45,8 @@ RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
+STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
+BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
 SAME = (
     0.002  # difference in the logarithm of chi-square of one minimum: a model let go that comes back to it has no better one near
 )
@@ -85,8 +89,29 @@ class Search(Judge):
     def nominal(self) -> Fitted:
         """The refitted nominal model: the rival to beat."""
         if () not in self.pool:
-            self.pool[()] = self.fitter.fit(self.fitter.hypothesis(()))
+            self.pool[()] = self._elsewhere(self.fitter.fit(self.fitter.hypothesis(())))
         return self.pool[()]
+
+    def _elsewhere(self, f: Fitted) -> Fitted:
+        """The nominal structure begun about its nominal parameters as well, where it leaves much: it may have another minimum.
+
+        An effect that only leads out of a wrong one is no missing physics.
+        """
+        if not f.ok or not self.fitter.noise_known or self.fitter.misfit(f) < MISFIT:
+            return f
+        rng = np.random.default_rng(0)
+        factors = np.exp(ABOUT * rng.standard_normal((STARTS, len(f.linear))))
+        nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
+        starts = [dict(zip(nominal, list(nominal.values()) * row, strict=True)) for row in factors]
+        begin = [partial(self.fitter.fit, self.fitter.hypothesis((), s), iterations=8, rival=True) for s in starts]
+        fits = [g for g in self.fitter.map(begin) if g.ok]
+        best = min(fits, key=lambda g: g.chi2, default=f)
+        best = self.fitter.fit(best.hypothesis, best.fit.x) if best is not f else f
+        return best if best.ok and best.chi2 < BETTER * f.chi2 else f
+
+    def know(self, f: Fitted) -> None:
+        """Fit a structure that was found by other weights, from there: it is a rival whatever the screen says."""
+        self._keep(self.fitter.fit(self.fitter.hypothesis(f.effects, f.linear, f.own)))
 
     def _keep(self, f: Fitted) -> None:
         old = self.pool.get(f.key)
@@ -139,7 +164,7 @@ class Search(Judge):
             mark = (base.key, (effect.key, str(self.fitter.orders)))
             if mark not in self.retried:
                 self.retried.add(mark)
-                entrants += other_orders(self.fitter, effect, others)
+                entrants += other_orders(self.fitter, effect, others, material=material)
             entrants += self._new(base, taken_apart(self.fitter, self.candidates, effect, others) if material else [])
         return self._race(base, entrants)
 
@@ -238,11 +263,13 @@ class Search(Judge):
         curved = cls.multistart > 1
         stiff = cls.family in ("structure", "coupling")
         own = (s.candidate.key,) if curved else ()  # the columns that change most
-        guesses = [self.fitter.hypothesis((*present, e), base.linear, base.own) for e in s.starts[: None if curved else 2]]
+        # where the same effect enters once more, its own phases are those of its starts
+        rest = {k: v for k, v in base.own.items() if k[0] != s.candidate.key}
+        guesses = [self.fitter.hypothesis((*present, e), base.linear, rest) for e in s.starts[: None if curved else 2]]
         borrowing = len(guesses)
         raw = [make(cls.id, s.candidate.place, v) for v in cls.starts(self.fitter.scales_for(cls, s.candidate.place))]
         from_nominal = (*raw,) if stiff else (*s.starts[:2], *raw[:2]) if far else ()
-        guesses += [self.fitter.hypothesis((*present, e), None, base.own) for e in from_nominal]
+        guesses += [self.fitter.hypothesis((*present, e), None, rest) for e in from_nominal]
         residuals = self.fitter.run([self.fitter.at_start(h) for h in guesses])
         # what the base's own parameters, or the nominal ones, will take up does not count against a start
         spans = (span(base), span(self._begun(base)) if from_nominal else None)

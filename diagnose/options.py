@@ -1,0 +1,32 @@
+"""Options of a diagnosis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["Options"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a diagnosis.
+
+    judge: "motion", "force" or None (what the binding says, else by the channels); effects: identifiers to consider, all when
+    empty; jobs: threads; seconds: budget; depth: most effects. structure_share, structure_p: least part of the held-out squared
+    error that must be predictable, and its p-value, for structure to remain; missed: least mean square of missed motion over
+    that of the noise; left: least part of the mismatch that must be left where the noise is not known, closed: of the rms error
+    above the noise, the part that must be closed where it is (docs/decisions/false-alarms.md).
+    """
+
+    judge: str | None = None
+    effects: tuple[str, ...] = ()
+    jobs: int = 2
+    seed: int = 0
+    seconds: float = math.inf
+    depth: int = 3
+    structure_share: float = 0.05
+    structure_p: float = 1e-4
+    missed: float = 0.05
+    left: float = 0.01
+    closed: float = 0.97

@@ -1,0 +1,94 @@
+"""What a search owes to the recordings it was given: other minima, other filters, stretches of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from robot_axis import effect
+
+from diagnose.experiment import held_rows, prepare
+from diagnose.fitter import Fitter
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
+from diagnose.view import MotionView
+
+# where a fit of the nominal structure to a closed-loop multisine ended, at 135 times the noise
+ELSEWHERE = {"Jm": 2.8e-4, "Jg": 13.7, "Ja": 2.9, "ka": 2.9e5, "dg": 128.0, "da": -7.4}
+
+
+@pytest.fixture
+def search_of(robot):
+    def make(first, other):
+        return Search(Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1), SearchOptions())
+
+    return make
+
+
+def test_the_nominal_structure_is_begun_elsewhere_where_it_leaves_much(search_of, pair):
+    search = search_of(*pair())
+    fitter = search.fitter
+    stuck = fitter.fit(fitter.hypothesis((), ELSEWHERE))
+    assert stuck.chi2 > 3 * stuck.n, "else there is nothing to show"
+    assert search._elsewhere(stuck).chi2 < 1.05 * stuck.n
+    right = fitter.fit(fitter.hypothesis(()))
+    assert search._elsewhere(right) is right
+
+
+def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase(search_of, pair):
+    truth = {"torque_Nm": 0.15, "relative_amplitude": 0.4, "cycles_per_rev": 3.0, "phase_rad": -2.5}
+    search = search_of(*pair(effect("position_dependent_friction", place="motor", **truth), amplitude=1.5))
+    fitter = search.fitter
+    fitter.set_orders((2.2, 3.3))
+    wrong = {"torque_Nm": 0.15, "relative_amplitude": 0.1, "cycles_per_rev": 3.3, "phase_rad": 0.5}
+    stuck = fitter.fit(fitter.hypothesis((effect("position_dependent_friction", place="motor", **wrong),)))
+    assert stuck.chi2 > 2 * stuck.n, "else there is nothing to show"
+    search._keep(stuck)
+    search.refine(stuck)
+    found = search.pool[stuck.key]
+    assert found.chi2 < 1.05 * found.n
+    assert found.effects[0].values["cycles_per_rev"] == pytest.approx(3.0, rel=1e-3)
+
+
+def test_where_the_held_out_recording_cannot_tell_stretches_of_the_other_one_do(search_of, record):
+    """A limit of the torque at a fifth of the noise's variance; the held-out errors are made alike."""
+    limit = effect("actuator_saturation", place="actuator", limit_Nm=0.85)
+    search = search_of(record(limit, noise=1.0), record(limit, noise=1.0, seed=1))
+    before = search.nominal()
+    search.know(search.fitter.fit(search.fitter.hypothesis((limit,))))
+    after = search.pool[("actuator_saturation@actuator",)]
+    assert search.pays(before, after)
+    assert not search.hardly_exercised(after, "actuator_saturation@actuator")
+    heard = search.held_out(before), search.held_out(after)
+    search.held = {before.key: heard[1], after.key: heard[1]}
+    assert search.pays(before, after)
+    assert search.hardly_exercised(after, "actuator_saturation@actuator")
+    search.held = {before.key: heard[1], after.key: heard[0]}
+    assert not search.pays(before, after), "held-out data that speak against an effect are heard"
+
+
+def test_stretches_do_not_bear_out_what_one_part_of_a_recording_holds(search_of, record):
+    """A disturbance at one moment lets some effect fit better; on the stretches that were held out it does nothing."""
+    first, other = record(noise=0.3), record(noise=0.3, seed=1)
+    shaken = first.velocity.copy()
+    shaken[200:800] += 1.5 * np.sin(np.arange(600) / 15)
+    search = search_of(dataclasses.replace(first, velocity=shaken), other)
+    before = search.nominal()
+    search.know(search.fitter.fit(search.fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.01),))))
+    (after,) = (f for f in search.pool.values() if f.key)
+    after = dataclasses.replace(after, fit=dataclasses.replace(after.fit, cost=0.9 * before.fit.cost))  # as if it gained much
+    same = search.held_out(after)
+    search.held = {before.key: same, after.key: same}
+    assert not search.pays(before, after)
+
+
+def test_digits_of_a_quantised_velocity_that_repeat_were_not_held(record):
+    r = record(amplitude=0.3, noise=0.1)
+    step = 0.04, 4e-4
+    coarse = dataclasses.replace(
+        r, velocity=np.round(r.velocity / step[0]) * step[0], angle=np.round(r.angle / step[1]) * step[1]
+    )
+    both = (np.diff(coarse.velocity) == 0) & (np.diff(coarse.angle) == 0)
+    assert both.sum() > 20, "else there is nothing to show"
+    assert not held_rows(coarse).any()
