@@ -12,7 +12,8 @@ test: $(STAMP) lint
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 proof: $(STAMP)
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow -n auto --dist worksteal --ignore tests/benchmark/test_quick_grade.py
+	$(BIN)/python -m pytest -m slow tests/benchmark/test_quick_grade.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
