@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -236,7 +237,11 @@ def test_bad_input_leaves_no_state(files, tmp_path):
 def test_ctrl_c_on_the_running_command(files, tmp_path):
     out = tmp_path / "report"
     process = [sys.executable, "-m", "simgap", *command(files, out)]
-    running = subprocess.Popen(process, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    # a shell that puts its jobs in the background has them ignore the signal, and they hand that on
+    running = subprocess.Popen(
+        process, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     end = time.monotonic() + 120
     while time.monotonic() < end and not ((out / "state.jsonl").exists() and (out / "state.jsonl").stat().st_size > 3000):
         time.sleep(0.05)
