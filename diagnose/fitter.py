@@ -357,11 +357,12 @@ class Fitter:
         coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival else (math.inf, 0.0)
 
         def solve() -> Fit:
-            J0 = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
+            lent = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
+            r0, J0 = lent if lent is not None else (None, None)
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
-                max_iterations=iterations, tolerance=tolerance, J0=J0, secant=secant, reach=h.reach, beside=self.threads.beside,
-                fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
+                max_iterations=iterations, tolerance=tolerance, J0=J0, r0=r0, secant=secant, reach=h.reach,
+                beside=self.threads.beside, fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
             )  # fmt: skip
 
         if known is None:
@@ -402,8 +403,10 @@ class Fitter:
         asked = (h.effects, h.nominal.effects, h.entries, how, lent, weights, self.guide)
         return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
 
-    def _borrowed(self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run) -> np.ndarray | None:
-        """A Jacobian at x whose columns for the parameters of ``base`` are taken from there; None where it has none to lend."""
+    def _borrowed(
+        self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Residual and Jacobian at x, the columns for the parameters of ``base`` taken from there; None where it lends none."""
         if not base.fit.J.any():
             return None
         lower, upper = h.bounds
@@ -429,7 +432,7 @@ class Fitter:
         first = len(r) - len(at)
         J[first:] = 0.0
         J[first + np.arange(len(at)), at] = math.sqrt(self.guide) / PRIOR
-        return J
+        return r, J
 
     def pooled(self, fitted: Fitted) -> Fitted:
         """The same structure with its shared parameters fitted to the estimation and the held-out recordings together.
@@ -606,8 +609,8 @@ class Fitter:
             if solved is None:
                 return None
             effects_axis, initial = solved
-            e = self.error(effects_axis, experiment, initial)
-            if e is None:
+            s = self.view.signals(effects_axis, experiment, initial)
+            if s is None or not np.all(np.isfinite(e := s.measured - s.predicted)):
                 return None
             keep = self.counted(experiment)
             w, valid = self.whitened(e, experiment)
@@ -620,10 +623,8 @@ class Fitter:
                 count.append(len(part))
             squares += float(np.sum(e[keep] ** 2))
             total += int(np.sum(keep))
-            s = self.view.signals(effects_axis, experiment, initial)
-            if s is not None:
-                m = s.measured[keep]
-                spread += float(np.sum((m - m.mean()) ** 2))
+            m = s.measured[keep]
+            spread += float(np.sum((m - m.mean()) ** 2))
         return HeldOut(
             np.concatenate(errors), np.array(sse), np.array(count), math.sqrt(squares / total), math.sqrt(squares / spread)
         )  # fmt: skip

@@ -463,11 +463,16 @@ def _error_figures(fitter: Fitter, axis_of: Callable[[int], Axis], fitted: Fitte
 def _figures(fitter: Fitter, search: Search, base: Fitted, best: Fitted) -> tuple[dict[str, FitFigures], float]:
     """Errors of the nominal model as given, refitted and corrected; and the share of the held-out gap that is closed."""
     as_given = Fitted(base.hypothesis, _at(base, fitter.hypothesis(()).start), base.n)
-    fits = {
-        "nominal": _error_figures(fitter, lambda _: fitter.nominal, None, fitter.validate(as_given)),
-        "refitted": _error_figures(fitter, lambda i: base.hypothesis.axis(base.fit.x, i), base, search.held_out(base)),
-        "corrected": _error_figures(fitter, lambda i: best.hypothesis.axis(best.fit.x, i), best, search.held_out(best)),
-    }
+
+    def of(f: Fitted) -> FitFigures:
+        return _error_figures(fitter, lambda i: f.hypothesis.axis(f.fit.x, i), f, search.held_out(f))
+
+    def given() -> FitFigures:
+        return _error_figures(fitter, lambda _: fitter.nominal, None, fitter.validate(as_given))
+
+    names = ("nominal", "refitted", "corrected")
+    tasks = (given, partial(of, base), partial(of, best))
+    fits = dict(zip(names, fitter.map(tasks), strict=True))
     before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
     floor = float(np.mean([e.sigma for e in fitter.held_out])) if fitter.noise_known else 0.0
     gap = (before - after) / (before - floor) if before > floor * 1.0001 else math.nan
@@ -501,17 +506,13 @@ def _traces(fitter: Fitter, base: Fitted, best: Fitted, mapped: Fitted | None = 
     out = []
     for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)):
         for i, experiment in enumerate(group):
-            signals = []
-            for f in (None, base, best, *([] if mapped is None else [mapped])):
-                if f is None:
-                    signals.append(fitter.view.signals(fitter.nominal, experiment, None))
-                    continue
+            runs: list[tuple[Axis, np.ndarray | None]] = [(fitter.nominal, None)]
+            for f in (base, best, *([] if mapped is None else [mapped])):
                 if role == "estimation":
-                    axis, initial = f.hypothesis.axis(f.fit.x, i), f.hypothesis.initial(f.fit.x, i)
+                    runs.append((f.hypothesis.axis(f.fit.x, i), f.hypothesis.initial(f.fit.x, i)))
                 else:
-                    solved = fitter.own_values(f.hypothesis, f, experiment)
-                    axis, initial = solved if solved is not None else (f.axis, None)
-                signals.append(fitter.view.signals(axis, experiment, initial))
+                    runs.append(fitter.own_values(f.hypothesis, f, experiment) or (f.axis, None))
+            signals = fitter.map([partial(fitter.view.signals, axis, experiment, initial) for axis, initial in runs])
             given, refitted, corrected, *more = signals
             if refitted is None or corrected is None:
                 continue

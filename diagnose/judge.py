@@ -79,6 +79,7 @@ class Judge:
 
     def compared(self, before: Fitted, after: Fitted) -> Comparison:
         """Two structures on held-out data; as far as the one that fits foretells them, where its free run goes astray."""
+        self.fitter.map([partial(self.held_out, f) for f in (before, after)])
         samples, pair = self._foretold(before, after), (self.held_out(before), self.held_out(after))
         if samples is not None:
             pair = (self.fitter.validate(before, samples), self.fitter.validate(after, samples))

@@ -145,6 +145,7 @@ def levenberg_marquardt(
     tolerance: float = 1e-5,
     damping: float = 1e-3,
     J0: np.ndarray | None = None,
+    r0: np.ndarray | None = None,
     secant: bool = False,
     fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
@@ -153,7 +154,8 @@ def levenberg_marquardt(
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
-    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, when known;
+    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, r0: the residual at
+    x0, when known;
     secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
     Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
@@ -164,7 +166,7 @@ def levenberg_marquardt(
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
-    r = residual(x)
+    r = residual(x) if r0 is None else r0
     n_x = len(x)
     if r is None:
         return Fit(x, np.inf, Linearised.known(np.empty(0), np.empty((0, n_x))), Status.FAILED, 0, 0.0)

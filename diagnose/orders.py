@@ -7,6 +7,9 @@ product each (the residual filtered backwards, the energy of the regressors take
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 import numpy as np
 
 from diagnose.whiten import levinson
@@ -14,6 +17,8 @@ from mjsim.axis import Axis
 from mjsim.system import assemble, state_matrix
 
 __all__ = ["find_orders", "torque_to_velocity"]
+
+Run = Callable[[Sequence[Callable[[], float]]], list[float]]
 
 WHITE = 8  # order of the autoregressive filter that levels the residual's spectrum
 
@@ -55,14 +60,19 @@ def _waves(y: np.ndarray, angle: np.ndarray, low: float, top: float) -> tuple[np
     return orders[inside], np.abs(np.fft.rfft(over, length)[inside]) ** 2
 
 
+def _in_turn(tasks: Sequence[Callable[[], float]]) -> list[float]:
+    return [task() for task in tasks]
+
+
 def find_orders(
     residual: np.ndarray, angle: np.ndarray, velocity: np.ndarray, b: np.ndarray, a: np.ndarray, dt: float, *, most: int = 5,
-    keep: np.ndarray | None = None,
+    keep: np.ndarray | None = None, run: Run = _in_turn,
 ) -> tuple[float, ...]:  # fmt: skip
     """Orders (cycles per unit angle / 2 pi, i.e. n in sin(n q)) at which the residual has most energy, strongest first.
 
     residual, angle, velocity (N,): velocity residual, measured motor angle and velocity; (b, a): torque to velocity.
     Orders range from one period over the travel to the one whose frequency reaches a quarter of the sampling rate.
+    ``run``: works out tasks, side by side perhaps.
     """
     from scipy.signal import freqz, lfilter
 
@@ -86,21 +96,24 @@ def find_orders(
     grid = waves[0][0]
     # the energy behind the filter, where the speed changes slowly: a smooth function of the order
     few = np.geomspace(low, top, 60)
-    energies = [0.5 * float(np.interp(n * np.abs(velocity) * dt, near, response) @ mask) for n in few]
+    energies = run([partial(lambda n: 0.5 * float(np.interp(n * np.abs(velocity) * dt, near, response) @ mask), n) for n in few])
     energy = np.maximum(np.interp(grid, few, energies), 1e-300)
     # integer orders are likely: a turn of the motor is a period of what is fixed to it
     whole = np.arange(1.0, min(top, 64.0) + 0.5)
     nearest = np.unique(np.searchsorted(grid, whole).clip(0, len(grid) - 1))
     grid[nearest] = np.array([whole[np.argmin(np.abs(whole - grid[i]))] for i in nearest])
     roughs = np.stack([power / energy for _, power in waves], axis=1)
+
+    def explained(n: float, weight: np.ndarray) -> float:
+        x = np.column_stack([np.sin(n * angle), np.cos(n * angle)]) * weight[:, None]
+        x = lfilter(b, a, x, axis=0) * mask[:, None]
+        c = x.T @ y
+        return float(c @ np.linalg.lstsq(x.T @ x, c, rcond=1e-12)[0])
+
     for weight, rough in zip(weights, roughs.T, strict=True):
         at_top = [i for i in range(len(grid)) if rough[i] >= max(rough[max(i - 1, 0)], rough[min(i + 1, len(grid) - 1)])]
-        for i in sorted(at_top, key=lambda i: -rough[i])[: 3 * most]:
-            x = np.column_stack([np.sin(grid[i] * angle), np.cos(grid[i] * angle)]) * weight[:, None]
-            x = lfilter(b, a, x, axis=0) * mask[:, None]
-            gram = x.T @ x
-            c = x.T @ y
-            found.append((float(c @ np.linalg.lstsq(gram, c, rcond=1e-12)[0]), float(grid[i])))
+        best = [float(grid[i]) for i in sorted(at_top, key=lambda i: -rough[i])[: 3 * most]]
+        found += zip(run([partial(explained, n, weight) for n in best]), best, strict=True)
     found.sort(reverse=True)
     out: list[float] = []
     for _, n in found:

@@ -42,7 +42,7 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
     if e is None:
         return ()
     b, a = torque_to_velocity(fitted.axis, r.dt)
-    return find_orders(e, measured_angle(r), measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment))
+    return find_orders(e, measured_angle(r), measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment), run=fitter.map)
 
 
 def _search(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,6 +49,19 @@ def apply_input(system: System, u: np.ndarray) -> np.ndarray:
 def _own(a: np.ndarray) -> np.ndarray:
     """A writable contiguous copy: one array type, so one compiled kernel."""
     return np.array(a, float, order="C")
+
+
+def _kept(a: np.ndarray) -> np.ndarray:
+    """Itself where nobody can change it, else a copy."""
+    return a if isinstance(a, np.ndarray) and a.dtype == float and not a.flags.writeable else np.array(a, float)
+
+
+@lru_cache(8)
+def _times(count: int, dt: float, t0: float) -> np.ndarray:
+    """Times (N,) of the samples [s], read-only."""
+    time = t0 + dt * np.arange(count)
+    time.flags.writeable = False
+    return time
 
 
 def simulate(
@@ -106,10 +120,10 @@ def simulate(
         raise DivergedError(
             f"the run diverged at {t0 + at * dt:.4f} s (body {s.chain.bodies[0].joint!r}); check signs of damping and stiffness"
         )
-    time = t0 + dt * np.arange(count)
+    time = _times(count, dt, t0)
     velocity, measured = _sense(s, time, out[:, n], out[:, 0], dt)
     return Trajectory(
-        time, np.array(torque, float), velocity, measured, out[:, :n], out[:, n : 2 * n], out[:, 2 * n + s.n_states :]
+        time, _kept(torque), velocity, measured, out[:, :n], out[:, n : 2 * n], out[:, 2 * n + s.n_states :]
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -192,8 +193,14 @@ def _affine(ports: list[P.Port], gap_law: P.BacklashLaw) -> bool:
 
 def _fastest(f: np.ndarray, stiff: np.ndarray, damping: np.ndarray) -> float:
     """Largest natural frequency or decay rate of the chain [rad/s]."""
-    a = state_matrix(np.vstack((f[0], f[1] + damping, f[2:])), stiff)
-    return float(np.max(np.abs(np.linalg.eigvals(a))))
+    return _fastest_of(np.vstack((f[0], f[1] + damping, f[2:5], stiff)).tobytes(), f.shape[1])
+
+
+@lru_cache(256)  # fits change one number of many at a time, and most of them are none of the linear chain
+def _fastest_of(rows: bytes, n: int) -> float:
+    """The same of f (5, n) and the extra stiffness (n), as bytes."""
+    f = np.frombuffer(rows).reshape(-1, n)
+    return float(np.max(np.abs(np.linalg.eigvals(state_matrix(f[:5], f[5])))))
 
 
 def state_matrix(f: np.ndarray, stiff: np.ndarray | None = None) -> np.ndarray:

@@ -105,7 +105,7 @@ def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, pai
     lender = fitter.fit(fitter.hypothesis([coulomb()]), iterations=3)
     fitter.guide = 100.0
     asked = []
-    lent = fitter._borrowed(lender.hypothesis, lender.fit.x, lender, 1e-3, lambda tasks: asked.append(len(tasks)) or [])
+    _, lent = fitter._borrowed(lender.hypothesis, lender.fit.x, lender, 1e-3, lambda tasks: asked.append(len(tasks)) or [])
     rows = len(fitter.nominal.chain.linear_parameters())
     np.testing.assert_array_equal(lent[:-rows], lender.fit.J[:-rows])
     np.testing.assert_allclose(lent[-rows:], 10.0 * lender.fit.J[-rows:], atol=1e-6)
