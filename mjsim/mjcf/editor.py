@@ -321,6 +321,10 @@ class MjcfEditor:
         else:
             self._absolute_tendon(body, "friction", chain=False, **attributes)
 
+    def viscous(self, body: int, coefficient: float) -> None:
+        """Viscous friction of a body against the ground, where the model has none."""
+        self._absolute_tendon(body, "viscous", chain=False, damping=number(coefficient))
+
     def drag(self, body: int, coefficient: float) -> bool:
         """Damping c v |v| on a body whose angle is a joint's; False when it is not."""
         joint = self._joint_of(body)
