@@ -200,6 +200,7 @@ class Fitter:
     def __post_init__(self) -> None:
         self.threads = SideBySide(self.jobs)
         self.closed = False
+        self._swung: tuple[float, ...] = ()
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
@@ -220,14 +221,16 @@ class Fitter:
             return 1.0
         return 0.1 * float(np.sqrt(np.mean(e[self.counted(experiment)] ** 2)))
 
-    def set_orders(self, orders: tuple[float, ...]) -> None:
-        """Take the spatial orders found in the residual as starts for position-locked effects."""
-        self.orders = orders
+    def set_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = ()) -> None:
+        """Take the spatial orders found in the residual as starts for position-locked effects; ``swung``: those of an inertia."""
+        self.orders, self._swung = orders, swung
         self.scales = self._scales()
 
     def _scales(self) -> dict[str, Scales]:
         # judged by force, orders have to stand out of the residual: none is tried for being whole
-        return scales_by_place(self.nominal, self.experiments[0], self.orders, turning=self.view.channel == "velocity")
+        return scales_by_place(
+            self.nominal, self.experiments[0], self.orders, self._swung, turning=self.view.channel == "velocity"
+        )
 
     def scales_for(self, effect: type[Effect], place: str) -> Scales:
         """Scales for the starts of an effect at a place, with the orders over the angle that it follows."""

@@ -103,7 +103,7 @@ def other_orders(fitter: Fitter, effect: Effect, others: tuple[Effect, ...], *, 
         level = {name: effect.values[name] for name in cls.amplitudes}
         values = [{**v, **level} for v in ({**some, "cycles_per_rev": n} for n in dict.fromkeys((*known, own)))]
     else:
-        orders = [n for n in scales.orders[:LIKELY] if n in known and abs(n - own) > 0.02 * n]
+        orders = [n for n in (*scales.orders[:LIKELY], *scales.swung) if n in known and abs(n - own) > 0.02 * n]
         values = [{**effect.values, "cycles_per_rev": n} for n in orders]
     starts = tuple(effect.with_values({**v, "phase_rad": phase}) for v in values for phase in QUARTERS)
     return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []

@@ -66,13 +66,14 @@ def _in_turn(tasks: Sequence[Callable[[], float]]) -> list[float]:
 
 def find_orders(
     residual: np.ndarray, angle: np.ndarray, velocity: np.ndarray, b: np.ndarray, a: np.ndarray, dt: float, *, most: int = 5,
-    keep: np.ndarray | None = None, run: Run = _in_turn,
+    keep: np.ndarray | None = None, run: Run = _in_turn, inertia: bool = False,
 ) -> tuple[float, ...]:  # fmt: skip
     """Orders (cycles per unit angle / 2 pi, i.e. n in sin(n q)) at which the residual has most energy, strongest first.
 
     residual, angle, velocity (N,): velocity residual, measured motor angle and velocity; (b, a): torque to velocity.
     Orders range from one period over the travel to the one whose frequency reaches a quarter of the sampling rate.
-    ``run``: works out tasks, side by side perhaps.
+    ``run``: works out tasks, side by side perhaps. ``inertia``: of an inertia that varies over the turn, whose torque is
+    sin(n q) q'' + n cos(n q) q'^2 / 2; angle, velocity and (b, a) are then those of its body, the velocity simulated.
     """
     from scipy.signal import freqz, lfilter
 
@@ -91,21 +92,26 @@ def find_orders(
     near = np.geomspace(1e-4, np.pi, 400)
     response = np.abs(freqz(b, a, near)[1]) ** 2
     found: list[tuple[float, float]] = []
-    weights = (np.ones(len(angle)), np.sign(velocity))
+    weights = (np.gradient(velocity, dt), velocity**2) if inertia else (np.ones(len(angle)), np.sign(velocity))
     waves = [_waves(weight * z, angle, low, top) for weight in weights]
     grid = waves[0][0]
     # the energy behind the filter, where the speed changes slowly: a smooth function of the order
     few = np.geomspace(low, top, 60)
-    energies = run([partial(lambda n: 0.5 * float(np.interp(n * np.abs(velocity) * dt, near, response) @ mask), n) for n in few])
-    energy = np.maximum(np.interp(grid, few, energies), 1e-300)
+    sizes = np.stack([weight**2 * mask for weight in weights], axis=1) if inertia else mask[:, None]
+    energies = run([partial(lambda n: 0.5 * np.interp(n * np.abs(velocity) * dt, near, response) @ sizes, n) for n in few])
+    energy = [np.maximum(np.interp(grid, few, e), 1e-300) for e in np.array(energies).T]
     # integer orders are likely: a turn of the motor is a period of what is fixed to it
     whole = np.arange(1.0, min(top, 64.0) + 0.5)
     nearest = np.unique(np.searchsorted(grid, whole).clip(0, len(grid) - 1))
     grid[nearest] = np.array([whole[np.argmin(np.abs(whole - grid[i]))] for i in nearest])
-    roughs = np.stack([power / energy for _, power in waves], axis=1)
+    roughs = np.stack([power / energy[min(k, len(energy) - 1)] for k, (_, power) in enumerate(waves)], axis=1)
 
     def explained(n: float, weight: np.ndarray) -> float:
-        x = np.column_stack([np.sin(n * angle), np.cos(n * angle)]) * weight[:, None]
+        wave = np.column_stack([np.sin(n * angle), np.cos(n * angle)])
+        if inertia:
+            x = wave * weights[0][:, None] + 0.5 * n * (wave[:, ::-1] * [1.0, -1.0]) * weights[1][:, None]
+        else:
+            x = wave * weight[:, None]
         x = lfilter(b, a, x, axis=0) * mask[:, None]
         c = x.T @ y
         return float(c @ np.linalg.lstsq(x.T @ x, c, rcond=1e-12)[0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -24,25 +25,36 @@ from diagnose.search_options import SearchOptions
 from diagnose.structure import motion_error
 from diagnose.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
 from mjsim.errors import InputError
+from mjsim.ode import simulate
 
 __all__ = ["searched"]
 
 MOST_FILTERS = 2  # whitened searches
 REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
+SWUNG = 3  # orders of a varying inertia
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
 
-def _orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
-    """Spatial orders of the residual of a fitted model on its first experiment."""
+def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Spatial orders of the residual of a fitted model on its first experiment: of torques, and of the arm's inertia."""
     experiment = fitter.experiments[0]
     r = experiment.recording
     if fitter.view.channel == "torque":
-        return force_orders(fitter, fitted)
-    e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
+        return force_orders(fitter, fitted), ()
+    initial = fitted.hypothesis.initial(fitted.fit.x, 0)
+    e = fitter.error(fitted.axis, experiment, initial)
     if e is None:
-        return ()
+        return (), ()
+    find = partial(find_orders, e, dt=r.dt, keep=fitter.counted(experiment), run=fitter.map)
+    angle = measured_angle(r)
     b, a = torque_to_velocity(fitted.axis, r.dt)
-    return find_orders(e, measured_angle(r), measured_velocity(r), b, a, r.dt, keep=fitter.counted(experiment), run=fitter.map)
+    orders = find(angle, measured_velocity(r), b, a)
+    # a spring lets the arm swing otherwise than the motor: how, only a simulation tells
+    y = simulate(fitted.axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before)
+    arm = len(fitter.nominal.chain.bodies) - 1
+    ratio = fitter.nominal.chain.total_ratio(arm)
+    b, a = torque_to_velocity(fitted.axis, r.dt, arm)
+    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=SWUNG, inertia=True)
 
 
 def _search(
@@ -69,7 +81,7 @@ def _search(
     _need_same_sign(fitter, base)
     if known is not None and known.effects:
         search.know(known)
-    fitter.set_orders(_orders(fitter, base))
+    fitter.set_orders(*_orders(fitter, base))
     search.only_beside = excluded_by_angle(fitter.experiments)
     search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
     search.orders_of = lambda f: _orders(fitter, f)

@@ -63,9 +63,11 @@ def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
 
 
 def scales_by_place(
-    axis: Axis, experiment: Experiment, orders: tuple[float, ...] = (), *, turning: bool = True
+    axis: Axis, experiment: Experiment, orders: tuple[float, ...] = (), swung: tuple[float, ...] = (), *, turning: bool = True
 ) -> dict[str, Scales]:
     """Scales at every place; with ``turning``, whole orders of the motor's turn as well as those found.
+
+    ``orders``, ``swung``: over the motor's angle, of torques and of a varying inertia.
 
     Where the nominal free run diverges, rigid-body estimates stand in for it.
     """
@@ -102,6 +104,7 @@ def scales_by_place(
             max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[joint]) if joint is not None else 1.0,
             inertia=chain.bodies[at].inertia, stiffness=chain.couplings[joint].stiffness if joint is not None else 1.0,
             travel=ratio * float(np.ptp(q)), input=_rms(r.torque), max_input=float(np.max(np.abs(r.torque))), output=_rms(v),
-            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders, turns=turns, steps=steps,
+            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
+            swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
         )  # fmt: skip
     return out

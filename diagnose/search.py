@@ -65,7 +65,7 @@ class Search(Judge):
     unfolded: set[tuple[str, ...]] = field(default_factory=set)
     tested: int = 0
     effective_of: Callable[[Fitted], float] | None = None
-    orders_of: Callable[[Fitted], tuple[float, ...]] | None = None
+    orders_of: Callable[[Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
     settled_by: Callable[[Fitted], bool] | None = None  # whether what a structure leaves is noise alone
     only_beside: Mapping[str, str] = field(default_factory=dict)  # an effect that may only stand beside another, and that one
 
@@ -382,7 +382,7 @@ class Search(Judge):
             if self.effective_of is not None:
                 self.effective = self.effective_of(current)
             if self.orders_of is not None and current.chi2 > 1.02 * current.n:
-                self.fitter.set_orders(self.orders_of(current))
+                self.fitter.set_orders(*self.orders_of(current))
             self._tell(current)
             if self._settled(current):
                 return self._alone(current)

@@ -93,7 +93,8 @@ class Scales:
     body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (1 when
     there is none); inertia, stiffness: nominal values at the place; travel: range of the body's angle [rad | m];
     input, max_input: rms and largest input; output: rms measured output; dt, duration [s]; orders: dominant spatial
-    frequencies of the residual over the body's angle [1/rev | rad/m]; turns: whole orders of the motor's turn that its travel can
+    frequencies of the residual over the body's angle [1/rev | rad/m]; swung: those at which an inertia that varies over the
+    angle would leave it; turns: whole orders of the motor's turn that its travel can
     show, which what is fixed to the motor is likely to have; steps: those in which the measured output comes, where
     its values show any.
     """
@@ -112,6 +113,7 @@ class Scales:
     dt: float
     duration: float
     orders: tuple[float, ...] = ()
+    swung: tuple[float, ...] = ()
     turns: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
 

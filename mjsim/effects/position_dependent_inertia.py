@@ -62,6 +62,6 @@ class PositionDependentInertia(Effect):
         """Starts of a fit."""
         return [
             {"relative_amplitude": 0.2, "cycles_per_rev": n, "phase_rad": 0.0}
-            for n in (1.0, 2.0, 3.0, 4.0, *scales.orders[:3])
+            for n in dict.fromkeys((1.0, 2.0, 3.0, 4.0, *scales.orders[:3], *scales.swung))
             if n <= MOST
         ]

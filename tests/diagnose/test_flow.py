@@ -319,3 +319,27 @@ def test_what_the_angle_says_of_an_offset(pair, record):
     assert excluded_by_angle([prepare(off)]) == {"torque_offset": "sensor_offset"}
     assert excluded_by_angle([prepare(sound), prepare(off)]) == {}
     assert excluded_by_angle([prepare(dataclasses.replace(off, angle=None))]) == {}
+
+
+def test_what_only_the_held_out_recording_exercises_is_sought_in_all(robot, record):
+    """A spring that hardens: at a tenth of the torque it does nothing that the fitted recording could show."""
+    hardening = effect("hardening_stiffness", place="arm", coefficient_Nm_rad3=2e9)
+    quiet, loud = record(hardening, amplitude=0.1), record(hardening, amplitude=1.2, seed=1)
+    result = diagnose(robot, [quiet], [loud], Options(jobs=2, effects=("hardening_stiffness", "torque_offset")))
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    assert [(f.effect, f.place) for f in result.findings] == [("hardening_stiffness", "arm")]
+    assert result.notes[0].startswith("The estimation recordings fit without it")
+    assert {r["role"] for r in result.recordings if r["file"] == loud.source} == {"estimation", "held-out"}
+
+
+def test_viscous_friction_that_the_nominal_model_has_not_is_named(robot, pair):
+    """Bearings of the arm; where the nominal model has them it is one of its parameters, and no missing physics."""
+    chain = robot.chain
+    arm = dataclasses.replace(chain.bodies[-1], viscous=150.0)
+    damped = dataclasses.replace(robot, chain=dataclasses.replace(chain, bodies=(*chain.bodies[:-1], arm)))
+    only = Options(jobs=2, effects=("viscous_friction", "coulomb_friction", "extra_flexible_mode"))
+    result = diagnose(robot, *([r] for r in pair(axis=damped)), only)
+    assert [(f.effect, f.place) for f in result.findings] == [("viscous_friction", "arm")]
+    assert result.findings[0].parameters["coefficient_Nms_rad"].value == pytest.approx(150.0, rel=0.1)
+    known = diagnose(damped, *([r] for r in pair(axis=damped)), only)
+    assert known.verdict is Verdict.NO_MISMATCH

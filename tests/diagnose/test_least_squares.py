@@ -128,6 +128,19 @@ def test_a_known_jacobian_is_used_for_the_first_step():
     np.testing.assert_allclose(fit.x, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-4)
 
 
+def test_a_known_residual_is_not_run_again():
+    calls = []
+
+    def residual(x):
+        calls.append(x)
+        return rosenbrock(x)
+
+    start = np.array([-1.2, 1.0])
+    fit = solve(residual, start, r0=rosenbrock(start), tolerance=1e-12)
+    assert not any(np.array_equal(x, start) for x in calls)
+    np.testing.assert_array_equal(fit.x, solve(rosenbrock, start, tolerance=1e-12).x)
+
+
 def test_secants_against_central_differences():
     x = np.array([0.3, -0.7])
 

@@ -6,11 +6,24 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
 from diagnose.orders import find_orders
+from diagnose.passes import _orders
+from diagnose.view import MotionView
+from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import effect_class
 from mjsim.effects.base import Scales
+from mjsim.ode import simulate
+from mjsim.recording import Recording
 
 DT = 2.5e-4
+# a motor and an arm on a soft spring, as a flexible joint on a bench has them: 7 Hz, in the midst of what it is excited by
+BENCH = Axis(
+    Chain(
+        (Body("motor", 0.0021, 0.004, "motor"), Body("arm", 0.0016, 0.0, "arm")), (Coupling("gearbox", 1.0, 1.6, 0.0012, "arm"),)
+    )
+)
 
 
 @pytest.mark.parametrize("order", [3.0, 6.37, 17.81])
@@ -31,3 +44,17 @@ def test_a_mode_begins_near_every_frequency_that_a_recording_can_show(duration, 
     starts = effect_class("extra_flexible_mode").starts(scales)
     frequencies = [np.sqrt(s["stiffness_Nm_rad"] / s["inertia_kgm2"]) / (2 * np.pi) for s in starts]
     assert np.min(np.abs(np.log(np.array(frequencies) / hz))) < np.log(1.3)
+
+
+@pytest.mark.parametrize("order", [6.0, 11.0])
+def test_an_inertia_that_varies_is_sought_over_the_arms_own_motion(order):
+    """Its torque goes with the arm's acceleration and speed squared: waves of the motor's angle show its order by chance."""
+    dt, n = 2e-3, 8000
+    rng = np.random.default_rng(0)
+    torque = np.convolve(rng.standard_normal(n), np.ones(20) / 20, "same")
+    varies = effect_class("position_dependent_inertia")(place="arm", relative_amplitude=0.17, cycles_per_rev=order, phase_rad=0.7)
+    run = simulate(BENCH + varies, torque, dt)
+    recording = Recording(run.time, torque, run.velocity + 0.05 * rng.standard_normal(n), run.angle, dt)
+    fitter = Fitter(BENCH, MotionView(), (prepare(recording),), (prepare(recording),), 1)
+    _, swung = _orders(fitter, fitter.fit(fitter.hypothesis(())))
+    assert swung[0] == pytest.approx(order, rel=0.01)
