@@ -14,7 +14,7 @@ import numpy as np
 
 from diagnose.experiment import Experiment, hold_out_blocks
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
+from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
 from diagnose.side_by_side import SideBySide
@@ -265,7 +265,7 @@ class Fitter:
         if s is None:
             return None
         e = s.measured - s.predicted
-        return e if np.all(np.isfinite(e)) else None
+        return e if bounded(e).all() else None
 
     def error_of(self, fitted: Fitted, i: int) -> np.ndarray | None:
         """The error of a fitted model on estimation experiment i."""
@@ -613,7 +613,7 @@ class Fitter:
                 return None
             effects_axis, initial = solved
             s = self.view.signals(effects_axis, experiment, initial)
-            if s is None or not np.all(np.isfinite(e := s.measured - s.predicted)):
+            if s is None or not bounded(e := s.measured - s.predicted).all():
                 return None
             keep = self.counted(experiment)
             w, valid = self.whitened(e, experiment)

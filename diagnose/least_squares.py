@@ -9,7 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-__all__ = ["Fit", "Linearised", "Status", "jacobian", "levenberg_marquardt", "orthonormal"]
+__all__ = ["Fit", "Linearised", "Status", "bounded", "jacobian", "levenberg_marquardt", "orthonormal"]
 
 
 class Status(enum.Enum):
@@ -94,6 +94,11 @@ def jacobian(
             return None
         J[:, i] = (c - r0) / h
     return J
+
+
+def bounded(values: np.ndarray) -> np.ndarray:
+    """Where values are numbers whose squares are: an axis that its fitted numbers make unstable swings up without end."""
+    return np.asarray(np.abs(values) < 1e100)
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 from diagnose.encoder import whole_orders
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter
+from diagnose.least_squares import bounded
 from diagnose.orders import torque_to_velocity
 from mjsim.axis import Axis
 from mjsim.ode import simulate
@@ -77,7 +78,7 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
         return basis[::every]
     b, a = torque_to_velocity(axis, r.dt)
     through = lfilter(b, a, np.column_stack([basis, u, *lagged]), axis=0)
-    return np.column_stack([through, s])
+    return np.column_stack([np.where(bounded(through).all(axis=0), through, 0.0), s])
 
 
 def _regressed(

@@ -27,7 +27,7 @@ from diagnose.compare import compare
 from diagnose.experiment import Experiment, measured_velocity
 from diagnose.fitter import Fitted, Fitter, HeldOut
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt, orthonormal
+from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, orthonormal
 from diagnose.orders import torque_to_velocity
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
@@ -292,12 +292,14 @@ def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
     fold = _folds(fitter, len(best.fit.residual))
     respond = _Responses(fitter, best)
 
-    def judged(shape: TorqueMap) -> _Candidate:
+    def judged(shape: TorqueMap) -> _Candidate | None:
         D = respond.of(shape, known)
+        if not bounded(D).all():
+            return None
         problem = _Problem(best.fit.residual, np.zeros(D.shape[1]), best.fit.J, D, _roughness(shape), fold)
         return _Candidate(best, shape, _solve(problem, best.chi2))
 
-    found = [judged(shape) for shape in _shapes(known)]
+    found = [c for c in map(judged, _shapes(known)) if c is not None]
     found.sort(key=lambda c: c.solution.cost)
     found = [c for c in found if c.solution.cost < 1 - MATERIAL]
     single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)
@@ -312,12 +314,13 @@ class _Responses:
         self.filters: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def _through(self, axis: Axis, r: int, experiment: Experiment, body: int, torque: np.ndarray) -> np.ndarray:
-        """Velocity of body 0 (N, k) that torques (N, k) on a body make."""
+        """Velocity of body 0 (N, k) that torques (N, k) on a body make; no number where it leaves all bounds."""
         from scipy.signal import lfilter
 
         if (r, body) not in self.filters:
             self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body)
-        return np.asarray(lfilter(*self.filters[(r, body)], torque, axis=0))
+        response = lfilter(*self.filters[(r, body)], torque, axis=0)
+        return np.where(bounded(response), response, np.nan)
 
     def of(self, shape: TorqueMap, known: list[dict[tuple[str, bool, str], np.ndarray]]) -> np.ndarray:
         """(N, k), in the residual's units and rows."""

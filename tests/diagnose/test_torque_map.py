@@ -18,7 +18,8 @@ from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.report.page import render_report
 from diagnose.result import Verdict
-from diagnose.torque_map import _Problem, _solve, fit_map
+from diagnose.structure import _dictionary
+from diagnose.torque_map import _Problem, _Responses, _solve, fit_map
 from diagnose.view import MotionView
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.law import INPUT, RATE, law
@@ -213,3 +214,16 @@ def test_a_map_over_the_speed_judged_by_force():
     assert "velocity" in [v.name for v in m.variables]
     assert m.unit == "N"
     assert m.held_out_error_after < 0.5 * m.held_out_error_before
+
+
+def test_nothing_is_told_by_an_axis_that_swings_up(robot, pair, monkeypatch):
+    """Friction may hold what the linear numbers beside it let go: responses through those alone leave all numbers."""
+    fitter = Fitter(robot, MotionView(), *((prepare(r),) for r in pair()), 1)
+    best = fitter.fit(fitter.hypothesis(()))
+    experiment, loose = fitter.experiments[0], robot.with_linear({"fm": -0.5})
+    response = _Responses(fitter, best)._through(loose, 0, experiment, 0, np.ones((len(experiment.recording), 1)))
+    assert np.isnan(response[-1]).all()
+    monkeypatch.setattr("diagnose.structure._clean_velocity", lambda *_: experiment.recording.velocity)
+    assert np.isfinite(_dictionary(fitter, loose, experiment, None)).all()
+    monkeypatch.setattr(_Responses, "_through", lambda *_: np.full_like(_[-1], np.nan))
+    assert fit_map(fitter, (best,), fitter.validate(best)) is None
