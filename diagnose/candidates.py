@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
 from diagnose.fitter import Fitted, Fitter
 from diagnose.hypothesis import make
-from diagnose.least_squares import orthonormal
+from diagnose.least_squares import Fit, orthonormal
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 
 __all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "screen", "span"]
@@ -94,7 +94,7 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     candidate takes the place
     of that effect of the base, from which it inherits the parameters that they share.
     """
-    q = orthonormal(base.fit.J)
+    q = _spanned(base.fit)
     r0 = base.fit.residual
     present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
     linear, own = base.linear, base.own
@@ -191,7 +191,12 @@ def related(name: str, effect: Effect) -> bool:
 
 def span(f: Fitted) -> np.ndarray | None:
     """Orthonormal columns that span what the parameters of a fit can take up; None of one that could not be run."""
-    return orthonormal(f.fit.J) if f.ok else None
+    return _spanned(f.fit) if f.ok else None
+
+
+@lru_cache(2)  # a race asks the same of its base, and of that at the nominal parameters, for every entrant
+def _spanned(fit: Fit) -> np.ndarray:
+    return orthonormal(fit.J)
 
 
 def left_over(residual: np.ndarray | None, taken: np.ndarray | None) -> float:

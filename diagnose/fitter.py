@@ -203,6 +203,7 @@ class Fitter:
         self._swung: tuple[float, ...] = ()
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
+        self._clear: dict[tuple[int, int], np.ndarray] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
         self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
@@ -289,10 +290,11 @@ class Fitter:
             return w, keep
         from scipy.signal import lfilter
 
-        w = lfilter(self.whitening, [1.0], np.where(keep, w, 0.0))
-        reach = np.convolve(~keep, np.ones(p + 1))[: len(keep)] > 0
-        reach[:p] = True
-        return w, keep & ~reach
+        if (id(experiment), p) not in self._clear:
+            reach = np.convolve(~keep, np.ones(p + 1))[: len(keep)] > 0
+            reach[:p] = True
+            self._clear[id(experiment), p] = keep & ~reach
+        return lfilter(self.whitening, [1.0], np.where(keep, w, 0.0)), self._clear[id(experiment), p]
 
     def residual(self, h: Hypothesis) -> Callable[[np.ndarray], np.ndarray | None]:
         """Residual vector over all estimation experiments as a function of the scaled vector."""
@@ -424,7 +426,7 @@ class Fitter:
         part = jacobian(residual, x, r, np.full(len(x), step), lower, upper, run, own)
         if part is None:
             return None
-        J = np.empty((len(r), len(x)))
+        J = np.empty((len(r), len(x)), order="F")
         J[:, own] = part
         for i, e in enumerate(h.entries):
             if e.label in known:

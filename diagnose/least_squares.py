@@ -88,11 +88,12 @@ def jacobian(
         signs.append(h)
         tasks.append(lambda y=y: residual(y))
     columns = run(tasks)
-    J = np.empty((len(r0), len(columns)))
+    J = np.empty((len(r0), len(columns)), order="F")  # whose columns are written, and multiplied, in one piece
     for i, (c, h) in enumerate(zip(columns, signs, strict=True)):
         if c is None:
             return None
-        J[:, i] = (c - r0) / h
+        np.subtract(c, r0, out=J[:, i])
+        J[:, i] /= h
     return J
 
 
@@ -159,8 +160,8 @@ def levenberg_marquardt(
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
-    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, r0: the residual at
-    x0, when known;
+    tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, which is written
+    to, r0: the residual at x0, when known;
     secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
     Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
@@ -188,20 +189,21 @@ def levenberg_marquardt(
     for iteration in range(1, max_iterations + 1):
         tolerance = max(asked, coarse[1]) if cost > coarse[0] else asked
         if secant and iteration > 1:
-            updated = J + np.outer(r - r_old - J @ d, d / (d @ d))
-            if len(fresh):
-                part = jacobian(residual, x, r, step, lower, upper, run, fresh)
-                if part is None:
-                    status = Status.STALLED
-                    break
-                updated[:, fresh] = part
-            new_J: np.ndarray | None = updated
+            part = jacobian(residual, x, r, step, lower, upper, run, fresh) if len(fresh) else None
+            if len(fresh) and part is None:
+                status = Status.STALLED
+                break
+            missed, along = r - r_old - J @ d, d / (d @ d)
+            for i in np.flatnonzero(along):
+                J[:, i] += missed * along[i]
+            if part is not None:
+                J[:, fresh] = part
         else:
             new_J = J0 if J0 is not None and iteration == 1 else jacobian(residual, x, r, step, lower, upper, run)
-        if new_J is None:
-            status = Status.STALLED
-            break
-        J = new_J
+            if new_J is None:
+                status = Status.STALLED
+                break
+            J = new_J
         A, g = J.T @ J, J.T @ r
         scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
         improved = False

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import ndtr
@@ -22,9 +22,9 @@ from diagnose.experiment import Experiment, measured_velocity, white_noise_level
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
-from mjsim.ode import DivergedError, apply_input, inverse, simulate
+from mjsim.ode import DivergedError, apply_input, inverse, sensed, simulate
 from mjsim.recording import Recording
-from mjsim.system import assemble, state_matrix
+from mjsim.system import System, assemble, state_matrix
 
 __all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "led_by_torque"]
 
@@ -90,6 +90,11 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
     return best
 
 
+def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np.ndarray:
+    """Velocity (N,) of a free run by its angle: averaged as the one that is measured by an encoder alone."""
+    return np.gradient(simulate(system, torque, dt, **how).angle, dt)
+
+
 @dataclass(frozen=True)
 class MotionView:
     """Free run on the recorded torque, judged on motor velocity.
@@ -120,13 +125,12 @@ class MotionView:
             if rounding:
                 rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
                 system = dataclasses.replace(system, output_maps=rest)
-            y = simulate(
+            predicted = (sensed if r.velocity is not None else _mean_speed)(
                 system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS
             )
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         measured = measured_velocity(r)
-        predicted = y.velocity if r.velocity is not None else np.gradient(y.angle, r.dt)  # averaged as the measured one
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted)

@@ -661,7 +661,8 @@ def simulate(
             "take a shorter step, or check signs of damping and stiffness"
         )
     time = t0 + dt * np.arange(count)
-    velocity, measured = _sense(s, time, out[:, n], out[:, 0], dt)
+    velocity, measured = _sense(s, out[:, n], out[:, 0], dt)
     return Trajectory(
-        time, np.array(torque, float), velocity, measured, out[:, :n].copy(), out[:, n : 2 * n].copy(), out[:, 2 * n :].copy()
-    )
+        time, np.array(torque, float), velocity.copy(), measured.copy(),
+        out[:, :n].copy(), out[:, n : 2 * n].copy(), out[:, 2 * n :].copy(),
+    )  # fmt: skip

@@ -79,8 +79,8 @@ def run_signals(
     )
     # a delay of the measurement stands at the sensors of the file already
     system = dataclasses.replace(system, output_delay=0.0)
-    velocity, angle = _sense(system, run.time, run.velocity, run.angle, dt)
-    return Trajectory(run.time, np.array(torque, float), velocity, angle, run.q, run.v, run.coupling_torque)
+    velocity, angle = _sense(system, run.velocity, run.angle, dt)
+    return Trajectory(run.time, np.array(torque, float), velocity.copy(), angle.copy(), run.q, run.v, run.coupling_torque)
 
 
 def lacking(model: Model) -> tuple[str, ...]:

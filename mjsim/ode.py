@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import weakref
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,7 +13,10 @@ import numpy as np
 from mjsim.axis import Axis
 from mjsim.system import System, assemble
 
-__all__ = ["DivergedError", "Trajectory", "apply_input", "inverse", "simulate"]
+__all__ = ["DivergedError", "Trajectory", "apply_input", "inverse", "sensed", "simulate"]
+
+_here = threading.local()  # what a thread works in
+_copies: dict[int, tuple[weakref.ref[np.ndarray], np.ndarray]] = {}  # of arrays that nobody can change, while they live
 
 
 class DivergedError(ArithmeticError):
@@ -51,6 +56,37 @@ def _own(a: np.ndarray) -> np.ndarray:
     return np.array(a, float, order="C")
 
 
+def _fixed(a: np.ndarray) -> bool:
+    """Whether nobody can change its numbers."""
+    while isinstance(a, np.ndarray) and not a.flags.writeable:
+        if a.base is None:
+            return True
+        a = a.base
+    return False
+
+
+def _lent(a: np.ndarray) -> np.ndarray:
+    """The same numbers as an array of that one type, to be read only: itself, or a copy, which is kept where it stays true."""
+    if a.flags.writeable and a.flags.c_contiguous and a.dtype == float:
+        return a
+    key = id(a)
+    known = _copies.get(key)
+    if known is not None and known[0]() is a:
+        return known[1]
+    own = _own(a)
+    if _fixed(a):
+        _copies[key] = weakref.ref(a, lambda _: _copies.pop(key, None)), own
+    return own
+
+
+def _workspace(count: int, width: int) -> np.ndarray:
+    """An array (count, width) that is this thread's until it asks for the next: a fresh one is zeroed by the system each time."""
+    held = getattr(_here, "held", None)
+    if held is None or held.size < count * width:
+        held = _here.held = np.empty(count * width)
+    return np.asarray(held[: count * width].reshape(count, width))
+
+
 def _kept(a: np.ndarray) -> np.ndarray:
     """Itself where nobody can change it, else a copy."""
     return a if isinstance(a, np.ndarray) and a.dtype == float and not a.flags.writeable else np.array(a, float)
@@ -84,11 +120,47 @@ def simulate(
     it; ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
     accuracy rule of `System.substeps`; a model that needs more than ``most_substeps`` is not run. Raises DivergedError.
     """
+    s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
+    n, out = s.n, np.empty((len(torque), _width(s)))
+    _run(s, torque, dt, initial, states, angle, t0, before, substeps, most_substeps, out)
+    time = _times(len(torque), dt, t0)
+    velocity, measured = _sense(s, out[:, n], out[:, 0], dt)
+    return Trajectory(
+        time, _kept(torque), velocity.copy(), measured.copy(), out[:, :n], out[:, n : 2 * n], out[:, 2 * n + s.n_states :]
+    )  # fmt: skip
+
+
+def sensed(
+    axis: Axis | System,
+    torque: np.ndarray,
+    dt: float,
+    *,
+    initial: np.ndarray | None = None,
+    angle: np.ndarray | None = None,
+    before: float = 0.0,
+    most_substeps: int = 64,
+) -> np.ndarray:
+    """Velocity (N,) that the sensor shows of the free run of `simulate`, and nothing else of it: what a fit asks for."""
+    s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
+    out = _workspace(len(torque), _width(s))
+    _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, out)
+    return _sense(s, out[:, s.n], out[:, 0], dt)[0].copy()
+
+
+def _width(s: System) -> int:
+    """Numbers that a run gives for each sample: angles, velocities, states, coupling torques."""
+    return 2 * s.n + s.n_states + s.n - 1
+
+
+def _run(
+    s: System, torque: np.ndarray, dt: float, initial: np.ndarray | None, states: np.ndarray | None, angle: np.ndarray | None,
+    t0: float, before: float, substeps: int | None, most_substeps: int, out: np.ndarray,
+) -> None:  # fmt: skip
+    """Write the free run of `simulate` to ``out`` (N, `_width`)."""
     from mjsim import kernel
 
-    s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, count = s.n, len(torque)
-    u = _own(apply_input(s, np.asarray(torque, float)))
+    u = _lent(apply_input(s, np.asarray(torque, float)))
     x0 = np.zeros((2, n))
     if initial is not None:
         given = np.asarray(initial, float)
@@ -111,23 +183,17 @@ def simulate(
     n_sub = substeps or s.substeps(dt, speed)
     if n_sub > most_substeps:
         raise DivergedError(f"the model is too stiff: it needs {n_sub} steps a sample, {most_substeps} are allowed")
-    out = np.empty((count, 2 * n + s.n_states + n - 1))
     status, at = kernel.integrate(
         (0,) * n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
-        float(before), s.input_lag, n_sub, s.affine, x0, s0, _own(angle) if angle is not None else u, locked, t0, out,
+        float(before), s.input_lag, n_sub, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     if status:
         raise DivergedError(
             f"the run diverged at {t0 + at * dt:.4f} s (body {s.chain.bodies[0].joint!r}); check signs of damping and stiffness"
         )
-    time = _times(count, dt, t0)
-    velocity, measured = _sense(s, time, out[:, n], out[:, 0], dt)
-    return Trajectory(
-        time, _kept(torque), velocity, measured, out[:, :n], out[:, n : 2 * n], out[:, 2 * n + s.n_states :]
-    )  # fmt: skip
 
 
-def _sense(s: System, time: np.ndarray, v: np.ndarray, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def _sense(s: System, v: np.ndarray, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Sensor path: delay, lag, then the memoryless maps (of the velocity).
 
     Between samples the angle is the cubic through both angles and velocities: the held torque makes the acceleration jump at
@@ -137,7 +203,6 @@ def _sense(s: System, time: np.ndarray, v: np.ndarray, q: np.ndarray, dt: float)
         v, q = _delay(v, q, s.output_delay / dt, dt)
     if s.output_lag > 0:
         v, q = _lag(v, q, s.output_lag, dt)
-    v, q = v.copy(), q.copy()
     for m in s.output_maps:
         v = m.map.apply(v, m.c)
     return v, q
