@@ -22,7 +22,10 @@ FURTHER = 3.0  # times the travel of the recording: an excitation that takes the
 
 
 def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]:
-    """Values with 95 % intervals of the parameters of one owner ("" the linear structure, else an effect's key)."""
+    """Values with 95 % intervals of the parameters of one owner ("" the linear structure, else an effect's key).
+
+    A phase is given within half a turn of zero: a fit may have gone round.
+    """
     errors = fitted.standard_errors(fitter.noise_known)
     out = {}
     motion = fitter.nominal.chain.motion
@@ -30,6 +33,8 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
         if e.owner != owner or e.recording > 0 or e.name == "initial_velocity":
             continue
         value = e.si(float(x))
+        if e.name == "phase_rad":
+            value = math.remainder(value, 2 * math.pi)
         out[e.name] = Estimate(value, (value - 1.96 * float(s), value + 1.96 * float(s)), e.quantity.unit(motion))
     return out
 

@@ -37,7 +37,7 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[float, 
     r = experiment.recording
     if r.angle is None or np.ptp(r.angle) <= 0 or not isinstance(fitter.view, ForceView):
         return ()
-    view = dataclasses.replace(fitter.view, decimate=1, _cache={})
+    view = dataclasses.replace(fitter.view, decimate=1)
     s = view.signals(fitted.axis, experiment, None)
     if s is None:
         return ()

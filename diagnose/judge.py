@@ -22,6 +22,7 @@ from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut
 from diagnose.moves import named
 from diagnose.search_options import SearchOptions
+from diagnose.whiten import lags_of, worth_of_errors
 from mjsim.effects import effect_class
 
 __all__ = ["LEAD", "Judge"]
@@ -29,6 +30,11 @@ __all__ = ["LEAD", "Judge"]
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
 SHOWN = 10.0  # times the material gain, on the estimation data, of an effect that held-out data may be too few for
+ANSWERED = 0.5  # of the squared error: more is not the answer of a servo to unknown torques (benchmarks/servo_axes.py)
+IMITATED = {"signal", "coupling", "structure", "offset"}  # families of effects that look like such an answer
+SPREAD = (
+    4.0  # ratio of an effect's logarithmic gains in two recordings of some 15 independent samples each (2 standard deviations)
+)
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
@@ -71,6 +77,23 @@ class Judge:
         mine, theirs = (self.gain(common, g) if common.key != g.key else 0.0 for g in (f, other))
         return mine - theirs
 
+    def foretold(self, poorer: Fitted, richer: Fitted) -> float:
+        """What the held-out data add to the gain of C, where the error is the model's own: nothing was fitted to them.
+
+        Such an error leaves few independent samples in any one recording. Nothing is added where the noise is known, nor for a
+        structure that has no more effects, or does not leave less of both recordings. What is there is there in both: no sample
+        counts for more than ``SPREAD`` times one of the estimation data, to which it was fitted.
+        """
+        more = len(richer.effects) > len(poorer.effects) and richer.chi2 < poorer.chi2
+        if self.fitter.noise_known or self.worth_of is None or not more:
+            return 0.0
+        before, after = self.held_out(poorer), self.held_out(richer)
+        if before is None or after is None or after.chi2 >= before.chi2:
+            return 0.0
+        n = len(after.errors) * worth_of_errors(before.errors - after.errors, after.errors, lags_of(self.fitter))
+        fitted, unseen = poorer.chi2 / max(richer.chi2, 1e-300), before.chi2 / max(after.chi2, 1e-300)
+        return n * min(math.log(unseen), SPREAD * math.log(fitted))
+
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
         if f.key not in self.held:
@@ -104,12 +127,26 @@ class Judge:
         estimation data that chose them among the candidates, so that where the noise is known only these are corrected for;
         where the error is the model's own, which both share, all candidates are.
         """
-        if self.gain(before, after) < self.options.entry:
+        if self.gain(before, after) + self.foretold(before, after) < self.options.entry:
             return False
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
             return False
+        if self._feedback_does(before, after):
+            return False
         return not self._encoder_errs(before, after) and not self._events_only(before, after)
+
+    def _feedback_does(self, before: Fitted, after: Fitted) -> bool:
+        """Whether what was added may be the controller's answer to disturbances, where the error is the model's own.
+
+        A servo answers a torque that no model knows of, late and in proportion: what the command lacks then looks like a delay, a
+        lag, a dead zone or a spring, and a slow one like an offset. Of the squared error that took away at most ``ANSWERED``.
+        """
+        families = {type(e).family for e in after.effects if e.key not in before.key}
+        if self.fitter.noise_known or not families & IMITATED:
+            return False
+        share = min(1.0 - after.chi2 / before.chi2, self.compared(before, after).relative_gain)
+        return share < ANSWERED
 
     def _pays_on(self, c: Comparison, asked: int) -> bool:
         return c.relative_gain > self.options.material and c.p_value * asked < self.options.p_enter

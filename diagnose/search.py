@@ -521,7 +521,8 @@ class Search(Judge):
             larger = len(f.effects) > len(current.effects) or refines(f, current)
             if self.worth_of is not None:  # held-out data judge every number that is added
                 larger |= len(f.hypothesis.entries) > len(current.hypothesis.entries)
-            if f.key == current.key or self.ahead(f, current) < (self.options.entry if larger else 0.5):
+            told = self.foretold(current, f) if larger and f.key != current.key else 0.0
+            if f.key == current.key or self.ahead(f, current) + told < (self.options.entry if larger else 0.5):
                 continue
             attempt += larger
             if self.pays(current, f, attempt) if larger else self.earned(current, f) and not self.worse(current, f):

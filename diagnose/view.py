@@ -30,6 +30,7 @@ __all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_w
 
 
 DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
+LEAST_DELIVERED = 0.05  # of the commanded torque's variation: an actuator that delivers less moves nothing
 MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible
 
 
@@ -160,16 +161,18 @@ class ForceView:
     slow: float = 0.005
     rest: float = 0.05
     channel: str = "torque"
-    _cache: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(
-        default_factory=dict, repr=False, compare=False
+    # what is kept of an experiment, by its id, and the experiment, so that no other has that id
+    _motions: dict[int, tuple[Experiment, tuple[np.ndarray, ...]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
     )
+    _counted: dict[int, tuple[Experiment, np.ndarray]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, ...]:
         """Angle, velocity, acceleration (low-passed, by central differences) and the torque as commanded."""
         from scipy.signal import sosfiltfilt
 
-        if id(experiment) in self._cache:
-            return self._cache[id(experiment)]
+        if id(experiment) in self._motions:
+            return self._motions[id(experiment)][1]
         r = experiment.recording
         sos = self._sos(r.dt)
         if r.angle is not None:
@@ -180,8 +183,9 @@ class ForceView:
             q = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * r.dt])
         # the command is held over each sample, so that it acts half a sample late on average
         held = _shift(r.torque, -0.5 * r.dt, r.dt)
-        self._cache[id(experiment)] = (q, v, np.gradient(v, r.dt), sosfiltfilt(sos, held))
-        return self._cache[id(experiment)]
+        motion = q, v, np.gradient(v, r.dt), sosfiltfilt(sos, held)
+        self._motions[id(experiment)] = experiment, motion
+        return motion
 
     def _sos(self, dt: float) -> np.ndarray:
         from scipy.signal import butter
@@ -202,19 +206,53 @@ class ForceView:
             if s.output_lag > 0:  # what a lag of the sensor T shows is y with y + T y' = x
                 T = s.output_lag
                 q, v, a = q + T * v, v + T * a, a + T * np.gradient(a, r.dt)
-            offset = sum(m.c for m in s.output_maps if m.map.name == "ADD")
+            shifts = (m.c for m in s.output_maps if m.map is StaticMap.ADD)
+            offset = sum(shifts) if r.angle is None else 0.0  # the rate of an angle does not have it
             needed = inverse(s, q, v - offset, a, r.dt)
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         sos = self._sos(r.dt)
-        if s.input_maps or s.input_delay > 0 or s.input_lag > 0:
-            acting = _shift(_lagged(apply_input(s, r.torque), s.input_lag, r.dt), -0.5 * r.dt - s.input_delay, r.dt)
-            commanded = sosfiltfilt(sos, acting)
         every = slice(None, None, self.decimate)
-        return Signals(r.time[every], commanded[every], sosfiltfilt(sos, needed)[every])
+        needed = sosfiltfilt(sos, needed)
+        shrinking = [m for m in s.input_maps if m.map in (StaticMap.CLIP, StaticMap.DROOP)]
+        if not shrinking:
+            return Signals(r.time[every], commanded[every], self._command(s, needed, r.dt)[every])
+        # what these deliver does not tell the command: the command is taken through them
+        late = _shift(_lagged(apply_input(s, r.torque), s.input_lag, r.dt), -0.5 * r.dt - s.input_delay, r.dt)
+        acting = sosfiltfilt(sos, late)[every]
+        # an actuator that delivers next to nothing asks next to nothing of the model: the error is one of the command
+        keep = self.counts(experiment)
+        asked, delivered = (float(np.std(x[keep])) for x in (commanded[every], acting))
+        if not delivered > LEAST_DELIVERED * asked:
+            return None
+        return Signals(r.time[every], asked / delivered * acting, asked / delivered * needed[every])
+
+    def _command(self, s: System, needed: np.ndarray, dt: float) -> np.ndarray:
+        """The command (N,), low-passed, by which an actuator delivers the torque (N,) that the motion needs.
+
+        The recorded command is never changed: an error is part of it, and would go with it into whatever were made of it.
+        """
+        from scipy.signal import sosfiltfilt
+
+        command = needed
+        if s.input_lag > 0:
+            command = command + s.input_lag * np.gradient(command, dt)
+        if s.input_delay > 0:
+            command = _shift(command, s.input_delay, dt)
+        for m in reversed(s.input_maps):
+            if m.map is StaticMap.ADD:
+                command = command - m.c
+            elif m.map is StaticMap.DEAD:
+                command = command + sosfiltfilt(self._sos(dt), m.c * np.sign(command))
+        return command
 
     def counts(self, experiment: Experiment) -> np.ndarray:
         """The experiment's mask without the filter's ends and standstill."""
+        if id(experiment) not in self._counted:
+            self._counted[id(experiment)] = experiment, self._moving(experiment)
+        return self._counted[id(experiment)][1]
+
+    def _moving(self, experiment: Experiment) -> np.ndarray:
         r = experiment.recording
         _, v, _, _ = self._filtered(experiment)
         from scipy.ndimage import maximum_filter1d

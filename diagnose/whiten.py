@@ -10,7 +10,8 @@ import numpy as np
 from diagnose.fitter import PRIOR, Fitted, Fitter
 
 __all__ = [
-    "alike", "effective_share", "guide_of", "innovation", "levinson", "offset_share", "settle", "whitening_filter", "worth",
+    "alike", "effective_share", "guide_of", "innovation", "lags_of", "levinson", "offset_share", "settle", "whitening_filter",
+    "worth", "worth_of_errors",
 ]  # fmt: skip
 
 GUIDE = 0.2  # relative standard deviation of the nominal linear parameters where they guide a search
@@ -68,9 +69,18 @@ def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> 
         if e is None:
             return 1.0
         errors.append(np.where(fitter.counted(experiment), e, 0.0))
-    lags = min(round(span / (experiment.recording.dt * fitter.view.decimate)), len(errors[1]) // 4)
-    difference = errors[0] - errors[1]
-    rho, sigma = _correlation(errors[1], lags), _correlation(difference, lags)
+    return worth_of_errors(errors[0] - errors[1], errors[1], lags_of(fitter, span))
+
+
+def lags_of(fitter: Fitter, span: float = 2.0) -> int:
+    """Compared samples in a span [s]."""
+    return round(span / (fitter.experiments[0].recording.dt * fitter.view.decimate))
+
+
+def worth_of_errors(difference: np.ndarray, left: np.ndarray, lags: int) -> float:
+    """The share of `worth` from the difference (N,) of two predictions and the residual (N,) of the better."""
+    lags = min(lags, len(left) // 4)
+    rho, sigma = _correlation(left, lags), _correlation(difference, lags)
     return 1.0 / max(1.0, 1.0 + 2.0 * float(rho @ sigma))
 
 

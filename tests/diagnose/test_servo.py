@@ -1,0 +1,69 @@
+"""A servo judged by force: it answers torques that no model knows of, and its answers are no physics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from diagnose import judge
+from diagnose.flow import Options, diagnose
+from diagnose.result import Verdict
+from mjsim.axis import Axis, Body, Chain
+from mjsim.recording import Recording
+
+DT, SECONDS, INERTIA, VISCOUS = 4e-3, 10.0, 10.0, 20.0
+NOMINAL = Axis(Chain((Body("motor", 0.85 * INERTIA, 1.3 * VISCOUS, "axis"),), ()))
+
+
+def moved(rng, unknown, dry=0.0, memory=0.05):
+    """Ten seconds of smooth moves under a position loop of 5 Hz, a torque of ``unknown`` times the rms needed on the axis."""
+    goal, at, k = np.zeros(round(SECONDS / DT)), 0.0, 50
+    while k < len(goal):
+        s = np.linspace(0, 1, round(rng.uniform(0.4, 2.5) / DT))
+        to = rng.uniform(-0.8, 0.8)
+        goal[k : k + len(s)] = (at + (to - at) * (10 * s**3 - 15 * s**4 + 6 * s**5))[: len(goal) - k]
+        at, k = to, k + len(s)
+    speed = np.gradient(goal, DT)
+    rms = float(np.sqrt(np.mean((INERTIA * np.gradient(speed, DT) + VISCOUS * speed) ** 2)))
+    noise, acting, q, v = rng.standard_normal(len(goal)), 0.0, 0.0, 0.0
+    forget, turn, sub = math.exp(-DT / memory), 2 * math.pi * 5, 16
+    angle, torque = np.empty(len(goal)), np.empty(len(goal))
+    for k in range(len(goal)):
+        acting = forget * acting + math.sqrt(1 - forget**2) * noise[k] * unknown * rms
+        u = INERTIA * turn**2 * (goal[k] - q) + 1.6 * INERTIA * turn * (speed[k] - v)
+        angle[k], torque[k] = q, u
+        for _ in range(sub):
+            free = u + acting - VISCOUS * v
+            if v == 0.0 and abs(free) <= dry * rms:
+                continue
+            after = v + DT / sub * (free - math.copysign(dry * rms, v if v != 0.0 else free)) / INERTIA
+            after = 0.0 if v * after < 0.0 and abs(free) <= dry * rms else after
+            q, v = q + 0.5 * DT / sub * (v + after), after
+    angle = 5e-5 * np.round(angle / 5e-5)
+    return Recording(DT * np.arange(len(goal)), torque, None, angle, DT, judge="force", loop="closed")
+
+
+def told(seed, **how):
+    rng = np.random.default_rng([seed, 4])
+    fitted, held = moved(rng, **how), moved(rng, **how)
+    return diagnose(NOMINAL, [fitted], [held], Options())
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_answer_to_unknown_torques_is_named_nothing(seed):
+    result = told(seed, unknown=0.4)
+    assert result.verdict is Verdict.PARAMETERS_ONLY
+    assert "No missing physics can be named" in result.summary
+
+
+def test_without_that_rule_it_would_be(monkeypatch):
+    monkeypatch.setattr(judge, "IMITATED", set())
+    assert any(told(seed, unknown=0.4).findings for seed in (0, 1, 2))
+
+
+@pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), (0.05, 1.0)])
+def test_friction_beside_them_is_named(unknown, memory):
+    result = told(5, unknown=unknown, memory=memory, dry=0.3)
+    assert [f.effect for f in result.findings] == ["coulomb_friction"]
