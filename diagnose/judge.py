@@ -10,7 +10,7 @@ Thresholds: docs/decisions/false-alarms.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -141,12 +141,24 @@ class Judge:
 
         A servo answers a torque that no model knows of, late and in proportion: what the command lacks then looks like a delay, a
         lag, a dead zone or a spring, and a slow one like an offset. Of the squared error that took away at most ``ANSWERED``.
+        A law of which the data leave a size open is one of those as well: bristles that never slide are a spring.
         """
-        families = {type(e).family for e in after.effects if e.key not in before.key}
-        if self.fitter.noise_known or not families & IMITATED:
+        if self.fitter.noise_known:
+            return False
+        added = [e for e in after.effects if e.key not in before.key]
+        if not any(type(e).family in IMITATED for e in added) and not self._open(after, {e.key: e.amplitudes for e in added}):
             return False
         share = min(1.0 - after.chi2 / before.chi2, self.compared(before, after).relative_gain)
         return share < ANSWERED
+
+    def _open(self, f: Fitted, sizes: Mapping[str, tuple[str, ...]]) -> bool:
+        """Whether the 95 % interval of one of the sizes of effects, by key, holds zero."""
+        errors = f.standard_errors(self.fitter.noise_known)
+        return any(
+            abs(e.si(float(x))) < 1.96 * float(s)
+            for e, x, s in zip(f.hypothesis.entries, f.fit.x, errors, strict=True)
+            if e.name in sizes.get(e.owner, ())
+        )
 
     def _pays_on(self, c: Comparison, asked: int) -> bool:
         return c.relative_gain > self.options.material and c.p_value * asked < self.options.p_enter

@@ -43,7 +43,7 @@ class QuadraticFriction(Effect):
     amplitudes: ClassVar[tuple[str, ...]] = ("coefficient_Nm_s2_rad2",)
     family: ClassVar[str] = "speed"
 
-    coefficient_Nm_s2_rad2: float = parameter(Quantity.QUADRATIC_DAMPING, "torque over speed squared")
+    coefficient_Nm_s2_rad2: float = parameter(Quantity.QUADRATIC_DAMPING, "torque over speed squared", lower=0.0)
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""

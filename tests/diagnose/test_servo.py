@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from diagnose import judge
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.result import Verdict
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
+from diagnose.view import ForceView
 from mjsim.axis import Axis, Body, Chain
+from mjsim.effects import effect_class
 from mjsim.recording import Recording
 
 DT, SECONDS, INERTIA, VISCOUS = 4e-3, 10.0, 10.0, 20.0
@@ -67,3 +73,16 @@ def test_without_that_rule_it_would_be(monkeypatch):
 def test_friction_beside_them_is_named(unknown, memory):
     result = told(5, unknown=unknown, memory=memory, dry=0.3)
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
+
+
+def test_bristles_that_never_slide_are_a_spring():
+    """A law of which the data leave a size open is judged as what it then cannot be told from; Coulomb friction's they show."""
+    rng = np.random.default_rng([7, 4])
+    fitted, held = (prepare(moved(rng, unknown=0.05, dry=0.3)) for _ in range(2))
+    fitter = Fitter(NOMINAL, ForceView(), (fitted,), (held,), 1)
+    search = Search(fitter, SearchOptions())
+    bristles = effect_class("presliding_friction")(place="motor", torque_Nm=300.0, stiffness_Nm_rad=50.0)
+    dry = effect_class("coulomb_friction")(place="motor", torque_Nm=8.0)
+    assert search._open(fitter.fit(fitter.hypothesis((bristles,)), iterations=1), {bristles.key: bristles.amplitudes})
+    assert not search._open(fitter.fit(fitter.hypothesis((dry,))), {dry.key: dry.amplitudes})
+    fitter.close()
