@@ -325,6 +325,7 @@ class Search(Judge):
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
         stuck: set[tuple[str, ...]] = set()
+        helped = False
         for turn in range(2 * self.options.depth):
             self.progress.stage("search", f"round {turn + 1}")
             self.progress.begin_round(int(len(current.effects) + 1 < self.options.depth))
@@ -362,16 +363,18 @@ class Search(Judge):
                 stuck.add(current.key)
                 if beam:
                     continue
-                creased = sorted((f for f in self.pool.values() if folded(f)), key=self.criterion)[: self.options.beam]
-                self._unfold(creased)
-                if self._best(current).key != current.key:
-                    continue
-                if self._spent():
-                    break
-                if self.fitter.guide != 1.0:  # with the nominal parameters' help nothing more is found: without it, then
-                    current = self._weigh(1.0, current)
-                elif (current := self._guided(current, UNEXPLAINED)) and self.fitter.guide == 1.0:
-                    break
+                guided = self.fitter.guide != 1.0
+                if not guided and not helped:  # a round with the nominal parameters' help, ahead of what is dear
+                    helped = True
+                    current = self._guided(current, UNEXPLAINED)
+                if guided or self.fitter.guide == 1.0:
+                    creased = sorted((f for f in self.pool.values() if folded(f)), key=self.criterion)[: self.options.beam]
+                    self._unfold(creased)
+                    if self._best(current).key != current.key:
+                        continue
+                    if self._spent() or not guided:
+                        break
+                    current = self._weigh(1.0, current)  # with their help nothing more is found: without it, then
                 beam = [current]
                 expanded.clear()
                 stuck.clear()

@@ -187,6 +187,7 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
     """What velocity errors and angle errors share over one window, per run: (N - 1,), (N,), the samples that count, dt."""
     products: list[float] = []
     noise: list[float] = []
+    apart: list[float] = []
     for error, angle_error, counts, dt in runs:
         k = max(2, round(window / dt))
         count = len(error) // k
@@ -195,11 +196,14 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
         angle = np.diff(angle_error[: count * k + 1 : k]) / (k * dt)
         keep = counts[: count * k].reshape(count, k).all(axis=1)
         products += list((speed * angle)[keep])
+        apart += list((speed - angle)[keep] ** 2)
         # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
         noise += list((speed - angle)[keep] ** 2 + float(np.mean(parts.var(axis=1))))
     if len(products) < 20:
         return None
-    p = np.array(products)
-    if np.mean(p) < 4.0 * np.std(p, ddof=1) / np.sqrt(len(p)):
+    p, d2 = np.array(products), np.array(apart)
+    # a short burst of motion varies as much as it is: the second one is what noises alone give, of which E d^4 >= 4 var var
+    error_of_mean = min(float(np.std(p, ddof=1)), 0.5 * float(np.sqrt(np.mean(d2**2)))) / np.sqrt(len(p))
+    if np.mean(p) < 4.0 * error_of_mean:
         return 0.0
     return float(np.mean(p) / np.mean(noise))
