@@ -196,14 +196,16 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
         angle = np.diff(angle_error[: count * k + 1 : k]) / (k * dt)
         keep = counts[: count * k].reshape(count, k).all(axis=1)
         products += list((speed * angle)[keep])
-        apart += list((speed - angle)[keep] ** 2)
+        d2 = (speed - angle)[keep] ** 2  # in which shared motion cancels
+        apart += list(d2)
         # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
-        noise += list((speed - angle)[keep] ** 2 + float(np.mean(parts.var(axis=1))))
+        noise += list(d2 + float(np.mean(parts.var(axis=1))))
     if len(products) < 20:
         return None
-    p, d2 = np.array(products), np.array(apart)
-    # a short burst of motion varies as much as it is: the second one is what noises alone give, of which E d^4 >= 4 var var
-    error_of_mean = min(float(np.std(p, ddof=1)), 0.5 * float(np.sqrt(np.mean(d2**2)))) / np.sqrt(len(p))
-    if np.mean(p) < 4.0 * error_of_mean:
+    p = np.array(products)
+    # the spread of the products is as large as they are where the motion is a short burst; that of independent noises alone is at
+    # most half the root of E d^4 >= (E d^2)^2 >= 4 var(speed) var(angle)
+    spread = min(float(np.std(p, ddof=1)), 0.5 * float(np.sqrt(np.mean(np.square(apart)))))
+    if np.mean(p) < 4.0 * spread / np.sqrt(len(p)):
         return 0.0
     return float(np.mean(p) / np.mean(noise))
