@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import importlib
 import sys
@@ -62,6 +63,7 @@ def main() -> None:
     """Run the command line; bad input is one line on standard error and exit 2, no traceback."""
     from mjsim.errors import CheckError, InputError
 
+    atexit.register(gc.freeze)  # else the interpreter goes through every object once more as it ends: half a second
     try:
         code = cli.main(standalone_mode=False)
     except click.exceptions.Abort:
@@ -79,8 +81,6 @@ def main() -> None:
     except KeyboardInterrupt:
         click.echo("simgap: interrupted", err=True)
         sys.exit(130)
-    finally:
-        gc.freeze()  # else the interpreter goes through every object once more before it ends: half a second after a diagnosis
     sys.exit(code if isinstance(code, int) else 0)
 
 
