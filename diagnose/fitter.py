@@ -250,9 +250,9 @@ class Fitter:
         """Mask of the compared samples that count."""
         return self._counts[id(experiment)]
 
-    def map(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
-        """Work side by side; answers in the order of the tasks."""
-        return self.threads.map(tasks)
+    def map(self, tasks: Sequence[Callable[[], T]], lengths: Sequence[float] | None = None) -> list[T]:
+        """Work side by side; answers in the order of the tasks, the longest of which is begun first."""
+        return self.threads.map(tasks, lengths)
 
     def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
         """Run residuals side by side, and count them."""
@@ -384,10 +384,10 @@ class Fitter:
             fit = Fit(known.x, known.cost, linear, known.status, known.iterations, known.predicted_gain)
             n, runs = known.n, known.runs
         with self._counting:
-            self.runs += math.ceil(runs * self._length(h, start))
+            self.runs += math.ceil(runs * self.length(h, start))
         return Fitted(h, fit, n)
 
-    def _length(self, h: Hypothesis, x: np.ndarray) -> float:
+    def length(self, h: Hypothesis, x: np.ndarray) -> float:
         """Steps that a run of a hypothesis takes, over those of the nominal model with friction: what it counts in a budget."""
         if self.view.channel != "velocity":
             return 1.0
@@ -398,6 +398,10 @@ class Fitter:
         except (NotApplicableError, ValueError):
             return 1.0
         return max(1.0, steps / self._steps)
+
+    def lengths(self, fits: Sequence[Fitted]) -> list[float]:
+        """How long an iteration takes from each of some fits: by its numbers and the steps of a run."""
+        return [len(f.hypothesis.entries) * self.length(f.hypothesis, f.fit.x) for f in fits]
 
     def _key(self, h: Hypothesis, start: np.ndarray, how: tuple[object, ...], borrow: Fitted | None) -> str:
         """Hash of all that a fit depends on besides the recordings, the nominal model and the code."""

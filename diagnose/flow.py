@@ -509,8 +509,9 @@ def _rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     reference = search.criterion(best)
     out: list[Rival] = []
     ranked = sorted(search.pool.values(), key=search.criterion)[:most]
-    search.fitter.map([partial(search.held_out, f) for f in ranked[:8]])
-    for f, rms in zip(ranked, search.fitter.map([partial(_rms, search.fitter, f) for f in ranked]), strict=True):
+    lengths = search.fitter.lengths(ranked)
+    search.fitter.map([partial(search.held_out, f) for f in ranked[:8]], lengths[:8])
+    for f, rms in zip(ranked, search.fitter.map([partial(_rms, search.fitter, f) for f in ranked], lengths), strict=True):
         held = search.held.get(f.key)
         out.append(
             Rival(f.key, len(f.hypothesis.entries), rms, held.rms if held else math.nan,

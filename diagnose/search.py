@@ -228,7 +228,8 @@ class Search(Judge):
             self.progress.rivals(len(on))
             further = partial(self.fitter.fit, iterations=iterations, rival=True)
             longer = [partial(self._done, partial(further, f.hypothesis, f.fit.x)) for f in (running[k] for k in on)]
-            for rank, f in zip(on, self.fitter.map(longer), strict=True):
+            lengths = self.fitter.lengths([running[k] for k in on])
+            for rank, f in zip(on, self.fitter.map(longer, lengths), strict=True):
                 running[rank] = f
         running[:1] = [self._smoothed(f) for f in running[:1]]
         for f in running:
@@ -460,14 +461,14 @@ class Search(Judge):
         self.held.clear()
         self.retried.clear()
         self._without.clear()
-        fits = [
-            partial(self._weighed, f, last=f.key == current.key) for f in again.values() if f.key
-        ]  # fmt: skip
+        near = [f for f in again.values() if f.key]
+        fits, lengths = [partial(self._weighed, f, last=f.key == current.key) for f in near], self.fitter.lengths(near)
         if guide != 1.0:
             fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
+            lengths.append(math.inf)
         elif self._unguided is not None:
             self._keep(self._unguided)
-        for f in self.fitter.map(fits):
+        for f in self.fitter.map(fits, lengths):
             self._keep(self._smoothed(f) if f.key == current.key else f)
         return self.pool.get(current.key, current)
 

@@ -28,11 +28,15 @@ class SideBySide:
         self._counting = threading.Lock()
         self._at_work = 0
 
-    def map(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
-        """Answers in the order of the tasks, so that the number of threads changes nothing. The first error is raised."""
+    def map(self, tasks: Sequence[Callable[[], T]], lengths: Sequence[float] | None = None) -> list[T]:
+        """Answers in the order of the tasks, so that the number of threads changes nothing. The first error is raised.
+
+        ``lengths``: how long each takes, in any unit. The longest is begun first: last, it would be at work alone in the end.
+        """
         if self.jobs <= 1 or len(tasks) <= 1:
             return [task() for task in tasks]
-        left = deque(enumerate(tasks))
+        first = range(len(tasks)) if lengths is None else sorted(range(len(tasks)), key=lambda i: -lengths[i])
+        left = deque((i, tasks[i]) for i in first)
         answers: dict[int, T] = {}
 
         def work() -> None:

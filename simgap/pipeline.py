@@ -8,11 +8,10 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
+from diagnose.drawers import Draw, Drawers
 from diagnose.flow import Options, diagnose
 from diagnose.memory import Memory, fingerprint
 from diagnose.progress import Step
@@ -65,13 +64,20 @@ def diagnose_files(
     *,
     progress: bool = True,
     truth: Mapping[str, Any] | None = None,
+    draw: Draw | None = None,
 ) -> Diagnosis:
     """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole.
+
+    ``draw``: who draws the report, by default processes of their own where there is more than one job. They take half a second of
+    each core to load: `Drawers` that are given serve any number of diagnoses.
 
     Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
     the same end. The file goes when the folder is written.
     """
     options = options or Options()
+    if draw is None:
+        with Drawers(options.jobs) as drawers:
+            return diagnose_files(recordings, model, out, held_out, options, progress=progress, truth=truth, draw=drawers)
     _need_folder(out)
     nominal = load_axis(model)
     for name in options.effects:
@@ -81,7 +87,7 @@ def diagnose_files(
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
-            result = diagnose(nominal, loaded, held, options, _drawing_loaded_beside(say, options.jobs), memory)
+            result = diagnose(nominal, loaded, held, options, say, memory)
     except InputError:
         memory.discard()
         raise
@@ -97,7 +103,7 @@ def diagnose_files(
         write_corrected(model, with_map, mapped, MAP_COMMENT)
     from diagnose.report import write_report
 
-    write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth)
+    write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth, draw=draw)
     result.write_json(out / "diagnosis.json")
     memory.discard()
     return result
@@ -121,24 +127,6 @@ def _compiling_told(say: Callable[[Step], None]) -> Iterator[None]:
 
     with event.install_listener("numba:compile", Once()):
         yield
-
-
-def _drawing_loaded_beside(say: Callable[[Step], None], jobs: int) -> Callable[[Step], None]:
-    """``say``, and from the search on a thread that loads what draws the report, while fits leave the interpreter alone."""
-    begun = jobs <= 1
-
-    def load() -> None:
-        for name in ("matplotlib.figure", "matplotlib.backends.backend_svg"):
-            import_module(name)
-
-    def tell(step: Step) -> None:
-        nonlocal begun
-        if step.stage == "search" and not begun:
-            begun = True
-            Thread(target=load, daemon=True).start()
-        say(step)
-
-    return tell
 
 
 def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> str:

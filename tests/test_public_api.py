@@ -25,6 +25,7 @@ PUBLIC = {
     "mjsim.recording": ["Binding", "Channel", "Recording", "load"],
     "mjsim.scenario": ["load_scenario", "run", "shipped_scenarios", "write_log"],
     "ident": ["IOData", "Structure", "bj", "bode", "decimate", "residual_tests", "select_order", "shared_filter"],
+    "diagnose.drawers": ["Drawers"],
     "diagnose.flow": ["Options", "diagnose"],
     "diagnose.result": ["Diagnosis", "Estimate", "Finding", "FitFigures", "Mismatch", "Verdict"],
     "diagnose.report": ["write_report"],

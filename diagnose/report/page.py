@@ -8,16 +8,24 @@ import os
 import sys
 import tempfile
 from collections.abc import Mapping
+from functools import partial
 from importlib.resources import files
 from pathlib import Path, PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from diagnose.drawers import Draw, Picture, draw_here
 from diagnose.report import pictures
+from diagnose.report.curves import psd
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
 from diagnose.report.truth import truth_rows
 from diagnose.report.words import VERDICTS, effect_name, formula, linear_name, placed, structure_name, where
-from diagnose.result import Diagnosis, Estimate, Finding, Rival
+from diagnose.result import Diagnosis, Estimate, Finding, Mismatch, Rival, Traces
 from mjsim.effects import effect_class
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 __all__ = ["render_report", "write_report"]
 
@@ -28,13 +36,21 @@ _LONG_DIFF = 80
 _CARRIED = '<text name="simgap"'
 
 
-def write_report(diagnosis: Diagnosis, path: Path, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None) -> None:
+def write_report(
+    diagnosis: Diagnosis,
+    path: Path,
+    *,
+    corrected_diff: str = "",
+    truth: Mapping[str, Any] | None = None,
+    draw: Draw = draw_here,
+) -> None:
     """Write the page.
 
     ``corrected_diff``: unified diff of ``corrected.xml`` to the nominal model. ``truth``: what was concealed, by the keys of the
-    practice set (``effects``, ``where``, ``parameters``, ``linear_parameters``). Nothing half-written is left under ``path``.
+    practice set (``effects``, ``where``, ``parameters``, ``linear_parameters``). ``draw``: who draws, one picture after the other
+    or `Drawers`. Nothing half-written is left under ``path``.
     """
-    text = render_report(diagnosis, corrected_diff=corrected_diff, truth=truth)
+    text = render_report(diagnosis, corrected_diff=corrected_diff, truth=truth, draw=draw)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     try:
@@ -47,7 +63,9 @@ def write_report(diagnosis: Diagnosis, path: Path, *, corrected_diff: str = "", 
         raise
 
 
-def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None) -> str:
+def render_report(
+    diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None, draw: Draw = draw_here
+) -> str:
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
 
@@ -57,6 +75,7 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
     template = environment.from_string((here / "page.html.j2").read_text(encoding="utf-8"))
     d = diagnosis
     shown, hidden = _rivals(d)
+    drawn = _drawn(d, draw)
     return template.render(
         d=d,
         css=(here / "page.css").read_text(encoding="utf-8"),
@@ -64,9 +83,9 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
         placed=placed(d),
         tiles=_tiles(d),
         where=where(d),
-        drawn=_drawn(d),
+        drawn=_shown(d, drawn),
         findings=[_finding(f, d.unit) for f in d.findings],
-        map=_map(d),
+        map=_map(d, drawn.get("map")),
         linear=_linear(d),
         fits=_fits(d),
         horizons=list(dict.fromkeys(s for f in d.fit.values() for s, _ in f.ahead)),
@@ -129,44 +148,65 @@ def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
     return out
 
 
-def _drawn(d: Diagnosis) -> dict[str, Any]:
-    """All pictures as SVG text, with what stands under them."""
-    from markupsafe import Markup
-
-    found, noise = bool(d.findings), d.noise_floor > 0
+def _chosen(d: Diagnosis) -> tuple[list[Traces], list[Traces]]:
+    """The traces that are drawn and those that are left out, estimation recordings first."""
     roles = sorted(d.traces, key=lambda t: t.role != "estimation")
     chosen = [t for t in roles if t.role == "estimation"][: _MOST_TRACES - 1]
     chosen += [t for t in roles if t.role != "estimation"][: _MOST_TRACES - len(chosen)]
+    return chosen, [t for t in roles if t not in chosen]
+
+
+def _drawn(d: Diagnosis, draw: Draw) -> dict[str, Markup]:
+    """All pictures as SVG text, by the name that their ids begin with; what there is nothing to draw for is left out."""
+    from markupsafe import Markup
+
+    found, noise, where_known = bool(d.findings), d.noise_floor > 0, placed(d)
     torque = "N m" if not d.mismatch.place else next((p.unit for p in d.mismatch.place if p.unit in ("N m", "N")), "N m")
-    first = chosen[0] if chosen else None
-    curves = pictures.spectrum(d.mismatch, first, d.channel, d.unit, found, "s", bands=placed(d))
-    maps = pictures.states(d.mismatch.state, torque, "m") if placed(d) else None
+    chosen, _ = _chosen(d)
+    wanted: dict[str, Picture] = {
+        f"t{i}": partial(pictures.time, t, d.channel, d.unit, found, noise, f"t{i}") for i, t in enumerate(chosen)
+    }
+    for i, m in enumerate(d.mismatches if where_known else d.mismatches[:1]):
+        trace = next((t for t in d.traces if t.source == m.source), None) if i else next(iter(chosen), None)
+        left = _density_left(m, trace) if found else None
+        shaded = where_known or i > 0
+        wanted[f"s{i}"] = partial(pictures.spectrum, m, left, d.channel, d.unit, f"s{i}", bands=shaded)
+        if where_known:
+            wanted[f"m{i}"] = partial(pictures.states, m.state, torque, f"m{i}")
+    if d.map is not None:
+        wanted["map"] = partial(pictures.torque_map, d.map, "map")
+    return {k: Markup(svg) for k, svg in zip(wanted, draw(list(wanted.values())), strict=True) if svg}
+
+
+def _density_left(m: Mismatch, t: Traces | None) -> np.ndarray | None:
+    """Spectral density of what the corrected model leaves, at the frequencies of the mismatch's spectrum."""
+    bins = len(m.spectrum[0])
+    density = psd(t.measured - t.corrected, float(np.median(np.diff(t.time))), bins) if t is not None else None
+    return density[1] if density is not None and len(density[1]) == bins else None
+
+
+def _shown(d: Diagnosis, drawn: Mapping[str, Markup]) -> dict[str, Any]:
+    """The pictures in their places, with what stands under them."""
+    chosen, left_out = _chosen(d)
     return {
-        "time": [
-            (t.source, t.role, Markup(pictures.time(t, d.channel, d.unit, found, noise, f"t{i}"))) for i, t in enumerate(chosen)
-        ],
-        "left_out": [t.source for t in roles if t not in chosen],
-        "spectrum": Markup(curves) if curves else None,
-        "states": Markup(maps) if maps else None,
-        "others": [_elsewhere(d, i, torque) for i in range(1, len(d.mismatches))] if placed(d) else [],
-        "sigma": noise,
+        "time": [(t.source, t.role, drawn[f"t{i}"]) for i, t in enumerate(chosen)],
+        "left_out": [t.source for t in left_out],
+        "spectrum": drawn.get("s0"),
+        "states": drawn.get("m0"),
+        "others": [_elsewhere(d, i, drawn) for i in range(1, len(d.mismatches))] if placed(d) else [],
+        "sigma": d.noise_floor > 0,
     }
 
 
-def _elsewhere(d: Diagnosis, index: int, torque: str) -> dict[str, Any]:
+def _elsewhere(d: Diagnosis, index: int, drawn: Mapping[str, Markup]) -> dict[str, Any]:
     """Where the mismatch is on a further recording: sentences and pictures."""
-    from markupsafe import Markup
-
     m = d.mismatches[index]
-    trace = next((t for t in d.traces if t.source == m.source), None)
-    curves = pictures.spectrum(m, trace, d.channel, d.unit, bool(d.findings), f"s{index}")
-    maps = pictures.states(m.state, torque, f"m{index}")
     return {
         "source": m.source,
         "role": m.role.replace("_", " "),
         "share": percent(d.shares()[index]),
         "where": where(d, m),
-        "pictures": [Markup(p) for p in (curves, maps) if p],
+        "pictures": [drawn[k] for k in (f"s{index}", f"m{index}") if k in drawn],
     }
 
 
@@ -202,10 +242,8 @@ def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:
     }
 
 
-def _map(d: Diagnosis) -> dict[str, Any] | None:
+def _map(d: Diagnosis, svg: Markup | None) -> dict[str, Any] | None:
     """The torque map: where, its picture, what it gains and what is fitted beside it."""
-    from markupsafe import Markup
-
     m = d.map
     if m is None:
         return None
@@ -220,7 +258,7 @@ def _map(d: Diagnosis) -> dict[str, Any] | None:
         "where": f"{'in' if m.effect.coupling else 'at'} the {m.effect.place}",
         "element": m.element,
         "sentence": m.sentence,
-        "svg": Markup(pictures.torque_map(m, "map")),
+        "svg": svg,
         "gain": f"With it the held-out error is {number(m.held_out_error_after)} {u} rms instead of "
         f"{number(m.held_out_error_before)} {u} (p {_equals(m.p_value)}, over the maps that were tried). mapped.xml carries it.",
         "beside": beside,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diagnose.report.curves import blank, envelope, psd, worst_stretch
+from diagnose.report.curves import blank, envelope, worst_stretch
 from diagnose.report.figures import number, percent, power, unit
 from diagnose.result import MapResult, MapVariable, Mismatch, Share, StateShare, Traces
 
@@ -187,11 +187,12 @@ def _uncounted(axes: Axes, x: np.ndarray, counted: np.ndarray) -> None:
 
 
 def spectrum(
-    m: Mismatch, t: Traces | None, channel: str, channel_unit: str, found: bool, name: str, *, bands: bool = True
+    m: Mismatch, left: np.ndarray | None, channel: str, channel_unit: str, name: str, *, bands: bool = True
 ) -> str | None:
     """Spectral density of what is measured, of the errors and of the noise; None when there is no spectrum.
 
-    ``bands``: shade those that hold most of the error.
+    ``left``: density of what the corrected model leaves, at the frequencies of ``m.spectrum``. ``bands``: shade those that hold
+    most of the error.
     """
     f, residual, noise, output = (np.asarray(a, float) for a in m.spectrum)
     keep = f > 0
@@ -204,9 +205,8 @@ def spectrum(
         figure = _figure(3.5)
         axes = figure.add_axes((0.075, 0.15, 0.905, 0.7))
         curves = [(output, MEASURED, "-", 2.4, f"measured {channel}"), (residual, REFITTED, "-", 1.3, "error, nominal refitted")]
-        after = psd(t.measured - t.corrected, float(np.median(np.diff(t.time))), len(f)) if found and t is not None else None
-        if after is not None and len(after[1]) == len(f):
-            curves.append((after[1], CORRECTED, "-", 1.3, "error, corrected"))
+        if left is not None:
+            curves.append((left, CORRECTED, "-", 1.3, "error, corrected"))
         if np.any(noise[keep] > 0):
             curves.append((noise, INK, "--", 1.1, "noise"))
         for y, colour, style, width, label in curves:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from functools import partial
 
 import pytest
@@ -105,3 +106,18 @@ def test_what_may_come_next_is_worked_out_beside_by_an_idle_thread_only():
     finally:
         threads.close()
     assert SideBySide(1).beside([lambda: 1, lambda: 2]) == [1]
+
+
+def test_the_longest_is_begun_first_and_the_answers_keep_their_order() -> None:
+    begun: list[int] = []
+
+    def task(i: int) -> int:
+        begun.append(i)
+        time.sleep(0.01)
+        return i
+
+    threads = SideBySide(2)
+    assert threads.map([partial(task, i) for i in range(5)], [1.0, 3.0, 9.0, 2.0, 5.0]) == list(range(5))
+    threads.close()
+    assert set(begun[:2]) == {2, 4}
+    assert begun[-1] == 0
