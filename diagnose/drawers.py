@@ -19,7 +19,7 @@ __all__ = ["Draw", "Drawers", "Picture", "draw_here"]
 Picture: TypeAlias = Callable[[], str | None]
 Draw: TypeAlias = Callable[[Sequence[Picture]], list[str | None]]
 
-MOST = 4  # pictures of a report are few, and a process holds some 80 MB
+MOST = 4  # pictures of a report are few, and each process holds memory
 _SERVE = "import sys; sys.path[:] = sys.argv[1:]; from diagnose.drawers import serve; serve()"
 
 

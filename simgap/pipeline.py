@@ -68,8 +68,8 @@ def diagnose_files(
 ) -> Diagnosis:
     """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole.
 
-    ``draw``: who draws the report, by default processes of their own where there is more than one job. They take half a second of
-    each core to load: `Drawers` that are given serve any number of diagnoses.
+    ``draw``: who draws the report, by default processes of their own where there is more than one job.
+    They take a moment to load: `Drawers` that are given serve any number of diagnoses.
 
     Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
     the same end. The file goes when the folder is written.
