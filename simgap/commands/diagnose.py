@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
-
-if TYPE_CHECKING:
-    from diagnose.drawers import Draw
-    from diagnose.result import Diagnosis
 
 __all__ = ["command"]
 
@@ -50,49 +45,31 @@ def command(
 ) -> None:
     """Locate, name, model and prove the mismatch between RECORDINGS and a nominal model."""
     import json
+    import math
 
     from diagnose.drawers import Drawers
 
     with Drawers(jobs) as draw:  # they load what draws while this process loads the rest
-        result = _diagnosed(recordings, model, out, held_out, judge, effects, jobs, seed, budget, quiet, draw)
+        from diagnose.flow import Options
+        from mjsim.effects import registered
+        from mjsim.errors import InputError
+        from simgap.pipeline import STATE, diagnose_files
+
+        only = tuple(e.strip() for e in effects.split(",") if e.strip())
+        for name in only:
+            if name not in registered():
+                raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), "correct the name")
+        options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf)
+        try:
+            result = diagnose_files(recordings, model, out, held_out, options, progress=not quiet, draw=draw)
+        except KeyboardInterrupt:
+            kept = out / STATE
+            left = f"what was fitted is in {kept}: give the same command to go on" if kept.exists() else "nothing was written"
+            click.echo(f"simgap: interrupted; {left}", err=True)
+            raise SystemExit(130) from None
     if as_json:
         click.echo(json.dumps(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")), indent=2))
     else:
         from simgap.show import show_diagnosis
 
         show_diagnosis(result, out)
-
-
-def _diagnosed(
-    recordings: tuple[Path, ...],
-    model: Path,
-    out: Path,
-    held_out: tuple[Path, ...],
-    judge: str | None,
-    effects: str,
-    jobs: int,
-    seed: int,
-    budget: float,
-    quiet: bool,
-    draw: Draw,
-) -> Diagnosis:
-    """The diagnosis, its folder written; broken off, where what was fitted is kept is said, and exit 130."""
-    import math
-
-    from diagnose.flow import Options
-    from mjsim.effects import registered
-    from mjsim.errors import InputError
-    from simgap.pipeline import STATE, diagnose_files
-
-    only = tuple(e.strip() for e in effects.split(",") if e.strip())
-    for name in only:
-        if name not in registered():
-            raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), "correct the name")
-    options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf)
-    try:
-        return diagnose_files(recordings, model, out, held_out, options, progress=not quiet, draw=draw)
-    except KeyboardInterrupt:
-        kept = out / STATE
-        left = f"what was fitted is in {kept}: give the same command to go on" if kept.exists() else "nothing was written"
-        click.echo(f"simgap: interrupted; {left}", err=True)
-        raise SystemExit(130) from None
