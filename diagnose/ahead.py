@@ -19,6 +19,7 @@ import numpy as np
 from diagnose.fitter import Fitted, Fitter
 from diagnose.locate import played
 from diagnose.whiten import levinson
+from mjsim.signals import lfilter
 
 __all__ = ["HORIZONS", "k_step"]
 
@@ -28,8 +29,6 @@ ORDER = 300  # of the noise model at most: white noise hides a slow error from a
 
 def k_step(fitter: Fitter, fitted: Fitted, horizons: tuple[float, ...] = HORIZONS) -> tuple[tuple[float, float], ...]:
     """(horizon [s], rms error that far ahead on the held-out samples in the view's unit), by the model's own noise model."""
-    from scipy.signal import fftconvolve, lfilter
-
     every = fitter.view.decimate
     runs = played(fitter, fitted)
     own = [r for r in runs if r.role == "estimation"]
@@ -56,7 +55,7 @@ def k_step(fitter: Fitter, fitted: Fitted, horizons: tuple[float, ...] = HORIZON
                 return ()
             k = max(1, round(horizon / (experiment.recording.dt * every)))
             ahead = lfilter([1.0], a, np.concatenate([[1.0], np.zeros(k - 1)]))
-            w = fftconvolve(lfilter(a, [1.0], error), ahead)[: len(error)]
+            w = lfilter(ahead, [1.0], lfilter(a, [1.0], error))
             keep = fitter.counted(experiment).copy()
             keep[: k + len(a)] = False  # before that there is no past to predict from
             squares += float(np.sum(w[keep] ** 2))

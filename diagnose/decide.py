@@ -41,12 +41,12 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
 
 def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, float, float]:
     """(held-out one-sided p, estimation likelihood-ratio p, gain of chi-square in units of the richer model's variance)."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     held = search.compared(poorer, richer).p_value
     gain = richer.n * math.log(poorer.chi2 / richer.chi2)
     extra = max(1, len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
-    return held, float(chi2.sf(max(gain, 0.0), extra)), gain
+    return held, float(chdtrc(extra, max(gain, 0.0))), gain
 
 
 def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = ALIKE_C) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Processes that draw the pictures of a report: they load what draws while the diagnosis runs, and draw at its end."""
+"""A process that draws the pictures of a report: it loads what draws while the diagnosis runs, and draws at its end."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import pickle
 import signal
 import subprocess
 import sys
-from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from threading import Lock, Thread
+from concurrent.futures import ProcessPoolExecutor, wait
+from multiprocessing import get_context
 from typing import TypeAlias
 
 __all__ = ["Draw", "Drawers", "Picture", "draw_here"]
 
 Picture: TypeAlias = Callable[[], str | None]
 Draw: TypeAlias = Callable[[Sequence[Picture]], list[str | None]]
+Answer: TypeAlias = tuple[bool, str | None]  # whether it was drawn, and its text
 
-MOST = 4  # pictures of a report are few, and each process holds memory
+MOST = 4  # pictures of a report are few
 _SERVE = "import sys; sys.path[:] = sys.argv[1:]; from diagnose.drawers import serve; serve()"
 
 
@@ -29,71 +29,41 @@ def draw_here(pictures: Sequence[Picture]) -> list[str | None]:
 
 
 class Drawers:
-    """As many processes as there are ``jobs``, none where it is one; called, they draw pictures in their order.
+    """A process that loads beside the caller and, called, draws pictures, several at a time; none where ``jobs`` is one.
 
-    Loading and drawing hold the interpreter's lock, which the fits need, so that no thread could do it beside them. A process
-    runs this module alone: nothing is asked of the caller's ``__main__``. What no process has drawn, because it could not be
+    Loading and drawing hold the interpreter's lock, which the fits need, so that no thread could do it beside them. The process
+    runs this module alone: nothing is asked of the caller's ``__main__``. What it has not drawn, because it could not be
     started, has ended, cannot read what it was handed or has failed, is drawn here, where an error is raised.
     """
 
     def __init__(self, jobs: int) -> None:
-        python = sys.executable and not getattr(sys, "frozen", False)  # else there is no interpreter to call
-        count = min(jobs, MOST) if jobs > 1 and python else 0
-        self._processes: list[subprocess.Popen[bytes]] = []
-        self._closing, self._closed = Lock(), False
-        self._starting = Thread(target=self._start, args=(count,), daemon=True)
-        self._starting.start()
-
-    def _start(self, count: int) -> None:
-        """One process after the other, each when the one before it has loaded: the diagnosis keeps a core for itself."""
-        for _ in range(count):
-            with self._closing:
-                if self._closed:
-                    return
-                call = [sys.executable, "-c", _SERVE, *sys.path]
-                try:
-                    process = subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
-                except OSError:  # no process can be had: the others, or this one, draw
-                    return
-                self._processes.append(process)
-            assert process.stdout is not None
-            with contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):  # it has ended: whoever hands it a picture sees
-                pickle.load(process.stdout)
+        self._count = min(jobs, MOST)
+        self._process: subprocess.Popen[bytes] | None = None
+        if self._count > 1 and sys.executable and not getattr(sys, "frozen", False):  # else there is no interpreter to call
+            call = [sys.executable, "-c", _SERVE, *sys.path]
+            with contextlib.suppress(OSError):  # no process can be had
+                self._process = subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 
     def __call__(self, pictures: Sequence[Picture]) -> list[str | None]:
         """The text of each picture."""
-        left = deque(range(len(pictures)))
-        drawn: dict[int, str | None] = {}
-
-        def hand_out(process: subprocess.Popen[bytes]) -> None:
-            while left:
-                try:
-                    i = left.popleft()
-                except IndexError:  # another process was faster
-                    return
-                try:
-                    done, text = _asked(process, pictures[i])
-                except (OSError, EOFError, pickle.UnpicklingError):  # the process has ended
-                    return
-                if done:
-                    drawn[i] = text
-
-        self._starting.join()
-        if self._processes:
-            with ThreadPoolExecutor(len(self._processes)) as threads:
-                list(threads.map(hand_out, self._processes))
-        return [drawn[i] if i in drawn else picture() for i, picture in enumerate(pictures)]
+        answers: list[Answer] = []
+        if self._process is not None:
+            with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):  # it has ended
+                answers = _asked(self._process, self._count, [_told(picture) for picture in pictures])
+        answers = answers or [(False, None)] * len(pictures)
+        return [text if done else picture() for (done, text), picture in zip(answers, pictures, strict=True)]
 
     def close(self) -> None:
-        """End the processes."""
-        with self._closing:
-            self._closed = True
-            for process in self._processes:
-                process.kill()
-        self._starting.join()
-        for process in self._processes:
-            process.communicate()
-        self._processes.clear()
+        """End the process, and those it has begun."""
+        if self._process is None:
+            return
+        with contextlib.suppress(ProcessLookupError):
+            if sys.platform == "win32":
+                self._process.kill()
+            else:
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.communicate()
+        self._process = None
 
     def __enter__(self) -> Drawers:
         return self
@@ -102,44 +72,52 @@ class Drawers:
         self.close()
 
 
-def _asked(process: subprocess.Popen[bytes], picture: Picture) -> tuple[bool, str | None]:
-    """Whether the process has drawn the picture, and its text."""
+def _told(picture: Picture) -> bytes | None:
+    """The picture as bytes, None where it holds what no other process can be told."""
+    try:
+        return pickle.dumps(picture)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+
+
+def _asked(process: subprocess.Popen[bytes], count: int, told: list[bytes | None]) -> list[Answer]:
     assert process.stdin is not None
     assert process.stdout is not None
-    try:
-        handed = pickle.dumps(picture)
-    except (pickle.PicklingError, AttributeError, TypeError):  # it holds what no other process can be told
-        return False, None
-    pickle.dump(handed, process.stdin)  # bytes in bytes: what cannot be read there does not put the pipe out of step
+    pickle.dump((count, told), process.stdin)  # bytes in bytes: what cannot be read there does not put the pipe out of step
     process.stdin.flush()
-    answer: tuple[bool, str | None] = pickle.load(process.stdout)
-    return answer
+    answers: list[Answer] = pickle.load(process.stdout)
+    return answers
+
+
+def _drawn(told: bytes | None) -> Answer:
+    try:
+        return (False, None) if told is None else (True, pickle.loads(told)())
+    except Exception:  # raised again where the picture is drawn next
+        return False, None
+
+
+def _drawn_at_once(count: int, told: list[bytes | None]) -> list[Answer]:
+    """Forks share what this process, which has one thread, has loaded."""
+    if sys.platform != "linux":
+        return [_drawn(each) for each in told]
+    with ProcessPoolExecutor(count, mp_context=get_context("fork")) as forks:
+        asked = [forks.submit(_drawn, each) for each in told]
+        wait(asked)
+        return [(False, None) if f.exception() else f.result() for f in asked]
 
 
 def serve() -> None:
-    """Draw what comes by standard input until it ends.
-
-    Standard output gets a word once all is loaded, then (whether it was drawn, text) for each picture.
-    """
+    """Draw what comes by standard input until it ends; standard output gets (whether it was drawn, text) of each picture."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asked is told, and ends this process
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
-    import matplotlib.backends.backend_svg
-    import matplotlib.figure  # noqa: F401
+    from diagnose.report import pictures
 
-    import diagnose.report.pictures  # noqa: F401
-
-    pickle.dump("loaded", answers)
-    answers.flush()
+    pictures.load()
     while True:
         try:
-            handed = pickle.load(sys.stdin.buffer)
+            count, told = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        answer: tuple[bool, str | None]
-        try:
-            answer = True, pickle.loads(handed)()
-        except Exception:
-            answer = False, None
-        pickle.dump(answer, answers)
+        pickle.dump(_drawn_at_once(count, told), answers)
         answers.flush()

@@ -21,6 +21,7 @@ from diagnose.side_by_side import SideBySide
 from diagnose.view import MotionView, View, led_by_torque
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
+from mjsim.signals import lfilter
 from mjsim.system import STEP, assemble
 
 __all__ = ["Fitted", "Fitter", "HeldOut", "key_of"]
@@ -288,8 +289,6 @@ class Fitter:
         p = len(self.whitening) - 1
         if p == 0:
             return w, keep
-        from scipy.signal import lfilter
-
         if (id(experiment), p) not in self._clear:
             reach = np.convolve(~keep, np.ones(p + 1))[: len(keep)] > 0
             reach[:p] = True

@@ -20,6 +20,7 @@ from diagnose.fitter import Fitted, Fitter
 from diagnose.orders import torque_to_velocity
 from diagnose.result import Mismatch, Place, Share, StateShare
 from mjsim.axis import Axis
+from mjsim.signals import coherence, freqz, welch
 
 __all__ = ["Played", "binned", "disturbance", "locate", "played", "states"]
 
@@ -58,13 +59,11 @@ def disturbance(fitter: Fitter, on: Played, body: int = 0) -> np.ndarray:
     if fitter.view.channel == "torque":
         # commanded minus needed: what acted on top of the command is its negative
         return -e * (1.0 if body == 0 else 1.0 / axis.chain.total_ratio(body))
-    from scipy.signal import freqz
-
     b, a = torque_to_velocity(axis, experiment.recording.dt, body)
     n = len(e)
     pad = 2 * n
     spectrum = np.fft.rfft(e - 0.0, pad)
-    _, g = freqz(b, a, worN=2 * np.pi * np.arange(len(spectrum)) / pad)
+    g = freqz(b, a, 2 * np.pi * np.arange(len(spectrum)) / pad)
     noise = experiment.sigma**2
     power = max(float(np.mean(e**2)) - noise, 1e-3 * noise)
     gain = float(np.mean(np.abs(g[: max(2, len(g) // 20)]) ** 2))
@@ -184,15 +183,13 @@ def _spectrum(
     fitter: Fitter, experiment: Experiment, e: np.ndarray, dt: float, noise: float
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
     """(frequency, residual, noise and output psd), and the share of the residual coherent with the input."""
-    from scipy.signal import coherence, welch
-
     every = fitter.view.decimate
     y = experiment.recording.torque if fitter.view.channel == "torque" else measured_velocity(experiment.recording)
     y, u = y[::every][: len(e)], experiment.recording.torque[::every][: len(e)]
     segment = min(len(e), max(256, 2 ** int(np.log2(len(e) / 6))))
-    f, pe = welch(e, 1 / dt, nperseg=segment, detrend=False)
-    _, py = welch(y, 1 / dt, nperseg=segment)
-    _, c = coherence(u, e, 1 / dt, nperseg=segment)
+    f, pe = welch(e, dt, segment, level=True)
+    _, py = welch(y, dt, segment)
+    c = coherence(u, e, segment)
     count = 2 * len(e) / segment - 1
     c = np.maximum(0.0, (c - 1 / count) / (1 - 1 / count))
     pn = np.full_like(f, noise * 2 * dt)

@@ -14,6 +14,7 @@ import numpy as np
 
 from diagnose.whiten import levinson
 from mjsim.axis import Axis
+from mjsim.signals import freqz, lfilter
 from mjsim.system import assemble, state_matrix
 
 __all__ = ["find_orders", "torque_to_velocity"]
@@ -26,7 +27,6 @@ WHITE = 8  # order of the autoregressive filter that levels the residual's spect
 def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0, without effects."""
     from scipy.linalg import expm
-    from scipy.signal import ss2tf
 
     linear = Axis(axis.chain)
     s = assemble(linear)
@@ -46,8 +46,9 @@ def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray
     c[0, n] = 1.0
     c = (c @ inv)[:, keep]
     m = expm(np.block([[a, b], [np.zeros((1, len(keep) + 1))]]) * dt)
-    num, den = ss2tf(m[:-1, :-1], m[:-1, -1:], c, np.zeros((1, 1)))
-    return num[0], den
+    held, entered = m[:-1, :-1], m[:-1, -1:]
+    den = np.poly(held)
+    return np.poly(held - entered @ c) - den, den  # det(zI - A + b c) - det(zI - A) = c adj(zI - A) b
 
 
 def _waves(y: np.ndarray, angle: np.ndarray, low: float, top: float) -> tuple[np.ndarray, np.ndarray]:
@@ -75,8 +76,6 @@ def find_orders(
     ``run``: works out tasks, side by side perhaps. ``inertia``: of an inertia that varies over the turn, whose torque is
     sin(n q) q'' + n cos(n q) q'^2 / 2; angle, velocity and (b, a) are then those of its body, the velocity simulated.
     """
-    from scipy.signal import freqz, lfilter
-
     travel = float(np.ptp(angle))
     if travel <= 0:
         return ()
@@ -90,7 +89,7 @@ def find_orders(
     # correlating with a filtered wave is correlating the wave with what the transposed filter makes of the residual
     z = lfilter(b, a, y[::-1])[::-1]
     near = np.geomspace(1e-4, np.pi, 400)
-    response = np.abs(freqz(b, a, near)[1]) ** 2
+    response = np.abs(freqz(b, a, near)) ** 2
     found: list[tuple[float, float]] = []
     weights = (np.gradient(velocity, dt), velocity**2) if inertia else (np.ones(len(angle)), np.sign(velocity))
     waves = [_waves(weight * z, angle, low, top) for weight in weights]
@@ -112,7 +111,7 @@ def find_orders(
             x = wave * weights[0][:, None] + 0.5 * n * (wave[:, ::-1] * [1.0, -1.0]) * weights[1][:, None]
         else:
             x = wave * weight[:, None]
-        x = lfilter(b, a, x, axis=0) * mask[:, None]
+        x = lfilter(b, a, x) * mask[:, None]
         c = x.T @ y
         return float(c @ np.linalg.lstsq(x.T @ x, c, rcond=1e-12)[0])
 

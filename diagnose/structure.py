@@ -22,6 +22,7 @@ from diagnose.orders import torque_to_velocity
 from mjsim.axis import Axis
 from mjsim.ode import simulate
 from mjsim.quantity import Motion
+from mjsim.signals import lfilter
 
 __all__ = ["Structure", "motion_error", "motion_errors", "remaining_structure"]
 
@@ -53,8 +54,6 @@ def _clean_velocity(fitter: Fitter, axis: Axis, experiment: Experiment, initial:
 
 def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray:
     """Responses (M, k) of the judged channel to the torques of the dictionary."""
-    from scipy.signal import lfilter
-
     r = experiment.recording
     s = _clean_velocity(fitter, axis, experiment, initial)
     scale = fitter.scales["motor"].velocity or 1.0
@@ -77,7 +76,7 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
         every = fitter.view.decimate
         return basis[::every]
     b, a = torque_to_velocity(axis, r.dt)
-    through = lfilter(b, a, np.column_stack([basis, u, *lagged]), axis=0)
+    through = lfilter(b, a, np.column_stack([basis, u, *lagged]))
     return np.column_stack([np.where(bounded(through).all(axis=0), through, 0.0), s])
 
 
@@ -94,7 +93,7 @@ def _regressed(
 
 def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Structure:
     """Share of the held-out residual that the dictionary predicts, and how sure that it predicts any."""
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
     h, x = fitted.hypothesis, fitted.fit.x
     solved: list[tuple[Axis, np.ndarray | None]] = [(h.axis(x, i), h.initial(x, i)) for i in range(len(fitter.experiments))]
@@ -123,7 +122,7 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
         before += float(z @ z)
     g = np.array(gains)
     t = float(np.mean(g) / (np.std(g, ddof=1) / np.sqrt(len(g)) + 1e-300))
-    return Structure(float(np.sum(g)) / before, float(student.sf(t, len(g) - 1)))
+    return Structure(float(np.sum(g)) / before, float(stdtr(len(g) - 1, -t)))
 
 
 def motion_error(

@@ -35,6 +35,7 @@ from diagnose.whiten import effective_share
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, apply_input, simulate
 from mjsim.quantity import Quantity
+from mjsim.signals import lfilter
 from mjsim.system import assemble
 from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
 
@@ -315,11 +316,9 @@ class _Responses:
 
     def _through(self, axis: Axis, r: int, experiment: Experiment, body: int, torque: np.ndarray) -> np.ndarray:
         """Velocity of body 0 (N, k) that torques (N, k) on a body make; no number where it leaves all bounds."""
-        from scipy.signal import lfilter
-
         if (r, body) not in self.filters:
             self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body)
-        response = lfilter(*self.filters[(r, body)], torque, axis=0)
+        response = lfilter(*self.filters[(r, body)], torque)
         return np.where(bounded(response), response, np.nan)
 
     def of(self, shape: TorqueMap, known: list[dict[tuple[str, bool, str], np.ndarray]]) -> np.ndarray:

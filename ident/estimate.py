@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ident.checks import check_estimation_data
 from ident.data import IOData, frozen
-from ident.kernel import filter_into
 from ident.model import PolyModel
 from ident.options import Focus, InitialCondition, Options, SearchOptions
 from ident.search import MARGIN, factor, residual, search
 from ident.start import first_models, noise_model, stabilised
 from ident.structure import Structure
 from mjsim.errors import InputError
+from mjsim.signals import lfilter
 
 __all__ = ["Estimate", "Start", "Status", "armax", "arx", "ararx", "bj", "oe", "pem"]  # noqa: RUF022
 
@@ -206,13 +206,8 @@ def _covariance(r: NDArray, n: int, variance: float) -> tuple[NDArray, bool]:
 def _prefiltered(data: IOData, options: Options) -> IOData:
     if options.prefilter is None:
         return data
-    num, den = (np.asarray(p, float) for p in options.prefilter)
-    out = []
-    for x in (data.u, data.y):
-        filtered = np.empty(len(data))
-        filter_into(num / den[0], 0, den / den[0], np.asarray(x), filtered)
-        out.append(filtered)
-    return data.with_signals(out[0], out[1])
+    num, den = options.prefilter
+    return data.with_signals(lfilter(num, den, data.u), lfilter(num, den, data.y))
 
 
 def pem(data: IOData, structure: Structure, options: Options | None = None, start: PolyModel | None = None) -> Estimate:
@@ -366,9 +361,7 @@ def _by_simulation(data: IOData, s: Structure, options: Options, began: float) -
     den = np.asarray(plant.model.F)
     v = plant.residuals
     if s.na:
-        filtered = np.empty_like(v)
-        filter_into(den, 0, np.ones(1), np.asarray(v), filtered)
-        v = filtered
+        v = lfilter(den, [1.0], v)
     c, d = noise_model(np.asarray(v), s.nc, s.nd)
     a, f = (den[1:], np.empty(0)) if s.na else (np.empty(0), den[1:])
     start = PolyModel.from_theta(s, np.r_[a, plant.model.B, c[1:], d[1:], f], data.dt)

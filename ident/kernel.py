@@ -1,7 +1,7 @@
-"""Compiled recursions: rational filters, and a least-squares factor built block by block.
+"""A least-squares factor built block by block, compiled.
 
-Everything here is linear in the number of samples in time and memory: filters run as recursions, and a regression on lagged
-signals is reduced to its triangular factor R a block of rows at a time, so that the N x n matrix never exists.
+Linear in the number of samples in time and memory: a regression on lagged signals is reduced to its triangular factor R a block
+of rows at a time, so that the N x n matrix never exists.
 """
 
 from __future__ import annotations
@@ -9,35 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["factor_lags", "filter_into", "is_stable", "least_squares", "solve_upper"]
+__all__ = ["factor_lags", "is_stable", "least_squares", "solve_upper"]
 
 BLOCK = 512
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
-
-
-@njit(cache=True, nogil=True)
-def filter_into(num, num_delay, den, x, out):
-    """``den(q) out(t) = num(q) x(t - num_delay)`` from rest; ``den`` is monic, coefficients in rising powers of q^-1."""
-    n = x.size
-    nn, nd = num.size, den.size - 1
-    head = min(n, max(nn + num_delay, nd))
-    for t in range(head):
-        s = 0.0
-        for i in range(nn):
-            j = t - num_delay - i
-            if j >= 0:
-                s += num[i] * x[j]
-        for i in range(1, nd + 1):
-            if t - i >= 0:
-                s -= den[i] * out[t - i]
-        out[t] = s
-    for t in range(head, n):
-        s = 0.0
-        for i in range(nn):
-            s += num[i] * x[t - num_delay - i]
-        for i in range(nd, 0, -1):
-            s -= den[i] * out[t - i]
-        out[t] = s
 
 
 @njit(cache=True, nogil=True)

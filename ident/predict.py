@@ -8,26 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ident.data import IOData, frozen
-from ident.kernel import filter_into
 from ident.model import PolyModel
 from mjsim.errors import InputError
+from mjsim.signals import lfilter
 
 __all__ = ["Comparison", "compare", "predicted", "simulated"]
 
 _ONE = np.ones(1)
 
 
-def _filter(num: NDArray, den: NDArray, x: NDArray, delay: int = 0) -> NDArray:
-    out = np.empty(x.size)
-    filter_into(np.ascontiguousarray(num), delay, np.ascontiguousarray(den), np.ascontiguousarray(x), out)
-    return out
-
-
 def _pulse_responses(den: NDArray, count: int, size: int) -> NDArray:
     """(size, count): the response of 1/den to a pulse, delayed by 0 .. count - 1."""
     pulse = np.zeros(size)
     pulse[0] = 1.0
-    h = _filter(_ONE, den, pulse)
+    h = lfilter(_ONE, den, pulse)
     return np.stack([np.r_[np.zeros(i), h[: size - i]] for i in range(count)], axis=1) if count else np.empty((size, 0))
 
 
@@ -35,7 +29,7 @@ def simulated(model: PolyModel, data: IOData, *, initial: bool = True) -> NDArra
     """``G u`` plus the free response that fits the data best (``initial=False``: from rest), shape (N,); MATLAB ``compare``."""
     s = model.structure
     den = np.polymul(model.A, model.F)
-    y = _filter(model.B, den, np.asarray(data.u), s.nk)
+    y = lfilter(model.B, den, np.asarray(data.u), s.nk)
     count = min(max(s.na + s.nf, s.nb + s.nk - 1), len(data) // 4)
     if not initial or count == 0 or not np.all(np.isfinite(y)):
         return y
@@ -66,10 +60,10 @@ def predicted(model: PolyModel, data: IOData, horizon: int = 1) -> NDArray:
     pulse = np.zeros(horizon)
     pulse[0] = 1.0
     noise_den = np.polymul(model.A, model.D)
-    head = _filter(model.C, noise_den, pulse)
+    head = lfilter(model.C, noise_den, pulse)
     v = data.y - simulated(model, data)
-    weighted = _filter(noise_den, model.C, v)  # 1/H v = e
-    return np.asarray(data.y) - _filter(head, _ONE, weighted)
+    weighted = lfilter(noise_den, model.C, v)  # 1/H v = e
+    return np.asarray(data.y) - lfilter(head, _ONE, weighted)
 
 
 @dataclass(frozen=True)

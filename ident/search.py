@@ -17,7 +17,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ident.kernel import _fold, factor_lags, filter_into, is_stable, solve_upper
+from ident.kernel import _fold, factor_lags, is_stable, solve_upper
+from mjsim.signals import filter_into
 
 __all__ = ["MARGIN", "factor", "residual", "search"]
 

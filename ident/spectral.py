@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ident.data import IOData, frozen
 from mjsim.errors import InputError
+from mjsim.signals import transforms
 
 __all__ = ["SpectralEstimate", "etfe", "spectral"]
 
@@ -60,20 +61,17 @@ def spectral(data: IOData, window: int | None = None) -> SpectralEstimate:
     ``window``: segment length in samples; default such that at least eight segments with half overlap fit (at most 8192).
     The relative standard error is ``sqrt((1 - c) / (2 c m))`` with coherence c and m effective segments (Bendat & Piersol).
     """
-    from scipy.signal import coherence, csd, welch
-
     n = len(data)
     if window is None:
         window = min(8192, 2 ** int(np.log2(max(16, n // 6))))
     if not 8 <= window <= n // 2:
         raise InputError("spectral window", f"{window} samples", f"8 to half of the {n} samples")
-    fs = 1.0 / data.dt
-    f, pu = welch(data.u, fs, nperseg=window)
-    _, py = welch(data.y, fs, nperseg=window)
-    _, puy = csd(data.u, data.y, fs, nperseg=window)
-    _, c = coherence(data.u, data.y, fs, nperseg=window)
+    f, U = transforms(data.u, data.dt, window)
+    _, Y = transforms(data.y, data.dt, window)
+    pu, py = (np.mean(np.abs(X) ** 2, axis=0) for X in (U, Y))
+    puy = np.mean(np.conj(U) * Y, axis=0)
     keep = (f > 0) & (pu > 1e-12 * pu.max())
-    c = np.clip(c[keep], 1e-12, 1.0)
+    c = np.clip(np.abs(puy[keep]) ** 2 / (pu[keep] * np.maximum(py[keep], 1e-300)), 1e-12, 1.0)
     segments = max(1.0, (2 * n / window - 1) * 0.95 * 9 / 11)
     std = np.sqrt((1 - c) / (2 * c * segments))
     return SpectralEstimate(f[keep], puy[keep] / pu[keep], c, py[keep] * (1 - c), std)

@@ -20,18 +20,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.kernel import factor_lags, filter_into, is_stable, least_squares
+from ident.kernel import factor_lags, is_stable, least_squares
 from ident.structure import Structure
+from mjsim.signals import lfilter
 
 __all__ = ["first_models", "noise_model"]
 
 _ONE = np.ones(1)
-
-
-def _filter(num: NDArray, den: NDArray, x: NDArray, delay: int = 0) -> NDArray:
-    out = np.empty_like(x)
-    filter_into(np.ascontiguousarray(num), delay, np.ascontiguousarray(den), x, out)
-    return out
 
 
 def stabilised(poly: NDArray, radius: float = 0.999) -> NDArray:
@@ -111,10 +106,10 @@ def _steiglitz(u: NDArray, y: NDArray, f: NDArray, nb: int, nk: int, loops: int 
     best = (np.inf, f, np.zeros(nb))
     f = stabilised(f)
     for _ in range(loops):
-        uf, yf = _filter(_ONE, f, u), _filter(_ONE, f, y)
+        uf, yf = lfilter(_ONE, f, u), lfilter(_ONE, f, y)
         new, b = _arx(uf, yf, nf, nb, nk)
         new = stabilised(new)
-        error = y - _filter(b, new, u, nk)
+        error = y - lfilter(b, new, u, nk)
         loss = float(error @ error)
         if np.isfinite(loss) and loss < best[0]:
             best = (loss, new, b)
@@ -127,8 +122,8 @@ def _steiglitz(u: NDArray, y: NDArray, f: NDArray, nb: int, nk: int, loops: int 
 def _instrumental(u: NDArray, y: NDArray, f: NDArray, b: NDArray, whiten: NDArray, nk: int) -> tuple[NDArray, NDArray]:
     """IV4's last step: instruments simulated by B/F, data and instruments filtered by ``whiten``."""
     nf, nb = f.size - 1, b.size
-    x = _filter(whiten, _ONE, _filter(b, stabilised(f), u, nk))
-    yf, uf = _filter(whiten, _ONE, y), _filter(whiten, _ONE, u)
+    x = lfilter(whiten, _ONE, lfilter(b, stabilised(f), u, nk))
+    yf, uf = lfilter(whiten, _ONE, y), lfilter(whiten, _ONE, u)
     start, size = max(nf, nb + nk - 1), y.size
 
     def rows(first: NDArray) -> list[NDArray]:
@@ -143,8 +138,8 @@ def _instrumental(u: NDArray, y: NDArray, f: NDArray, b: NDArray, whiten: NDArra
 
 def _numerator(u: NDArray, y: NDArray, f: NDArray, nb: int, nk: int, whiten: NDArray) -> NDArray:
     """B by least squares with F held, data filtered by ``whiten``."""
-    uf = _filter(whiten, f, u)
-    yf = _filter(whiten, _ONE, y)
+    uf = lfilter(whiten, f, u)
+    yf = lfilter(whiten, _ONE, y)
     factor = factor_lags(uf[None, :], np.ones(1), np.array([nk]), np.array([nb]), yf, 0)
     return least_squares(factor)[0]
 
@@ -165,7 +160,7 @@ def noise_model(v: NDArray, nc: int, nd: int) -> tuple[NDArray, NDArray]:
     from scipy.linalg import solve_toeplitz
 
     ar = np.r_[1.0, -solve_toeplitz(lags[:-1], lags[1:])]
-    e = _filter(ar, _ONE, v)
+    e = lfilter(ar, _ONE, v)
     factor = factor_lags(
         np.stack([e, v]), np.array([1.0, -1.0]), np.ones(2, int), np.array([nc, nd]), v, min(order + max(nc, nd), size // 2)
     )
@@ -199,7 +194,7 @@ def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, ND
         if long > order + 2:
             try:
                 whiten, gain = _long_arx(u, y, long, s.nk)
-                denoised = _filter(gain, stabilised(whiten, 0.9999), u, s.nk)
+                denoised = lfilter(gain, stabilised(whiten, 0.9999), u, s.nk)
             except np.linalg.LinAlgError:
                 whiten = _ONE
         if not np.all(np.isfinite(whiten)) or not np.all(np.isfinite(denoised)):
@@ -208,8 +203,8 @@ def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, ND
             f0 = simple[0]
             raw = attempt("steiglitz", lambda: _steiglitz(u, y, f0, s.nb, s.nk))
             if whiten.size > 1:
-                uw, yw = _filter(whiten, _ONE, u), _filter(whiten, _ONE, y)
-                seed = attempt("denoised", lambda: _steiglitz(uw, _filter(whiten, _ONE, denoised), f0, s.nb, s.nk))
+                uw, yw = lfilter(whiten, _ONE, u), lfilter(whiten, _ONE, y)
+                seed = attempt("denoised", lambda: _steiglitz(uw, lfilter(whiten, _ONE, denoised), f0, s.nb, s.nk))
                 seed = seed or raw or simple
                 attempt("whitened", lambda: _steiglitz(uw, yw, seed[0], s.nb, s.nk))
             seed2 = raw or simple
@@ -217,12 +212,12 @@ def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, ND
 
     for label, f, b in reversed(routes):
         if s.na and not s.nf:
-            v = _filter(f, _ONE, y) - _filter(b, _ONE, u, s.nk)
+            v = lfilter(f, _ONE, y) - lfilter(b, _ONE, u, s.nk)
             a, f = f[1:], np.empty(0)
         else:
             f = stabilised(f)
             b = _numerator(u, y, f, s.nb, s.nk, whiten)
-            v = y - _filter(b, f, u, s.nk)
+            v = y - lfilter(b, f, u, s.nk)
             a, f = np.zeros(s.na), f[1 : s.nf + 1]
         if not np.all(np.isfinite(v)):
             continue

@@ -241,7 +241,7 @@ def _delay(v: np.ndarray, q: np.ndarray, samples: float, dt: float) -> tuple[np.
 
 def _lag(v: np.ndarray, q: np.ndarray, tau: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """First-order lag of both signals, exact for the cubic; they start settled."""
-    from scipy.signal import lfilter
+    from mjsim.signals import lfilter
 
     x = dt / tau
     decay = math.exp(-x)
@@ -256,11 +256,8 @@ def _lag(v: np.ndarray, q: np.ndarray, tau: float, dt: float) -> tuple[np.ndarra
     c = _cubic(v, q, dt)
     drive_q = (1.0 - decay) * q[:-1] + sum(moment[m] * c[m] for m in (1, 2, 3))
     drive_v = sum(m * moment[m - 1] * c[m] for m in (1, 2, 3)) / dt
-    out = [
-        np.concatenate([[y[0]], lfilter([1.0], [1.0, -decay], drive, zi=[decay * y[0]])[0]])
-        for y, drive in ((v, drive_v), (q, drive_q))
-    ]
-    return out[0], out[1]
+    out = lfilter([1.0], [1.0, -decay], np.column_stack([np.append(v[0], drive_v), np.append(q[0], drive_q)]))
+    return out[:, 0], out[:, 1]
 
 
 def inverse(

@@ -69,10 +69,9 @@ def _swings(y: np.ndarray) -> float:
 
 def psd(e: np.ndarray, dt: float, bins: int) -> tuple[np.ndarray, np.ndarray] | None:
     """One-sided spectral density by Welch's method on ``bins`` frequencies; None when the record is too short."""
-    from scipy.signal import welch
+    from mjsim.signals import welch
 
     segment = 2 * (bins - 1)
     if segment < 8 or len(e) < segment or not np.all(np.isfinite(e)):
         return None
-    f, p = welch(e, 1 / dt, nperseg=segment, detrend=False)
-    return f, p
+    return welch(e, dt, segment, level=True)

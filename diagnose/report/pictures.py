@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["spectrum", "states", "time", "torque_map"]
+__all__ = ["load", "spectrum", "states", "time", "torque_map"]
 
 # drawn colour -> the variable that replaces it; the drawn values only have to differ
 INK, MUTED, GRID, PAPER = "#010101", "#020202", "#030303", "#040404"
@@ -78,6 +78,16 @@ def _style() -> Any:
     import matplotlib as mpl
 
     return mpl.rc_context(_STYLE)
+
+
+def load() -> None:
+    """Load what draws, fonts and all, by drawing once."""
+    with _style():
+        figure = _figure(2.0)
+        axes = figure.add_subplot()
+        axes.loglog([1.0, 2.0], [1.0, 2.0], label="$10^{-1}$")
+        _legend(figure, axes)
+        _svg(figure, "load", "")
 
 
 def _legend(figure: Figure, axes: Axes, y: float = 1.0) -> None:

@@ -6,6 +6,8 @@ import csv
 import dataclasses
 import json
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -299,6 +301,21 @@ def test_files_in_a_folder_with_the_contracts_json_out(pair, tmp_path):
     assert corrected.effects[0].values["torque_Nm"] == pytest.approx(result.findings[0].parameters["torque_Nm"].value)
     run = simulate(corrected, held_out.torque, held_out.dt)
     assert np.std(run.velocity - held_out.velocity) == pytest.approx(said["fit"]["corrected"]["held_out_rms"], rel=0.01)
+
+
+def test_a_command_loads_neither_scipy_signal_nor_scipy_stats(pair, tmp_path):
+    """They take half a second to load, and a second core is of no help."""
+    one, two = (write(tmp_path / f"{name}.csv", r) for name, r in zip("ab", pair(COULOMB, seconds=2.0), strict=True))
+    files = [one, "--held-out", two, "--model", shipped_model("robot_axis1"), "--out", tmp_path / "out"]
+    call = ["diagnose", *files, "--effects", "coulomb_friction", "--jobs", "2", "--json", "--quiet"]
+    code = (
+        "import sys; from simgap.cli import main\ntry: main()\n"
+        "finally: print(*(m for m in ('scipy.signal', 'scipy.stats') if m in sys.modules), file=sys.stderr)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, *map(str, call)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["verdict"] == "missing_physics"
+    assert not ended.stderr.split()
 
 
 def test_a_ripple_is_found_without_an_angle_channel(pair, robot):

@@ -6,9 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from robot_axis import effect
+from scipy.stats import wilcoxon
 
-from diagnose.compare import compare
+from diagnose.compare import compare, signed_rank
 from diagnose.experiment import prepare
 from diagnose.fitter import FAR, PRIOR, Fitter, HeldOut
 from diagnose.flow import Options, diagnose
@@ -51,6 +54,14 @@ def test_predictions_that_differ_by_chance_are_not_significant():
         shift = 0.05 * np.sin(np.arange(4_000) / rng.uniform(3, 300) + rng.uniform(0, 6))
         alarms += compare(held(e), held(e + shift), known=True).p_value < 0.05
     assert alarms <= 10  # 5 % and no more, though the sign of the difference is a coin's
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(-6, 6), min_size=3, max_size=60).filter(any))
+def test_the_signed_rank_test_is_that_of_scipy_ties_and_zeros_too(values):
+    d = 0.1 * np.array(values)
+    known = wilcoxon(d, alternative="greater", method="approx", correction=False).pvalue
+    assert signed_rank(d) == pytest.approx(known, rel=1e-9)
 
 
 def test_a_model_that_cannot_be_run_is_worth_nothing_and_its_rival_everything(noise):

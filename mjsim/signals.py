@@ -1,0 +1,89 @@
+"""Sampled signals: rational filters as compiled recursions, and power densities.
+
+`scipy.signal` has them too, and takes longer to load than a short diagnosis to search (docs/decisions/dependencies.md).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["coherence", "filter_into", "freqz", "lfilter", "transforms", "welch"]
+
+
+@njit(cache=True, nogil=True)
+def filter_into(num, num_delay, den, x, out):
+    """``den(q) out(t) = num(q) x(t - num_delay)`` from rest; ``den`` is monic, coefficients in rising powers of q^-1."""
+    n = x.size
+    nn, nd = num.size, den.size - 1
+    head = min(n, max(nn + num_delay, nd))
+    for t in range(head):
+        s = 0.0
+        for i in range(nn):
+            j = t - num_delay - i
+            if j >= 0:
+                s += num[i] * x[j]
+        for i in range(1, nd + 1):
+            if t - i >= 0:
+                s -= den[i] * out[t - i]
+        out[t] = s
+    for t in range(head, n):
+        s = 0.0
+        for i in range(nn):
+            s += num[i] * x[t - num_delay - i]
+        for i in range(nd, 0, -1):
+            s -= den[i] * out[t - i]
+        out[t] = s
+
+
+def lfilter(b: ArrayLike, a: ArrayLike, x: ArrayLike, delay: int = 0) -> NDArray:
+    """What ``B(q)/A(q) q^-delay``, at rest before, makes of x (N,), or of each column of x (N, k).
+
+    b, a: coefficients in rising powers of q^-1, a[0] not 0 (`scipy.signal.lfilter` along the first axis).
+    """
+    b, a = np.atleast_1d(np.asarray(b, float)), np.atleast_1d(np.asarray(a, float))
+    num, den = b / a[0], a / a[0]
+    columns = np.array(np.asarray(x, float).T, order="C", ndmin=2)
+    out = np.empty_like(columns)
+    for column, filtered in zip(columns, out, strict=True):
+        filter_into(num, delay, den, column, filtered)
+    return out[0] if np.ndim(x) == 1 else out.T
+
+
+def freqz(b: ArrayLike, a: ArrayLike, w: NDArray) -> NDArray:
+    """Response of ``B(q)/A(q)``, complex (K,), at w (K,) [rad/sample]."""
+    back = np.exp(-1j * w)
+    up, down = (np.polyval(np.flip(np.atleast_1d(c)), back) for c in (b, a))
+    return np.asarray(up / down)
+
+
+def transforms(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> tuple[NDArray, NDArray]:
+    """Frequencies (F,) [Hz] and Fourier transforms (S, F) of the Hann-windowed segments of x, overlapping by half.
+
+    Scaled so that the mean of abs(X)^2 over the segments is the one-sided power density [unit^2/Hz], and that of conj(U) Y the
+    cross density (P. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70). ``level``: each segment keeps its mean.
+    """
+    segments = np.lib.stride_tricks.sliding_window_view(np.asarray(x, float), length)[:: length - length // 2]
+    if not level:
+        segments = segments - segments.mean(axis=1, keepdims=True)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    X = np.fft.rfft(segments * window) * np.sqrt(2 * dt / np.sum(window**2))
+    X[:, 0] /= np.sqrt(2)
+    if length % 2 == 0:
+        X[:, -1] /= np.sqrt(2)
+    return np.fft.rfftfreq(length, dt), X
+
+
+def welch(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> tuple[NDArray, NDArray]:
+    """Frequencies (F,) [Hz] and one-sided power density (F,) [unit^2/Hz] by segments of ``length`` samples (`transforms`)."""
+    f, X = transforms(x, dt, length, level=level)
+    return f, np.mean(np.abs(X) ** 2, axis=0)
+
+
+def coherence(u: ArrayLike, y: ArrayLike, length: int) -> NDArray:
+    """Magnitude-squared coherence (F,) of two signals by segments of ``length`` samples; NaN where one has no power."""
+    (_, U), (_, Y) = transforms(u, 1.0, length), transforms(y, 1.0, length)
+    cross = np.mean(np.conj(U) * Y, axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(cross) ** 2 / (np.mean(np.abs(U) ** 2, axis=0) * np.mean(np.abs(Y) ** 2, axis=0)))
