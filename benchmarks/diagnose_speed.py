@@ -154,6 +154,7 @@ def second_thread() -> float:
 def measure(lengths: Sequence[float], repeat: int, say: Callable[[str], None]) -> tuple[list[dict], list[float]]:
     """Every axis, length and number of jobs ``repeat`` times, in turns; and the empty loop's gain before each turn."""
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as its users have it: no command compiles the sources anew
     rows: dict[tuple[float, str, int], list[Run]] = {}
     loaded: dict[tuple[float, str, int], list[float]] = {}
     pairs: dict[tuple[float, str], list[float]] = {}

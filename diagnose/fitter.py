@@ -14,7 +14,7 @@ import numpy as np
 
 from diagnose.experiment import Experiment, hold_out_blocks
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt
+from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, residual_and_jacobian
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
 from diagnose.side_by_side import SideBySide
@@ -421,13 +421,8 @@ class Fitter:
         x = np.clip(x, lower, upper)
         known = {e.label: (e.scale, base.fit.J[:, i]) for i, e in enumerate(base.hypothesis.entries)}
         own = [i for i, e in enumerate(h.entries) if e.label not in known]
-        residual = self.residual(h)
-        r = residual(x)
-        if r is None or len(r) != base.fit.J.shape[0]:
-            return None
-
-        part = jacobian(residual, x, r, np.full(len(x), step), lower, upper, run, own)
-        if part is None:
+        r, part = residual_and_jacobian(self.residual(h), x, np.full(len(x), step), lower, upper, run, own)
+        if r is None or part is None or len(r) != base.fit.J.shape[0]:
             return None
         J = np.empty((len(r), len(x)), order="F")
         J[:, own] = part
@@ -595,9 +590,8 @@ class Fitter:
         lower, upper = h.bounds
         steps = np.full(len(h.entries), step)
         residual = self.residual(h)
-        r = residual(f.x)
+        r, forward = residual_and_jacobian(residual, f.x, steps, lower, upper, self.run)
         assert r is not None
-        forward = jacobian(residual, f.x, r, steps, lower, upper, self.run)
         backward = jacobian(residual, f.x, r, -steps, lower, upper, self.run)
         if forward is None or backward is None:
             return fitted

@@ -45,6 +45,7 @@ __all__ = ["Options", "diagnose"]
 
 Split = tuple[tuple[Experiment, ...], tuple[Experiment, ...]]
 
+JUDGED = 8  # rivals whose held-out error the report shows, whether the search has asked for it or not
 SWING = 3.0  # log of the growth over a recording from which a mechanism cannot be moved as recorded
 POWER = 20.0  # times the material error that the nominal model must leave there, for the test to mean something
 
@@ -509,10 +510,13 @@ def _rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     reference = search.criterion(best)
     out: list[Rival] = []
     ranked = sorted(search.pool.values(), key=search.criterion)[:most]
-    lengths = search.fitter.lengths(ranked)
-    search.fitter.map([partial(search.held_out, f) for f in ranked[:8]], lengths[:8])
-    for f, rms in zip(ranked, search.fitter.map([partial(_rms, search.fitter, f) for f in ranked], lengths), strict=True):
-        held = search.held.get(f.key)
+    lengths = [n * (10.0 if i < JUDGED else 1.0) for i, n in enumerate(search.fitter.lengths(ranked))]
+
+    def figures(f: Fitted, judged: bool) -> tuple[HeldOut | None, float]:
+        return search.held_out(f) if judged else search.held.get(f.key), _rms(search.fitter, f)
+
+    told = search.fitter.map([partial(figures, f, i < JUDGED) for i, f in enumerate(ranked)], lengths)
+    for f, (held, rms) in zip(ranked, told, strict=True):
         out.append(
             Rival(f.key, len(f.hypothesis.entries), rms, held.rms if held else math.nan,
                   search.criterion(f) - reference, f.fit.status.name.lower())

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-__all__ = ["Fit", "Linearised", "Status", "bounded", "jacobian", "levenberg_marquardt", "orthonormal"]
+__all__ = ["Fit", "Linearised", "Status", "bounded", "jacobian", "levenberg_marquardt", "orthonormal", "residual_and_jacobian"]
 
 
 class Status(enum.Enum):
@@ -71,25 +71,44 @@ class Fit:
 
 
 Residual = Callable[[np.ndarray], np.ndarray | None]
+Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
 
 
 def jacobian(
-    residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray,
-    run: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]], which: Sequence[int] | None = None,
+    residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, run: Run,
+    which: Sequence[int] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
     """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound. None when a run fails."""
-    tasks, signs = [], []
+    points, steps = _beside(x, step, lower, upper, which)
+    return _secants(r0, run([partial(residual, y) for y in points]), steps)
+
+
+def residual_and_jacobian(
+    residual: Residual, x: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, run: Run,
+    which: Sequence[int] | None = None,
+) -> tuple[np.ndarray | None, np.ndarray | None]:  # fmt: skip
+    """Residual (N,) at x and `jacobian` there, all run side by side; None for what could not be run."""
+    points, steps = _beside(x, step, lower, upper, which)
+    r, *columns = run([partial(residual, y) for y in (x, *points)])
+    return r, None if r is None else _secants(r, columns, steps)
+
+
+def _beside(
+    x: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, which: Sequence[int] | None
+) -> tuple[list[np.ndarray], list[float]]:
+    """Points a step away from x in one number each, and these steps."""
+    points, steps = [], []
     for i in range(len(x)) if which is None else which:
-        h = step[i]
-        if x[i] + h > upper[i] or x[i] + h < lower[i]:
-            h = -h
-        y = x.copy()
-        y[i] += h
-        signs.append(h)
-        tasks.append(lambda y=y: residual(y))
-    columns = run(tasks)
+        h = -step[i] if x[i] + step[i] > upper[i] or x[i] + step[i] < lower[i] else step[i]
+        points.append(x.copy())
+        points[-1][i] += h
+        steps.append(h)
+    return points, steps
+
+
+def _secants(r0: np.ndarray, columns: Sequence[np.ndarray | None], steps: Sequence[float]) -> np.ndarray | None:
     J = np.empty((len(r0), len(columns)), order="F")  # whose columns are written, and multiplied, in one piece
-    for i, (c, h) in enumerate(zip(columns, signs, strict=True)):
+    for i, (c, h) in enumerate(zip(columns, steps, strict=True)):
         if c is None:
             return None
         np.subtract(c, r0, out=J[:, i])
@@ -146,7 +165,7 @@ def levenberg_marquardt(
     bounds: tuple[np.ndarray, np.ndarray],
     *,
     step: np.ndarray,
-    run: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]],
+    run: Run,
     max_iterations: int = 20,
     tolerance: float = 1e-5,
     damping: float = 1e-3,
@@ -156,7 +175,7 @@ def levenberg_marquardt(
     fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
     coarse: tuple[float, float] = (np.inf, 0.0),
-    beside: Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]] | None = None,
+    beside: Run | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
@@ -172,8 +191,12 @@ def levenberg_marquardt(
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
-    r = residual(x) if r0 is None else r0
     n_x = len(x)
+    r = r0
+    if r is None and J0 is None:
+        r, J0 = residual_and_jacobian(residual, x, step, lower, upper, run)
+    elif r is None:
+        r = residual(x)
     if r is None:
         return Fit(x, np.inf, Linearised.known(np.empty(0), np.empty((0, n_x))), Status.FAILED, 0, 0.0)
     cost = float(r @ r)

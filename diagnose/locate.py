@@ -22,7 +22,7 @@ from diagnose.result import Mismatch, Place, Share, StateShare
 from mjsim.axis import Axis
 from mjsim.signals import coherence, freqz, welch
 
-__all__ = ["Played", "binned", "disturbance", "locate", "played", "states"]
+__all__ = ["Bins", "Played", "disturbance", "locate", "played", "states"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,35 +108,47 @@ def _smooth(x: np.ndarray, width: int) -> np.ndarray:
     return np.convolve(x, kernel / kernel.sum(), mode="same")
 
 
-def binned(y: np.ndarray, x: np.ndarray, keep: np.ndarray, bins: int = 24) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    """Share of the variance of y that a function of x explains, cross-validated between interleaved stretches, and that function.
+class Bins:
+    """Samples of a state x (M,) in bins of equal numbers, split at zero, so that a jump there stays sharp.
 
-    Bins hold equal numbers of samples and are split at zero, so that a jump there stays sharp. Returns share (>= 0), centres,
-    means, standard errors.
+    None (``centre`` (0,)) where the samples are few or all alike.
     """
-    y, x = y[keep], x[keep]
-    if len(y) < 10 * bins or np.ptp(x) == 0:
-        return 0.0, np.empty(0), np.empty(0), np.empty(0)
-    edges = np.quantile(x, np.linspace(0, 1, bins + 1))
-    if edges[0] < 0 < edges[-1]:
-        edges[np.argmin(np.abs(edges[1:-1])) + 1] = 0.0
-    edges = np.unique(edges)
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    n_bin = len(edges) - 1
-    half = (np.arange(len(y)) * 20 // len(y)) % 2
-    means = np.zeros((2, n_bin))
-    for h in (0, 1):
-        mine = half == h
-        count = np.bincount(index[mine], minlength=n_bin)
-        means[h] = np.where(count > 0, np.bincount(index[mine], y[mine], n_bin) / np.maximum(count, 1), np.mean(y[mine]))
-    predicted = means[1 - half, index]
-    total = float(np.sum((y - y.mean()) ** 2))
-    share = 1.0 - float(np.sum((y - predicted) ** 2)) / max(total, 1e-300)
-    count = np.maximum(np.bincount(index, minlength=n_bin), 1)
-    mean = np.bincount(index, y, n_bin) / count
-    var = np.maximum(np.bincount(index, y**2, n_bin) / count - mean**2, 0)
-    centre = np.bincount(index, x, n_bin) / count
-    return max(0.0, share), centre, mean, np.sqrt(var / count)
+
+    def __init__(self, x: np.ndarray, count: int = 24) -> None:
+        self.count, self.centre = 0, np.empty(0)
+        if len(x) < 10 * count or np.ptp(x) == 0:
+            return
+        edges = np.quantile(x, np.linspace(0, 1, count + 1))
+        if edges[0] < 0 < edges[-1]:
+            edges[np.argmin(np.abs(edges[1:-1])) + 1] = 0.0
+        edges = np.unique(edges)
+        self.count = len(edges) - 1
+        index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, self.count - 1)
+        half = (np.arange(len(x)) * 20 // len(x)) % 2  # of interleaved stretches: each judges the function of the other
+        self._in = index + self.count * half
+        self._size = np.bincount(self._in, minlength=2 * self.count).reshape(2, -1)
+        self.centre = self._sums(x).sum(axis=0) / np.maximum(self._size.sum(axis=0), 1)
+
+    def _sums(self, y: np.ndarray) -> np.ndarray:
+        return np.bincount(self._in, y, 2 * self.count).reshape(2, -1)
+
+    def explained(self, y: np.ndarray) -> float:
+        """Share (>= 0) of the variance of y (M,) that a function of x explains, cross-validated between the halves."""
+        if not self.count:
+            return 0.0
+        y = y - y.mean()
+        sums, size = self._sums(y), self._size
+        means = np.where(size > 0, sums / np.maximum(size, 1), sums.sum(axis=1, keepdims=True) / size.sum(axis=1, keepdims=True))
+        other = means[::-1]
+        return max(0.0, float(np.sum(2 * other * sums - other**2 * size)) / max(float(y @ y), 1e-300))
+
+    def function(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Means of y (M,) over the bins, and their standard errors."""
+        if not self.count:
+            return np.empty(0), np.empty(0)
+        size = np.maximum(self._size.sum(axis=0), 1)
+        mean = self._sums(y).sum(axis=0) / size
+        return mean, np.sqrt(np.maximum(self._sums(y**2).sum(axis=0) / size - mean**2, 0) / size)
 
 
 def locate(fitter: Fitter, fitted: Fitted) -> tuple[Mismatch, ...]:
@@ -153,11 +165,12 @@ def _located(fitter: Fitter, on: Played) -> Mismatch:
     energy = float(np.mean(e[counted] ** 2))
     above = max(0.0, 1.0 - noise / energy) if energy > 0 else 0.0
     spectrum, linear = _spectrum(fitter, experiment, e, dt, noise)
+    of_states, of_places = _state_shares(fitter, on, counted, states(fitter, on))
     return Mismatch(
         time=_time_shares(experiment.recording.time[::every][: len(e)], e, counted, noise),
         frequency=_frequency_shares(*spectrum[:3]),
-        state=_state_shares(fitter, on, counted),
-        place=_places(fitter, on, counted),
+        state=of_states,
+        place=of_places,
         spectrum=spectrum,
         above_noise=above,
         linear_share=linear,
@@ -218,37 +231,30 @@ def _frequency_shares(f: np.ndarray, pe: np.ndarray, pn: np.ndarray) -> tuple[Sh
     return tuple(sorted(out, key=lambda s: -s.share)[:5])
 
 
-def _state_shares(fitter: Fitter, on: Played, counted: np.ndarray) -> tuple[StateShare, ...]:
-    d = disturbance(fitter, on)
-    out = []
-    for name, (x, unit) in states(fitter, on).items():
-        share, centre, mean, error = binned(d, x[: len(d)], counted)
-        out.append(StateShare(name, unit, share, centre, mean, error))
-    return tuple(sorted(out, key=lambda s: -s.share))
+def _state_shares(
+    fitter: Fitter, on: Played, counted: np.ndarray, known: dict[str, tuple[np.ndarray, str]]
+) -> tuple[tuple[StateShare, ...], tuple[Place, ...]]:
+    """How much of the torque that would close the gap each state explains; and for every place the largest part one state does.
 
-
-def _places(fitter: Fitter, on: Played, counted: np.ndarray) -> tuple[Place, ...]:
-    """For every body: how large a torque there would close the gap, and how much of it one state explains; and the sensor."""
+    The places are the bodies, with how large a torque there would close the gap, and the sensor.
+    """
     chain = fitter.nominal.chain
+    bins = {name: Bins(x[: len(on.e)][counted]) for name, (x, _) in known.items()}
     table: Sequence[tuple[str, int]] = [
         (p, i) for p in ("motor", "gearbox", "arm") if (i := chain.body(p)) is not None and (i > 0 or p == "motor")
     ]
     unit = "N m" if chain.motion.value == "hinge" else "N"
-    known = states(fitter, on)
+    needed = {body: disturbance(fitter, on, body)[counted] for body in {0, *(i for _, i in table)}}
     out = []
-    for place, body in table:
-        d = disturbance(fitter, on, body)
-        best, by = 0.0, "nothing"
-        for name, (x, _) in known.items():
-            share = binned(d, x[: len(d)], counted)[0]
-            if share > best:
-                best, by = share, name
-        out.append(Place(place, chain.element(place), float(np.sqrt(np.mean(d[counted] ** 2))), unit, best, by))
-    e = on.e
-    best, by = 0.0, "nothing"
-    for name, (x, _) in known.items():
-        share = binned(e, x[: len(e)], counted)[0]
-        if share > best:
-            best, by = share, name
-    out.append(Place("sensor", chain.velocity_sensor, float(np.sqrt(np.mean(e[counted] ** 2))), "as the channel", best, by))
-    return tuple(sorted(out, key=lambda p: -p.explained))
+    for name, of in bins.items():
+        mean, error = of.function(needed[0])
+        out.append(StateShare(name, known[name][1], of.explained(needed[0]), of.centre, mean, error))
+
+    def place(name: str, element: str, y: np.ndarray, unit: str) -> Place:
+        shares = {state: of.explained(y) for state, of in bins.items()}
+        by = max(shares, key=lambda state: shares[state])
+        return Place(name, element, float(np.sqrt(np.mean(y**2))), unit, shares[by], by if shares[by] > 0 else "nothing")
+
+    places = [place(p, chain.element(p), needed[body], unit) for p, body in table]
+    places.append(place("sensor", chain.velocity_sensor, on.e[counted], "as the channel"))
+    return tuple(sorted(out, key=lambda s: -s.share)), tuple(sorted(places, key=lambda p: -p.explained))
