@@ -7,12 +7,12 @@ two effects, Coulomb friction under coloured noise. Each is diagnosed by the com
 budget, in a process of its own: wall time from call to exit (imports and the loading of compiled code included), processor time
 and peak resident memory as the system accounts them. One run ahead of the clock fills the cache of compiled code.
 
-A bar is judged on the slowest of the four axes, each by its median; a gain of ``--jobs 2`` by the sum over the axes, each by the
-fastest of its turns: what else the machine does only adds to a time, and whichever of two threads it slows delays both. What
-the medians give is told as well. Beside it stands what a loop without memory or locks gains from a second thread: where that is
-below 1.8 the machine had no second core to give. Then the gain stays open, and so does a wall time that misses, unless half its
-processor time misses too. The rival of the gain is what many recordings gain: two diagnoses at once, one job each, over one
-after the other.
+A bar is judged on the slowest of the four axes, each by its median; a gain of ``--jobs 2`` by the sum over the medians of the
+axes. What the fastest of the turns gives is told beside it and judges nothing: what else the machine does only adds to a time,
+and whichever of two threads it slows delays both. So is what a loop without memory or locks gains from a second thread: where
+that is below 1.8 the machine had no second core to give. Then the gain stays open, and so does a wall time that misses, unless
+half its processor time misses too. The rival of the gain is what many recordings gain: two diagnoses at once, one job each, over
+one after the other.
 
 Starting up (imports, compiled code) and drawing the report take about two seconds that no second core shortens, whatever the
 length: ``--seconds 10 20 60`` shows what the gain grows to. For 60 s neither wall time nor memory is asked. What the second core
@@ -222,7 +222,7 @@ def judge(rows: list[dict], machine: float) -> list[dict]:
             fastest, median = (
                 sum(of(r[walls]) for r in one) / sum(of(r[walls]) for r in two) for of in (min, statistics.median)
             )  # fmt: skip
-            bar(f"{seconds:g} s, {text}by the medians {median:.2f})", fastest, ">=", GAIN)
+            bar(f"{seconds:g} s, {text}by the fastest of the turns {fastest:.2f})", median, ">=", GAIN)
             if machine < BUSY:
                 open_("the machine has no second core to give")
     return results
