@@ -7,7 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
@@ -403,13 +403,20 @@ class Fitter:
         return [len(f.hypothesis.entries) * self.length(f.hypothesis, f.fit.x) for f in fits]
 
     def _key(self, h: Hypothesis, start: np.ndarray, how: tuple[object, ...], borrow: Fitted | None) -> str:
-        """Hash of all that a fit depends on besides the recordings, the nominal model and the code."""
+        """Hash of all that a fit depends on besides the recordings as read, the nominal model and the code."""
         from hashlib import sha256
 
         lent = None if borrow is None else (borrow.fit.linear.mark or borrow.fit.J.tobytes(), borrow.hypothesis.entries)
         weights = [self.sigma(e) for e in self.experiments]
-        asked = (h.effects, h.nominal.effects, h.entries, how, lent, weights, self.guide)
+        asked = (self._counting_which, h.effects, h.nominal.effects, h.entries, how, lent, weights, self.guide)
         return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
+
+    @cached_property
+    def _counting_which(self) -> str:
+        """Hash of the samples that count in a fit: one diagnosis may search all of its recordings in blocks once more."""
+        from hashlib import sha256
+
+        return sha256(b"|".join(np.packbits(self.counted(e)).tobytes() for e in self.experiments)).hexdigest()
 
     def _borrowed(
         self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run

@@ -124,7 +124,7 @@ def diagnose(
     view = choose_view(recordings, options.judge, nominal)
     varies = _varies(nominal, recordings[0])
 
-    def by(experiments: Split, memory: Memory | None) -> Diagnosis:
+    def by(experiments: Split) -> Diagnosis:
         fitter = Fitter(nominal, view, *experiments, options.jobs, varies, memory=memory)
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
@@ -132,9 +132,9 @@ def diagnose(
         finally:
             fitter.close()
 
-    result = by(_experiments(recordings, held_out), memory)
+    result = by(_experiments(recordings, held_out))
     if held_out and _only_held_out_shows(result):
-        shared = by(_experiments((*recordings, *held_out), ()), None)
+        shared = by(_experiments((*recordings, *held_out), ()))
         if shared.verdict is Verdict.MISSING_PHYSICS:
             return dataclasses.replace(shared, notes=(SHARED, *shared.notes))
     return result

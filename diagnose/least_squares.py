@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -76,11 +76,20 @@ Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | No
 
 def jacobian(
     residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, run: Run,
-    which: Sequence[int] | None = None,
+    which: Sequence[int] | None = None, begun: Mapping[bytes, np.ndarray | None] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
-    """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound. None when a run fails."""
+    """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound. None when a run fails.
+
+    ``begun``: residuals that are known, by the bytes of their points.
+    """
     points, steps = _beside(x, step, lower, upper, which)
-    return _secants(r0, run([partial(residual, y) for y in points]), steps)
+    known = begun or {}
+
+    def at(y: np.ndarray) -> np.ndarray | None:
+        mark = y.tobytes()
+        return known[mark] if mark in known else residual(y)
+
+    return _secants(r0, run([partial(at, y) for y in points]), steps)
 
 
 def residual_and_jacobian(
@@ -186,8 +195,8 @@ def levenberg_marquardt(
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
     coarse: a cost, and the tolerance that is enough above it;
-    beside: runs the first of some tasks, and the others if that costs no time: once a step has failed, the next one may be tried
-    beside it, which changes no outcome.
+    beside: runs the first of some tasks, and the others if that costs no time: the first column of the next Jacobian beside a
+    step, or, once one has failed, the next step beside it; neither changes an outcome.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -209,6 +218,7 @@ def levenberg_marquardt(
     gain = np.inf
     iteration = 0
     asked = tolerance
+    begun: dict[bytes, np.ndarray | None] = {}
     for iteration in range(1, max_iterations + 1):
         tolerance = max(asked, coarse[1]) if cost > coarse[0] else asked
         if secant and iteration > 1:
@@ -222,7 +232,8 @@ def levenberg_marquardt(
             if part is not None:
                 J[:, fresh] = part
         else:
-            new_J = J0 if J0 is not None and iteration == 1 else jacobian(residual, x, r, step, lower, upper, run)
+            given = J0 is not None and iteration == 1
+            new_J = J0 if given else jacobian(residual, x, r, step, lower, upper, run, begun=begun)
             if new_J is None:
                 status = Status.STALLED
                 break
@@ -251,6 +262,10 @@ def levenberg_marquardt(
                 following = moved(max(mu, 1e-6) * 10)
                 r_new, *more = beside([partial(residual, trial), partial(residual, following)])
                 tried = {following.tobytes(): r_next for r_next in more}
+            elif beside is not None and not secant and iteration < max_iterations:
+                (first,), _ = _beside(trial, step, lower, upper, [0])
+                r_new, *more = beside([partial(residual, trial), partial(residual, first)])
+                begun = {first.tobytes(): r_first for r_first in more}
             else:
                 r_new = residual(trial)
             if r_new is not None and (c_new := float(r_new @ r_new)) < cost:

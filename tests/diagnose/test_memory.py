@@ -102,6 +102,30 @@ def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch)
     assert set(asked) <= set(again._known)
 
 
+def test_a_second_search_over_all_recordings_is_remembered_too(whole, robot, tmp_path, monkeypatch):
+    (estimation, held_out), options, *_ = whole
+    options = dataclasses.replace(options, effects=("stribeck_friction",))
+    monkeypatch.setattr("diagnose.flow._only_held_out_shows", lambda result: True)
+    memory = Memory(tmp_path / "state.jsonl", "this")
+    first = diagnose(robot, [estimation], [held_out], options, memory=memory)
+    assert any(note.startswith("The estimation recordings fit without it") for note in first.notes)
+    again = Memory(tmp_path / "state.jsonl", "this")
+    assert answer(diagnose(robot, [estimation], [held_out], options, memory=again)) == answer(first)
+    assert again.size == again.recalled == memory.size
+
+
+def test_other_samples_of_a_recording_are_another_fit(whole, robot, tmp_path):
+    (estimation, held_out), *_ = whole
+    memory = Memory(tmp_path / "state.jsonl", "this")
+    whole_of_it = prepare(estimation)
+    half = dataclasses.replace(whole_of_it, counts=whole_of_it.counts & (np.arange(len(estimation)) % 2 == 0))
+    for experiment in (whole_of_it, half):
+        fitter = Fitter(robot, MotionView(), (experiment,), (prepare(held_out),), 1, memory=memory)
+        fitter.set_sigma(experiment, 1.0)
+        fitter.fit(fitter.hypothesis(()), iterations=1)
+    assert memory.size == 2
+
+
 def test_a_fit_that_is_recalled_is_the_fit(whole, robot, tmp_path):
     (estimation, held_out), *_ = whole
     memory = Memory(tmp_path / "state.jsonl", "this")
