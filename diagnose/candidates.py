@@ -14,7 +14,7 @@ from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, orthonormal
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 
-__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "screen", "span"]
+__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "replaced", "screen", "span"]
 
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
@@ -45,7 +45,11 @@ class Screened:
 
 
 def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """All effects and places that this chain offers; ``only`` restricts the identifiers (an unknown one raises KeyError)."""
+    """All effects and places that this axis offers; ``only`` restricts the identifiers (an unknown one raises KeyError).
+
+    What the nominal axis has is fitted with its parameters. What refines it is offered, and takes its place; what says it again,
+    or less of it, is not.
+    """
     for name in only:
         effect_class(name)
     out = []
@@ -60,7 +64,9 @@ def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...
                 make(name, place, starts[0]).ports(fitter.nominal.chain)
             except NotApplicableError:
                 continue
-            out.append(Candidate(name, place))
+            candidate = Candidate(name, place)
+            if not conflicts(candidate, [e for e in fitter.nominal.effects if e.place != place or e.id not in cls.refines]):
+                out.append(candidate)
     return tuple(out)
 
 
@@ -92,7 +98,8 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has it. A phase
     enters as two responses in quadrature. An amplitude of the wrong sign counts less. With ``replacing``, each
     candidate takes the place
-    of that effect of the base, from which it inherits the parameters that they share.
+    of that effect of the base, from which it inherits the parameters that they share; so does one that refines an effect of the
+    nominal axis.
     """
     q = _spanned(base.fit)
     r0 = base.fit.residual
@@ -100,11 +107,12 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     linear, own = base.linear, base.own
     starts: list[tuple[Candidate, Effect]] = []
     variants: list[list[Effect]] = []
+    gone = {c: replacing or replaced(base, c) for c in supposed}
     for candidate in supposed:
-        cls = effect_class(candidate.id)
+        cls, old = effect_class(candidate.id), gone[candidate]
         for values in cls.starts(fitter.scales_for(cls, candidate.place)):
-            effect = make(candidate.id, candidate.place, values if replacing is None else inherit(cls, values, replacing))
-            if replacing is None or "phase_rad" not in effect.values or "phase_rad" in replacing.values:
+            effect = make(candidate.id, candidate.place, values if old is None else inherit(cls, values, old))
+            if old is None or "phase_rad" not in effect.values or "phase_rad" in old.values:
                 starts.append((candidate, effect))
                 variants.append(list(_variants(effect)))
             else:  # what comes in place of an effect is not moved: its phase is one of four
@@ -114,8 +122,10 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     tasks = [fitter.at_start(fitter.hypothesis((*present, e), linear, own)) for some in variants for e in some]
     answers = iter(fitter.run(tasks))
     responses = [[next(answers) for _ in some] for some in variants]
-    project = partial(_project, r0=r0, q=q, move=replacing is None)
-    projected = fitter.map([partial(project, effect, some) for (_, effect), some in zip(starts, responses, strict=True)])
+    project = partial(_project, r0=r0, q=q)
+    projected = fitter.map([
+        partial(project, effect, some, move=gone[c] is None) for (c, effect), some in zip(starts, responses, strict=True)
+    ])  # fmt: skip
     best: dict[Candidate, list[tuple[float, Effect]]] = {c: [] for c in supposed}
     for (candidate, _), scored in zip(starts, projected, strict=True):
         if scored is not None:
@@ -127,6 +137,12 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
             out.append(Screened(candidate, scored_starts[0][1], scored_starts[0][0], tuple(s[1] for s in scored_starts)))
     out.sort(key=lambda s: -s.gain)
     return out
+
+
+def replaced(base: Fitted, c: Candidate) -> Effect | None:
+    """The effect of the nominal axis, as fitted, whose place a candidate takes."""
+    refined = effect_class(c.id).refines
+    return next((e for e in base.carried if e.place == c.place and e.id in refined), None)
 
 
 def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect) -> dict[str, float]:

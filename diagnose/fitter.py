@@ -73,8 +73,12 @@ class Fitted:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The supposed effects with their fitted values."""
-        nominal = len(self.hypothesis.nominal.effects)
-        return self.axis.effects[nominal:]
+        return self.axis.effects[len(self.hypothesis.carried) :]
+
+    @property
+    def carried(self) -> tuple[Effect, ...]:
+        """The nominal axis's own effects with their fitted values."""
+        return self.axis.effects[: len(self.hypothesis.carried)]
 
     @property
     def axis(self) -> Axis:
@@ -83,9 +87,11 @@ class Fitted:
 
     @property
     def linear(self) -> dict[str, float]:
-        """Fitted linear parameters."""
+        """Fitted linear parameters, and as ``id@place.name`` those of the nominal axis's own effects."""
         values = self.hypothesis.values(self.fit.x)
-        return {n: v for (o, n, r), v in values.items() if o == "" and n != "initial_velocity" and r <= 0}
+        own = {e.key for e in self.hypothesis.carried}
+        linear = {n: v for (o, n, r), v in values.items() if o == "" and n != "initial_velocity" and r <= 0}
+        return linear | {f"{o}.{n}": v for (o, n, r), v in values.items() if o in own and r < 0}
 
     @property
     def own(self) -> dict[tuple[str, str, int], float]:
@@ -321,13 +327,15 @@ class Fitter:
         return lambda: self.residual(h)(h.start)
 
     def prior(self, h: Hypothesis, x: np.ndarray) -> np.ndarray:
-        """What the nominal model itself says of its linear parameters: within a factor of about two (PRIOR), in residual units.
+        """What the nominal model itself says of its numbers: within a factor of about two (PRIOR), in residual units.
 
         It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
         a parameter that is wrong by half costs one unit of chi-square, times ``guide``.
         """
-        at, nominal = h.linear
-        return math.sqrt(self.guide) * ((x[at] - nominal) / PRIOR)
+        count, rows, at, nominal = h.told
+        said = np.zeros(count)
+        said[rows] = math.sqrt(self.guide) * ((x[at] - nominal) / PRIOR)
+        return said
 
     def misfit(self, fitted: Fitted) -> float:
         """Chi-square over n of what a fit leaves of the recordings, without what its prior costs."""
@@ -371,7 +379,7 @@ class Fitter:
 
         if known is None:
             fit = solve()
-            n = max(len(fit.residual) - len(h.nominal.chain.linear_parameters()), 1)
+            n = max(len(fit.residual) - h.told[0], 1)
             if self.memory is not None:
                 fit = dataclasses.replace(fit, linear=fit.linear.marked(key))
                 if not self.closed:
@@ -438,10 +446,10 @@ class Fitter:
                 scale, column = known[e.label]
                 J[:, i] = column if e.log else column * (e.scale / scale)
         # what the nominal model says is known exactly, and may weigh otherwise by now
-        at, _ = h.linear
-        first = len(r) - len(at)
+        count, rows, at, _ = h.told
+        first = len(r) - count
         J[first:] = 0.0
-        J[first + np.arange(len(at)), at] = math.sqrt(self.guide) / PRIOR
+        J[first + rows, at] = math.sqrt(self.guide) / PRIOR
         return r, J
 
     def pooled(self, fitted: Fitted) -> Fitted:

@@ -31,13 +31,14 @@ from diagnose.moves import put_together
 from diagnose.options import Options
 from diagnose.passes import searched
 from diagnose.progress import Progress, Step
-from diagnose.result import Diagnosis, Finding, FitFigures, Rival, Traces, Verdict
+from diagnose.result import Diagnosis, Finding, FitFigures, NominalEffect, Rival, Traces, Verdict
 from diagnose.search import ALIKE_C, Search
 from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band, growth_when_held
 from mjsim.axis import Axis
+from mjsim.effects import Effect
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
@@ -260,6 +261,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         mismatches=mismatches,
         linear_parameters=estimates(best, fitter, owner=""),
         nominal_parameters={p.name: p.value for p in fitter.nominal.chain.linear_parameters()},
+        nominal_effects=tuple(_carried(fitter, best, e) for e in best.hypothesis.carried),
         fit=fits,
         noise_floor=experiment.sigma if fitter.noise_known else float("nan"),
         gap_closed=gap,
@@ -284,6 +286,21 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     )  # fmt: skip
 
 
+def _carried(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:
+    """An effect of the nominal model, as it was given and as the best structure has it: what the recordings exercise of it."""
+    found = estimates(best, fitter, owner=effect.key)
+    said = len(best.fit.residual) - best.hypothesis.told[0]
+    for e, column in zip(best.hypothesis.entries, best.fit.J[:said].T, strict=True):
+        if e.owner == effect.key and not column.any():
+            found.pop(e.name, None)
+    return NominalEffect(effect.id, effect.place, _element(fitter, effect), effect.values, found)
+
+
+def _element(fitter: Fitter, effect: Effect) -> str:
+    coupling = type(effect).family == "coupling" or type(effect).name() == "transmission_error"
+    return fitter.nominal.chain.element(effect.place, coupling=coupling)
+
+
 def _unit(fitter: Fitter) -> str:
     angular = fitter.nominal.chain.motion.value == "hinge"
     if fitter.view.channel == "velocity":
@@ -305,13 +322,12 @@ def _findings(search: Search, best: Fitted, options: Options) -> tuple[Finding, 
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)
-        coupling = type(effect).family == "coupling" or type(effect).name() == "transmission_error"
         out.append(
             Finding(
                 effect=effect.name(),
                 form=effect.form_of and effect.id,
                 place=effect.place,
-                element=search.fitter.nominal.chain.element(effect.place, coupling=coupling),
+                element=_element(search.fitter, effect),
                 sentence=effect.describe(search.fitter.nominal.chain.motion),
                 parameters=numbers,
                 evidence={

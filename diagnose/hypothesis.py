@@ -1,8 +1,8 @@
 """A hypothesis: the nominal chain with a set of effects, all of whose numbers are free, laid out as one scaled vector.
 
-The vector holds, in this order: the linear parameters (as ratios to nominal), the parameters of the effects that are
-shared by all recordings, then for each recording its own: nuisance parameters (phases) and, when it does not start at rest,
-the speed at which it starts.
+The vector holds, in this order: the linear parameters (as ratios to nominal), the parameters of the effects (those that the
+nominal axis has, and those that are supposed) that are shared by all recordings, then for each recording its own: nuisance
+parameters (phases) and, when it does not start at rest, the speed at which it starts.
 """
 
 from __future__ import annotations
@@ -64,7 +64,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A nominal axis, the effects supposed on top of it (with start values), and the layout of the free vector."""
+    """A nominal axis, the effects supposed on top of it (with start values), and the layout of the free vector.
+
+    A supposed effect that refines one of the nominal axis takes its place.
+    """
 
     nominal: Axis
     effects: tuple[Effect, ...]
@@ -85,6 +88,7 @@ class Hypothesis:
     ) -> Hypothesis:
         """Lay out a vector; ``linear`` and ``own`` (per-recording values) give starts, the nominal values otherwise.
 
+        ``linear`` holds parameters of the nominal axis's own effects too, as ``id@place.name``.
         ``varies`` names linear parameters that each recording has of its own (an inertia that depends on a pose not recorded).
         """
         entries = []
@@ -96,7 +100,8 @@ class Hypothesis:
             for r in range(n_recordings) if p.name in varies else (-1,):
                 mine = min(max((own or {}).get(("", p.name, r), start), low), high)
                 entries.append(Entry("", p.name, p.quantity, scale, low, high, mine, r, positive))
-        for effect in (*nominal.effects, *effects):
+        carried = nominal.kept_beside(effects)
+        for effect in (*carried, *effects):
             s = scales[effect.place]
             turning = scales[type(effect).angle_of or effect.place]
             for spec in type(effect).specs():
@@ -125,6 +130,8 @@ class Hypothesis:
                         start = (own or {}).get((effect.key, spec.name, r), value)
                         entries.append(Entry(effect.key, *entry, start, r, log))
                 else:
+                    if effect in carried:
+                        value = min(max((linear or {}).get(f"{effect.key}.{spec.name}", value), low), high)
                     entries.append(Entry(effect.key, *entry, value, -1, log))
         speed = scales["motor"].velocity
         for r in range(n_recordings):
@@ -154,16 +161,37 @@ class Hypothesis:
         return np.array([1.0 if e.quantity in (Quantity.CYCLES, Quantity.PHASE) else np.inf for e in self.entries])
 
     @cached_property
-    def linear(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the linear parameters stand in a vector (k,), and their nominal values, scaled (k,)."""
+    def carried(self) -> tuple[Effect, ...]:
+        """The nominal axis's own effects, without those whose place a supposed one takes."""
+        return self.nominal.kept_beside(self.effects)
+
+    @cached_property
+    def told(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+        """What the nominal axis says of numbers: how many it speaks of, whatever is supposed; and of those that are in the vector
+
+        the row among them (k,), where they stand in the vector (k,), and their nominal values, scaled (k,).
+        """
         nominal = {p.name: p.value for p in self.nominal.chain.linear_parameters()}
-        own = [(i, e.scaled(nominal[e.name])) for i, e in enumerate(self.entries) if e.owner == "" and e.name in nominal]
-        return np.array([i for i, _ in own], int), np.array([value for _, value in own])
+        linear = [(i, e.scaled(nominal[e.name])) for i, e in enumerate(self.entries) if e.owner == "" and e.name in nominal]
+        rows = [(row, *of) for row, of in enumerate(linear)]
+        at = {(e.owner, e.name): i for i, e in enumerate(self.entries) if e.recording < 0}
+        count = len(rows)
+        for effect in self.nominal.effects:
+            for spec in type(effect).specs():
+                value = getattr(effect, spec.name)
+                if spec.nuisance or value == 0 or not math.isfinite(value) or spec.quantity in (Quantity.CYCLES, Quantity.PHASE):
+                    continue
+                i = at.get((effect.key, spec.name)) if effect in self.carried else None
+                if i is not None:
+                    rows.append((count, i, self.entries[i].scaled(value)))
+                count += 1
+        columns = tuple(zip(*rows, strict=True)) if rows else ((), (), ())
+        return count, np.array(columns[0], int), np.array(columns[1], int), np.array(columns[2], float)
 
     @property
     def rough(self) -> bool:
-        """Whether bodies stick or strike by a supposed effect, so that the cost has steps."""
-        return any(type(e).rough for e in self.effects)
+        """Whether bodies stick or strike by an effect, so that the cost has steps."""
+        return any(type(e).rough for e in (*self.carried, *self.effects))
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -181,7 +209,7 @@ class Hypothesis:
             n: value for (owner, n, r), value in v.items() if owner == "" and n != "initial_velocity" and r in (-1, recording)
         }  # fmt: skip
         effects = []
-        for effect in (*self.nominal.effects, *self.effects):
+        for effect in (*self.carried, *self.effects):
             mine = {n: value for (owner, n, r), value in v.items() if owner == effect.key and r in (-1, recording)}
             effects.append(effect.with_values(mine))
         return Axis(self.nominal.chain.with_linear(linear), tuple(effects), self.nominal.backlash_law)

@@ -23,6 +23,7 @@ __all__ = [
     "MapResult",
     "MapVariable",
     "Mismatch",
+    "NominalEffect",
     "Place",
     "Rival",
     "Share",
@@ -77,6 +78,30 @@ class Finding:
     def law(self) -> str:
         """Identifier of the law that was fitted."""
         return self.form or self.effect
+
+
+@dataclass(frozen=True)
+class NominalEffect:
+    """An effect that the nominal model has itself, by the identifier of its law: its parameters as given and as fitted.
+
+    ``parameters``: those that the recordings exercise; the others stay as given.
+    """
+
+    effect: str
+    place: str
+    element: str
+    nominal: Mapping[str, float]
+    parameters: Mapping[str, Estimate]
+
+    @property
+    def key(self) -> str:
+        """``id@place``."""
+        return f"{self.effect}@{self.place}"
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values, as ``id@place.name``."""
+        return {f"{self.key}.{name}": e.value for name, e in self.parameters.items()}
 
 
 @dataclass(frozen=True)
@@ -298,6 +323,7 @@ class Diagnosis:
     map: MapResult | None = None
     hypotheses: int = 0
     mismatches: tuple[Mismatch, ...] = ()
+    nominal_effects: tuple[NominalEffect, ...] = ()
 
     def shares(self) -> tuple[float, ...]:
         """Each recording's share of the residual energy above noise of all of them."""
@@ -326,6 +352,13 @@ class Diagnosis:
             },
             "linear_parameters": {k: v.as_dict() for k, v in self.linear_parameters.items()},
             "nominal_parameters": dict(self.nominal_parameters),
+            "nominal_effects": [
+                {
+                    "effect": n.effect, "place": n.place, "element": n.element, "nominal": dict(n.nominal),
+                    "parameters": {k: v.as_dict() for k, v in n.parameters.items()},
+                }
+                for n in self.nominal_effects
+            ],
             "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": self.noise_floor}},
             "gap_closed": self.gap_closed,
             "map": self.map.as_dict() if self.map is not None else None,

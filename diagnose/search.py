@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.candidates import Screened, candidates, conflicts, left_over, related, screen, span
+from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced, screen, span
 from diagnose.fitter import UNEXPLAINED, Fitted, key_of
 from diagnose.hypothesis import make
 from diagnose.judge import Judge
@@ -100,8 +100,8 @@ class Search(Judge):
         if not f.ok or not self.fitter.noise_known or self.fitter.misfit(f) < MISFIT:
             return f
         rng = np.random.default_rng(0)
-        factors = np.exp(ABOUT * rng.standard_normal((STARTS, len(f.linear))))
         nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
+        factors = np.exp(ABOUT * rng.standard_normal((STARTS, len(nominal))))
         starts = [dict(zip(nominal, list(nominal.values()) * row, strict=True)) for row in factors]
         begin = [partial(self.fitter.fit, self.fitter.hypothesis((), s), iterations=8, rival=True) for s in starts]
         fits = [g for g in self.fitter.map(begin) if g.ok]
@@ -137,6 +137,9 @@ class Search(Judge):
         # (a structure) a filter that may have taken it in
         whatever = CURVED if visible else CURVED[:1] if len(self.fitter.whitening) > 1 else ()
         tried += [s for s in ranked if effect_class(s.candidate.id).family in whatever and s not in tried]
+        # nor is that of another law in the place of one that the nominal axis has
+        folds = [s for s in ranked if visible and effect_class(s.candidate.id).multistart > 1 and s not in tried]
+        tried += [s for s in folds if replaced(base, s.candidate) is not None]
         return self._race(base, [(base.effects, s) for s in tried])
 
     def refine(self, base: Fitted, *, forms: bool = False) -> list[Fitted]:
@@ -610,5 +613,6 @@ class Search(Judge):
 
         return [
             partial(fit, name) for name in type(effect).refines
-            if effect.place in effect_class(name).places and not any(e.key == f"{name}@{effect.place}" for e in rest)
+            if effect.place in effect_class(name).places
+            and not any(e.key == f"{name}@{effect.place}" for e in (*rest, *self.fitter.nominal.effects))
         ]  # fmt: skip

@@ -457,7 +457,7 @@ def _result(fitter: Fitter, refined: _Refined, before: HeldOut, after: HeldOut, 
     form = (count,) * len(points)
     rms, seen = _visited(fitter, fitted, shape, points)
     unit = Quantity.TORQUE.unit(motion)
-    nominal = len(fitter.nominal.effects) + 1
+    own = len(fitted.hypothesis.carried)
     return MapResult(
         effect=shape,
         element=fitter.nominal.chain.element(shape.place, coupling=shape.coupling),
@@ -474,7 +474,7 @@ def _result(fitter: Fitter, refined: _Refined, before: HeldOut, after: HeldOut, 
         held_out_error_after=after.rms,
         p_value=p_value,
         linear=fitted.linear,
-        effects=fitted.axis.effects[nominal:],
+        effects=fitted.axis.effects[own:],
     )
 
 

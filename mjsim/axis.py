@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -172,6 +172,14 @@ class Axis:
             return NotImplemented
         return dataclasses.replace(self, effects=(*self.effects, effect))
 
+    def with_effects(self, effects: Sequence[Effect]) -> Axis:
+        """The axis with more effects; one that refines an effect of it takes its place."""
+        return dataclasses.replace(self, effects=(*self.kept_beside(effects), *effects))
+
+    def kept_beside(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Its effects that none of some others refines at its place: one that refines an effect takes its place."""
+        return tuple(e for e in self.effects if not any(e.place == f.place and e.id in type(f).refines for f in effects))
+
     def without(self, key: str) -> Axis:
         """The axis without the effect of this key (``id@place``)."""
         if key not in {e.key for e in self.effects}:
@@ -181,3 +189,12 @@ class Axis:
     def with_linear(self, values: Mapping[str, float]) -> Axis:
         """The axis with some linear parameters replaced."""
         return dataclasses.replace(self, chain=self.chain.with_linear(values))
+
+    def with_values(self, values: Mapping[str, float]) -> Axis:
+        """The axis with some numbers replaced: linear parameters by name, those of its effects as ``id@place.name``."""
+        own = {key: value for key, value in values.items() if "@" in key}
+        effects = [e.with_values({n: own.pop(f"{e.key}.{n}", v) for n, v in e.values.items()}) for e in self.effects]
+        if own:
+            raise KeyError(f"no effect of the axis has {next(iter(own))!r}")
+        linear = {name: value for name, value in values.items() if "@" not in name}
+        return dataclasses.replace(self.with_linear(linear), effects=tuple(effects))

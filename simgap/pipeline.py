@@ -29,13 +29,14 @@ MAP_COMMENT = "This file holds a torque map: fitted, not derived. It predicts be
 
 
 def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
-    """The nominal axis with the fitted linear parameters and the findings."""
+    """The nominal axis with its numbers as fitted and the findings; one that refines an effect of it takes its place."""
     from mjsim.effects import effect_class
 
-    axis = nominal.with_linear({k: v.value for k, v in diagnosis.linear_parameters.items()})
-    for f in diagnosis.findings:
-        axis = axis + effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
-    return axis
+    values = {k: v.value for k, v in diagnosis.linear_parameters.items()}
+    for own in diagnosis.nominal_effects:
+        values |= own.values
+    found = [effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()}) for f in diagnosis.findings]
+    return nominal.with_values(values).with_effects(found)
 
 
 def mapped_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis | None:
@@ -43,10 +44,7 @@ def mapped_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis | None:
     found = diagnosis.map
     if found is None:
         return None
-    axis = nominal.with_linear(found.linear)
-    for effect in (*found.effects, found.effect):
-        axis = axis + effect
-    return axis
+    return nominal.with_values(found.linear).with_effects((*found.effects, found.effect))
 
 
 def model_diff(model: Path, corrected: Path) -> str:

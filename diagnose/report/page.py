@@ -300,8 +300,18 @@ def _evidence(f: Finding, u: str) -> str:
 
 def _linear(d: Diagnosis) -> list[dict[str, Any]]:
     rows = []
-    for name, e in d.linear_parameters.items():
-        nominal = d.nominal_parameters.get(name)
+    numbers: list[tuple[str, str, float | None, Estimate | None]] = [
+        (name, linear_name(name, e.unit), d.nominal_parameters.get(name), e) for name, e in d.linear_parameters.items()
+    ]
+    numbers += [
+        (name, f"{effect_name(n.effect)}, {n.place}", nominal, n.parameters.get(name))
+        for n in d.nominal_effects for name, nominal in n.nominal.items()
+    ]  # fmt: skip
+    for name, words, nominal, e in numbers:
+        if e is None:
+            unused = {"value": "–", "interval": "–", "unit": "", "change": "not exercised", "negative": False, "weak": False}
+            rows.append({"name": name, "words": words, "nominal": number(nominal), **unused})
+            continue
         change = (e.value - nominal) / abs(nominal) if nominal else math.nan
         value, bounds, u = _estimated(e)
         inside = nominal is not None and e.ci95[0] <= nominal <= e.ci95[1]
@@ -309,7 +319,7 @@ def _linear(d: Diagnosis) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": name,
-                "words": linear_name(name, e.unit),
+                "words": words,
                 "nominal": number(nominal),
                 "value": value,
                 "interval": bounds,

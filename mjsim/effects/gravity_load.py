@@ -18,8 +18,11 @@ from mjsim.quantity import Motion, Quantity
 
 if TYPE_CHECKING:
     from mjsim.axis import Chain
+    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["GravityLoad"]
+
+TURNED = 1e-3  # [rad] by which a weight may hang otherwise than in the file without a word
 
 
 @law
@@ -52,6 +55,15 @@ class GravityLoad(Effect):
         if chain.motion is Motion.SLIDE:
             raise NotApplicableError("the weight of a slide does not depend on its position: use torque_offset")
         return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm, self.phase_rad)),)
+
+    def native(self, editor: MjcfEditor) -> str | None:
+        """MJCF's own elements, or what plain MuJoCo lacks: the weight of a body that has one in the file is changed."""
+        own = editor.holds.get(self.key)
+        if own is None:
+            return "gravity load at the arm: MJCF has no element for it where no body of the file has a weight"
+        editor.weight(self.torque_Nm / own.values["torque_Nm"])
+        turned = math.remainder(self.phase_rad - own.values["phase_rad"], 2 * math.pi)
+        return f"the angle at which the weight hangs, off by {turned:.3g} rad" if abs(turned) > TURNED else None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

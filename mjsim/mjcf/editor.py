@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from mjsim.axis import Chain
+from mjsim.effects.base import Effect
 from mjsim.effects.ports import BacklashLaw
 from mjsim.errors import InputError
 from mjsim.mjcf.chain import Found, Part
@@ -47,10 +48,13 @@ class MjcfEditor:
     """Edits a copy of an authored MJCF whose chain is known.
 
     ``undo`` lists what was changed, newest last, as (element, attribute, old value or None); ``added`` names elements that were
-    added; ``ignored`` those among them (and others) that stand for an effect and are no part of the chain.
+    added; ``ignored`` those among them (and others) that stand for an effect and are no part of the chain. ``holds``: the effects
+    that the file has by MJCF's own elements.
     """
 
-    def __init__(self, path: Path, found: Found, target: Chain, law: BacklashLaw = BacklashLaw.GATED) -> None:
+    def __init__(
+        self, path: Path, found: Found, target: Chain, law: BacklashLaw = BacklashLaw.GATED, holds: Sequence[Effect] = ()
+    ) -> None:
         self.path = path
         self.found = found
         self.target = target
@@ -59,8 +63,10 @@ class MjcfEditor:
         self.added: list[tuple[str, str]] = []
         self.ignored: list[str] = []
         self.undo: list[tuple[str, str, str, str | None]] = []
+        self.holds = {e.key: e for e in holds}
         self._friction: dict[int, float] = {}
-        self._offset = 0.0
+        self._offset = -self._pull()
+        self._heavier: dict[int, float] = {}
         self._now: dict[int, tuple[float, float]] = {}
         self._following: list[Callable[[], None]] = []
 
@@ -194,6 +200,9 @@ class MjcfEditor:
         self._now[mass.id] = (target, lever if alone else factor * lever)
         self._inertial(mass)
         self._scale_attribute(mass, "mass", 1.0 if alone else k)
+        if not alone and self.model.opt.gravity.any():  # its weight stays
+            self._heavier[mass.id] = k * self._heavier.get(mass.id, 1.0)
+            self._weigh(mass, 1.0)
         for key in ("diaginertia", "fullinertia"):
             self._scale_attribute(mass, key, k)
 
@@ -296,6 +305,23 @@ class MjcfEditor:
 
     # ---- effects --------------------------------------------------------------------------------------------------------
 
+    def weight(self, factor: float) -> None:
+        """Weight of the last body, over that which it has in the file."""
+        for mass, _ in self.found.masses[-1]:
+            if mass.kind == "body":
+                self._weigh(mass, factor)
+
+    def _weigh(self, mass: Mass, factor: float) -> None:
+        """Gravity compensation takes off, or adds, what a body weighs too much or too little."""
+        left = factor / self._heavier.get(mass.id, 1.0)
+        self.set("body", mass.name, gravcomp=number(_clean(1.0 - left)) if left != 1.0 else None)
+
+    def _pull(self) -> float:
+        """Part of the constant torque on the driven body that no actuator gives: a weight along a slide."""
+        drive, own = self.found.layout.drive, self.holds.get("torque_offset@motor")
+        bias = float(self.model.actuator_biasprm[drive.id, 0]) * self.chain.gain / drive.gain
+        return own.values["torque_Nm"] - bias if own is not None else 0.0
+
     def friction(self, body: int, level: float) -> None:
         """Dry friction of a body against the ground [N m | N]: frictionloss that sticks. Levels at one body add up."""
         self._friction[body] = self._friction.get(body, 0.0) + level
@@ -311,6 +337,9 @@ class MjcfEditor:
             "solimpfriction": IMPEDANCE,
         }
         joint = self._joint_of(body)
+        for part in self.found.on_body[body]:  # what the file has elsewhere is in the level
+            if part.element.friction and (part.element.kind, part.element.name) != ("joint", joint):
+                self.set(part.element.kind, part.element.name, frictionloss="0")
         if joint is not None:
             self.set("joint", joint, **attributes)
             return

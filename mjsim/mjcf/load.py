@@ -65,7 +65,7 @@ def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[
     _linear_only(found, path, carried)
     _passive_actuators(model, path, carried)
     _no_contact(model, path)
-    _at_rest(found, path)
+    _at_rest(found, path, carried)
     if carried is not None:
         axis = _carried_axis(found, carried, path)
     else:
@@ -177,8 +177,11 @@ def _no_contact(model: mujoco.MjModel, path: Path) -> None:
             raise outside(path, f"geoms {geoms[0]} and {geoms[1]} touch", 'set contype="0" conaffinity="0"')
 
 
-def _at_rest(found: Found, path: Path) -> None:
-    """Springs must be at rest where the angles are zero, and nothing else may push (fluid, gravity compensation)."""
+def _at_rest(found: Found, path: Path, carried: custom.Carried | None) -> None:
+    """Springs must be at rest where the angles are zero, and nothing else may push (fluid, gravity compensation).
+
+    In a corrected file gravity compensation stands for another weight.
+    """
     model = found.layout.model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -188,7 +191,7 @@ def _at_rest(found: Found, path: Path) -> None:
         raise outside(path, "a spring is loaded in the zero position", "let springref equal ref")
     data.qvel[:] = found.layout.base @ np.ones(found.layout.base.shape[1])
     mujoco.mj_forward(model, data)
-    if np.any(data.qfrc_fluid) or np.any(data.qfrc_gravcomp):
+    if np.any(data.qfrc_fluid) or (np.any(data.qfrc_gravcomp) and carried is None):
         raise outside(path, "fluid drag or gravity compensation acts", "set density and viscosity to zero")
 
 

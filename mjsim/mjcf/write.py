@@ -43,9 +43,12 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
     with tempfile.TemporaryDirectory() as work:
         if source.carried is not None:
             source = _restored(source, Path(work) / "nominal.xml")
-        editor = MjcfEditor(source.path, source.found, axis.chain, axis.backlash_law)
+        editor = MjcfEditor(source.path, source.found, axis.chain, axis.backlash_law, source.axis.effects)
         editor.linear()
         own = {e.key: e for e in source.axis.effects}
+        for e in own.values():
+            if e.key not in {kept.key for kept in axis.effects}:  # another law has taken its place
+                e.with_values(dict.fromkeys(type(e).amplitudes, 0.0)).native(editor)
         # what the author wrote by MJCF's own elements and still holds stands there already
         said = [(e.key, e.native(editor)) for e in axis.effects if own.get(e.key) != e]
         lacks = tuple((key, line) for key, line in said if line is not None)
