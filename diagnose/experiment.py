@@ -57,16 +57,36 @@ def measured_angle(recording: Recording) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
 
 
+FASTEST = 0.85  # of the Nyquist frequency: what is faster tells the noise
+SLOWLY = 0.5  # part of the level by differences, below which that is taken: far below what white noise gives for 700 samples
+
+
 def white_noise_level(y: np.ndarray) -> float:
     """Noise rms of a smooth signal: from its sixth differences, robust against the few samples at which it is not smooth.
 
-    The sixth difference of white noise of rms s has rms s sqrt(924); that of a band-limited signal is smaller by (w dt)^6.
+    The sixth difference of white noise of rms s has rms s sqrt(924); that of a band-limited signal is smaller by (w dt)^6, which
+    is not small where the sampling is slow. There the density of its fastest part tells, if that is clearly less.
     Source: J. von Neumann et al., Ann. Math. Stat. 12 (1941) 153, for higher differences.
     """
     d = np.diff(y, 6) / np.sqrt(924.0)
     if len(d) == 0:
         return 0.0
-    return float(1.4826 * np.median(np.abs(d - np.median(d))))
+    smooth = float(1.4826 * np.median(np.abs(d - np.median(d))))
+    fastest = _fastest_level(y)
+    return fastest if fastest < SLOWLY * smooth else smooth
+
+
+def _fastest_level(y: np.ndarray) -> float:
+    """Noise rms of a signal by the median density of the fastest part of its spectrum; inf where that is a few lines only.
+
+    A line or an event there raises few of the lines. The window keeps what leaks in from the rest below 1e-9 of its power.
+    """
+    n = len(y)
+    if n * (1.0 - FASTEST) < 100:
+        return np.inf
+    window = np.blackman(n) ** 2
+    power = np.abs(np.fft.rfft((y - np.mean(y)) * window)) ** 2 / np.sum(window**2)
+    return float(np.sqrt(np.median(power[int(FASTEST * len(power)) : -1]) / np.log(2.0)))
 
 
 def plain_step(v: np.ndarray) -> float:

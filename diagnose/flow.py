@@ -80,7 +80,7 @@ def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axi
     if judge is None:
         judge = "force" if recordings[0].velocity is None and not swings_up else "motion"
     if judge == "motion":
-        return MotionView()
+        return MotionView() if nominal is None else MotionView.of(nominal, recordings)
     dt = recordings[0].dt
     decimate = max(1, round(0.01 / dt)) if dt < 0.005 else 1
     if nominal is None:

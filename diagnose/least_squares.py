@@ -78,9 +78,10 @@ def jacobian(
     residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, run: Run,
     which: Sequence[int] | None = None, begun: Mapping[bytes, np.ndarray | None] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
-    """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound. None when a run fails.
+    """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound.
 
-    ``begun``: residuals that are known, by the bytes of their points.
+    One that cannot be run is turned too; None when that fails as well. ``begun``: residuals that are known, by the bytes of their
+    points.
     """
     points, steps = _beside(x, step, lower, upper, which)
     known = begun or {}
@@ -89,7 +90,7 @@ def jacobian(
         mark = y.tobytes()
         return known[mark] if mark in known else residual(y)
 
-    return _secants(r0, run([partial(at, y) for y in points]), steps)
+    return _secants(r0, *_turned(residual, x, run([partial(at, y) for y in points]), points, steps, run))
 
 
 def residual_and_jacobian(
@@ -99,7 +100,21 @@ def residual_and_jacobian(
     """Residual (N,) at x and `jacobian` there, all run side by side; None for what could not be run."""
     points, steps = _beside(x, step, lower, upper, which)
     r, *columns = run([partial(residual, y) for y in (x, *points)])
-    return r, None if r is None else _secants(r, columns, steps)
+    return r, None if r is None else _secants(r, *_turned(residual, x, columns, points, steps, run))
+
+
+def _turned(
+    residual: Residual, x: np.ndarray, columns: list[np.ndarray | None], points: list[np.ndarray], steps: list[float], run: Run
+) -> tuple[list[np.ndarray | None], list[float]]:
+    """Columns, of which those that could not be run are run on the other side of x, and their steps."""
+    failed = [k for k, c in enumerate(columns) if c is None]
+    if not failed or len(failed) == len(columns) > 1:
+        return columns, steps
+    other = run([partial(residual, 2 * x - points[k]) for k in failed])
+    columns, steps = list(columns), list(steps)
+    for k, c in zip(failed, other, strict=True):
+        columns[k], steps[k] = c, -steps[k]
+    return columns, steps
 
 
 def _beside(

@@ -121,9 +121,12 @@ class Search(Judge):
 
     def expand(self, base: Fitted) -> list[Fitted]:
         """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
+        # another law of an effect is tried in its place, where that leaves something material: of one that stands in the
+        # structure by `refine`, of one that the nominal axis has here
+        material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
         free = [
             c for c in self.candidates
-            if not conflicts(c, base.effects) and not effect_class(c.id).form_of
+            if not conflicts(c, base.effects) and (not effect_class(c.id).form_of or (material and replaced(base, c) is not None))
             and self._admitted([c.id, *(e.id for e in base.effects)])
         ]  # fmt: skip
         ranked = screen(self.fitter, base, free)

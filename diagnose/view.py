@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -24,14 +25,15 @@ from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
 from mjsim.ode import DivergedError, apply_input, inverse, sensed, simulate
 from mjsim.recording import Recording
-from mjsim.system import System, assemble, state_matrix
+from mjsim.system import MOST_STEPS, STEP, System, assemble, state_matrix
 
 __all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "led_by_torque"]
 
 
 DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
 LEAST_DELIVERED = 0.05  # of the commanded torque's variation: an actuator that delivers less moves nothing
-MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible
+MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible, or to one so many times the nominal:
+STIFFER = 3
 
 
 @dataclass(frozen=True)
@@ -102,12 +104,20 @@ class MotionView:
 
     lead [N m s/rad | N s/m]: torque that draws the model to the recorded velocity, per unit of its error; 0 for a free run.
     A led model has forgotten within J/lead what it did before: events do not add up, and its error has fewer minima.
+    most_substeps: of a run, a sample; a model that needs more is not run.
     Source: C. P. Vyasarayani et al., Multibody Syst. Dyn. 26 (2011) 411.
     """
 
     channel: str = "velocity"
     decimate: int = 1
     lead: float = 0.0
+    most_substeps: int = MOST_SUBSTEPS
+
+    @classmethod
+    def of(cls, nominal: Axis, recordings: Sequence[Recording]) -> MotionView:
+        """For recordings of an axis: slow ones need many steps a sample."""
+        steps = math.ceil(STIFFER * max(r.dt for r in recordings) * assemble(nominal).omega / STEP)
+        return cls(most_substeps=max(MOST_SUBSTEPS, min(steps, MOST_STEPS)))
 
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
         """Velocity measured and simulated at every sample."""
@@ -127,7 +137,7 @@ class MotionView:
                 rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
                 system = dataclasses.replace(system, output_maps=rest)
             predicted = (sensed if r.velocity is not None else _mean_speed)(
-                system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=MOST_SUBSTEPS
+                system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=self.most_substeps
             )
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None

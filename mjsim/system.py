@@ -13,7 +13,7 @@ from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import DIRECTION, N_LOCAL, RATE, STATE, Law
 
-__all__ = ["STEP", "System", "assemble", "split_chain"]
+__all__ = ["MOST_STEPS", "STEP", "System", "assemble", "split_chain"]
 
 STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
 MOST_STEPS = 64  # of the accuracy rule in a sample

@@ -132,3 +132,19 @@ def test_a_row_of_a_recording_that_is_fitted_in_blocks_is_counted_once(robot, re
     recording = dropped(record(seconds=4))
     result = diagnose(robot, [recording], [], Options(effects=("actuator_lag",), jobs=1))
     assert any(note.startswith(f"{held_rows(recording).sum()} rows") for note in result.notes)
+
+
+@pytest.mark.parametrize(("dt", "level"), [(0.01, 0.05), (5e-4, 0.05)])
+def test_noise_of_a_slow_recording_is_not_its_motion(dt, level):
+    rng = np.random.default_rng(5)
+    t = dt * np.arange(2000)
+    motion = sum(3.0 * np.cos(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in np.arange(1.0, 31.0))
+    assert white_noise_level(motion + level * rng.standard_normal(len(t))) == pytest.approx(level, rel=0.3)
+
+
+def test_white_noise_has_one_level_by_either_way():
+    rng = np.random.default_rng(6)
+    for n in (300, 700, 2000):
+        levels = [white_noise_level(rng.standard_normal(n)) for _ in range(200)]
+        assert min(levels) > 0.7
+        assert max(levels) < 1.4

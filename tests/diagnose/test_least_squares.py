@@ -242,3 +242,36 @@ def test_above_a_cost_a_coarser_tolerance_is_enough():
     assert rough.iterations < full.iterations
     assert rough.cost > full.cost
     np.testing.assert_array_equal(unmoved.x, full.x)
+
+
+def test_a_column_that_cannot_be_run_is_turned():
+    def residual(x):
+        return None if x[0] > 1.0 else np.array([2.0 * x[0] - x[1], x[1] ** 2, 3.0])
+
+    x = np.array([1.0, 2.0])
+    wide = np.full(2, np.inf)
+    J = jacobian(residual, x, residual(x), np.full(2, 1e-6), -wide, wide, lambda tasks: [task() for task in tasks])
+    np.testing.assert_allclose(J, [[2.0, -1.0], [0.0, 4.0], [0.0, 0.0]], atol=1e-5)
+
+
+def test_a_column_begun_beside_a_step_changes_nothing():
+    def residual(x):
+        return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+    begun = []
+
+    def idle(tasks):
+        begun.append(len(tasks))
+        return [task() for task in tasks]
+
+    alone, beside = (
+        levenberg_marquardt(
+            residual, np.array([-1.2, 1.0]), (np.full(2, -5.0), np.full(2, 5.0)), step=np.full(2, 1e-6),
+            run=lambda tasks: [task() for task in tasks], max_iterations=60, beside=helper,
+        )
+        for helper in (None, idle)
+    )  # fmt: skip
+    assert begun
+    np.testing.assert_array_equal(alone.x, beside.x)
+    np.testing.assert_array_equal(alone.J, beside.J)
+    assert alone.iterations == beside.iterations
