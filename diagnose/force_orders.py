@@ -3,7 +3,8 @@
 What is left of a torque is coloured: slow errors of the friction law hold most of its energy and would be taken for an order of
 long period. What is fixed to a turning part is a line: it stands far above the orders beside it. So the residual is whitened, an
 order must stand out of its neighbours (F-test, over all orders looked at), and every recorded sample is used, since at speed a
-short period passes faster than decimated samples follow.
+short period passes faster than decimated samples follow. Orders of fewer than ``FEW`` periods over the travel have no neighbours
+to stand out of: they have more to show (`Judge._of_few_periods`).
 
 With A the whitening filter and z = A' A d, the energy that sin(n q) and cos(n q) explain of A d is |sum z exp(i n q)|^2 over the
 energy that passes the filter, sum |A(n v)|^2 / 2, for orders whose frequency n v changes slowly against the filter's length.
@@ -20,38 +21,43 @@ from diagnose.fitter import Fitted, Fitter
 from diagnose.view import ForceView
 from diagnose.whiten import levinson
 
-__all__ = ["force_orders", "line_energy", "stands_out"]
+__all__ = ["FEW", "force_orders", "line_energy", "stands_out"]
 
 LENGTH = 50  # taps of the whitening filter
 MOST = 2000  # orders looked at
 CHANCE = 0.01  # that any of them stands out where there is none
 BESIDE = 1.5  # neighbours: within this factor
+FEW = 5 / (BESIDE - 1 / BESIDE)  # periods over the travel, below which an order has fewer than two neighbours
+UNSURE = 2  # orders of so few periods that are looked at
 
 
-def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[float, ...]:
-    """Orders n (of sin(n q), q the motor's angle) of the first experiment's residual that stand out, strongest first.
+def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Orders n (of sin(n q), q the motor's angle) of the first experiment's residual, strongest first.
+
+    Those that stand out; and those that repeat too few times over the travel to stand out of anything.
 
     They range from one and a half periods over the travel to a frequency of a quarter of the sampling rate.
     """
     experiment = fitter.experiments[0]
     r = experiment.recording
     if r.angle is None or np.ptp(r.angle) <= 0 or not isinstance(fitter.view, ForceView):
-        return ()
+        return (), ()
     view = dataclasses.replace(fitter.view, decimate=1)
     s = view.signals(fitted.axis, experiment, None)
     if s is None:
-        return ()
+        return (), ()
     keep = view.counts(experiment)
     v = measured_velocity(r)
     travel = float(np.ptp(r.angle))
     low = 3 * np.pi / travel
     top = 0.25 * 2 * np.pi / r.dt / max(float(np.percentile(np.abs(v[keep]), 90)), 1e-12)
     if top <= low:
-        return ()
+        return (), ()
     # two points to the width of a line, 2 pi over the travel, as far as there may be so many
     count = int(min(MOST, max(60.0, (top - low) * travel / np.pi)))
     grid = np.linspace(low, top, count) if count < MOST else np.geomspace(low, top, count)
     found: list[tuple[float, float]] = []
+    few: list[tuple[float, float]] = []
     for weight in (np.ones(len(v)), np.sign(v)):
         power = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, grid, r.dt)
         peak = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
@@ -60,12 +66,14 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[float, 
             near = np.linspace(grid[i - 1], grid[i + 1], 21)
             finer = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, near, r.dt)
             found.append((float(np.max(finer)), float(near[np.argmax(finer)])))
+        few += [(float(power[i]), float(grid[i])) for i in peak if grid[i] * travel < 2 * np.pi * FEW]
     found.sort(reverse=True)
     out: list[float] = []
     for _, n in found:
         if all(abs(n - m) > max(0.02 * m, 2 * np.pi / travel) for m in out):
             out.append(n)
-    return tuple(out[:most])
+    unsure = dict.fromkeys(n for _, n in sorted(few, reverse=True))  # a line may be one of both weights
+    return tuple(out[:most]), tuple(unsure)[:UNSURE]
 
 
 def stands_out(power: np.ndarray, grid: np.ndarray, i: int, width: float) -> float:

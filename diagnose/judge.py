@@ -20,6 +20,7 @@ from diagnose.candidates import Candidate
 from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut
+from diagnose.force_orders import FEW
 from diagnose.moves import named
 from diagnose.search_options import SearchOptions
 from diagnose.whiten import lags_of, worth_of_errors
@@ -31,6 +32,7 @@ LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
 SHOWN = 10.0  # times the material gain, on the estimation data, of an effect that held-out data may be too few for
 ANSWERED = 0.5  # of the squared error: more is not the answer of a servo to unknown torques (benchmarks/servo_axes.py)
+CLEAR = 0.8  # of the squared error: so much of a model's own error no sine of a few periods takes by chance
 IMITATED = {"signal", "coupling", "structure", "offset"}  # families of effects that look like such an answer
 SPREAD = (
     4.0  # ratio of an effect's logarithmic gains in two recordings of some 15 independent samples each (2 standard deviations)
@@ -132,7 +134,7 @@ class Judge:
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
             return False
-        if self._feedback_does(before, after):
+        if self._feedback_does(before, after) or self._of_few_periods(before, after):
             return False
         return not self._encoder_errs(before, after) and not self._events_only(before, after)
 
@@ -150,6 +152,22 @@ class Judge:
             return False
         share = min(1.0 - after.chi2 / before.chi2, self.compared(before, after).relative_gain)
         return share < ANSWERED
+
+    def _of_few_periods(self, before: Fitted, after: Fitted) -> bool:
+        """Whether what was added repeats so few times over the travel that a slow error of the model could look like it.
+
+        Where the error is the model's own an order must stand out of those beside it; one of so few periods has none beside it.
+        It has to take most (``CLEAR``) of the squared error, on both recordings.
+        """
+        if self.fitter.noise_known:
+            return False
+        few = 2 * math.pi * FEW
+        orders = {
+            e: e.values["cycles_per_rev"] for e in after.effects if e.key not in before.key and "cycles_per_rev" in e.values
+        }
+        if not any(n * self.fitter.scales[type(e).angle_of or e.place].travel < few for e, n in orders.items()):
+            return False
+        return min(1.0 - after.chi2 / before.chi2, self.compared(before, after).relative_gain) < CLEAR
 
     def _open(self, f: Fitted, sizes: Mapping[str, tuple[str, ...]]) -> bool:
         """Whether the 95 % interval of one of the sizes of effects, by key, holds zero."""

@@ -40,7 +40,8 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[fl
     experiment = fitter.experiments[0]
     r = experiment.recording
     if fitter.view.channel == "torque":
-        return force_orders(fitter, fitted), ()
+        orders, of_few_periods = force_orders(fitter, fitted)
+        return orders or of_few_periods, ()
     initial = fitted.hypothesis.initial(fitted.fit.x, 0)
     e = fitter.error(fitted.axis, experiment, initial)
     if e is None:

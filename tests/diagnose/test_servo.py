@@ -23,7 +23,7 @@ DT, SECONDS, INERTIA, VISCOUS = 4e-3, 10.0, 10.0, 20.0
 NOMINAL = Axis(Chain((Body("motor", 0.85 * INERTIA, 1.3 * VISCOUS, "axis"),), ()))
 
 
-def moved(rng, unknown, dry=0.0, memory=0.05):
+def moved(rng, unknown, dry=0.0, memory=0.05, ripple=0.0):
     """Ten seconds of smooth moves under a position loop of 5 Hz, a torque of ``unknown`` times the rms needed on the axis."""
     goal, at, k = np.zeros(round(SECONDS / DT)), 0.0, 50
     while k < len(goal):
@@ -41,7 +41,7 @@ def moved(rng, unknown, dry=0.0, memory=0.05):
         u = INERTIA * turn**2 * (goal[k] - q) + 1.6 * INERTIA * turn * (speed[k] - v)
         angle[k], torque[k] = q, u
         for _ in range(sub):
-            free = u + acting - VISCOUS * v
+            free = u + acting - VISCOUS * v - ripple * rms * math.sin(14.0 * q + 1.0)
             if v == 0.0 and abs(free) <= dry * rms:
                 continue
             after = v + DT / sub * (free - math.copysign(dry * rms, v if v != 0.0 else free)) / INERTIA
@@ -73,6 +73,13 @@ def test_without_that_rule_it_would_be(monkeypatch):
 def test_friction_beside_them_is_named(unknown, memory):
     result = told(5, unknown=unknown, memory=memory, dry=0.3)
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
+
+
+def test_ripple_of_few_periods_is_named_where_it_is_most_of_the_error():
+    """Three or four periods over the travel have no other orders beside them to stand out of."""
+    result = told(5, unknown=0.02, ripple=0.3)
+    assert [f.effect for f in result.findings] == ["torque_ripple"]
+    assert result.findings[0].parameters["cycles_per_rev"].value == pytest.approx(14.0, rel=0.03)
 
 
 def test_bristles_that_never_slide_are_a_spring():
