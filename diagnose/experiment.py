@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ __all__ = [
     "prepare",
     "white_noise_level",
     "whole_step",
+    "without_derived_velocity",
 ]
 
 CHANCE = 3.0  # times the repeated rows that quantisation explains, beyond which a sensor held them
@@ -55,6 +57,26 @@ def measured_angle(recording: Recording) -> np.ndarray:
         return recording.angle
     v = measured_velocity(recording)
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
+
+
+DERIVED = 0.05  # of its own noise: a velocity that is that close to its angle's differences was computed from them
+
+
+def without_derived_velocity(recording: Recording) -> Recording:
+    """The recording without a velocity that is the backward, forward or central difference of its angle.
+
+    Such a channel says nothing that the angle does not, and with the same noise: half a sample late or early, it would be taken
+    for a delay, and its agreement with the angle for a proof of motion.
+    """
+    v, q = recording.velocity, recording.angle
+    if v is None or q is None or len(v) < 10:
+        return recording
+    steps = np.diff(q) / recording.dt
+    noise = white_noise_level(v)
+    made = ((v[1:], steps), (v[:-1], steps), (v[1:-1], 0.5 * (steps[1:] + steps[:-1])))
+    if any(np.sqrt(np.mean((a - b) ** 2)) < DERIVED * noise for a, b in made):
+        return dataclasses.replace(recording, velocity=None)
+    return recording
 
 
 FASTEST = 0.85  # of the Nyquist frequency: what is faster tells the noise

@@ -22,7 +22,7 @@ from diagnose.decide import (
     unphysical,
 )
 from diagnose.encoder import fit_beside_encoder
-from diagnose.experiment import Experiment, held_rows, hold_out_blocks, prepare
+from diagnose.experiment import Experiment, held_rows, hold_out_blocks, prepare, without_derived_velocity
 from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut
 from diagnose.least_squares import Fit
 from diagnose.locate import locate
@@ -54,6 +54,11 @@ SHOWN = 1.1  # of the noise rms, in the held-out error of a model that leaves no
 SHARED = (
     "The estimation recordings fit without it: they hardly exercise what is missing, and the held-out ones do. So all recordings "
     "were fitted over two thirds of their length, in blocks, and judged on the rest. Record an estimation run that exercises it."
+)
+
+DERIVED = (
+    "The velocity column is the difference of the angle column, sample by sample: it holds the angle's noise and nothing more, "
+    "half a sample off. The angle alone is used."
 )
 
 HELD = (
@@ -122,7 +127,10 @@ def diagnose(
     """
     options = options or Options()
     began = time.monotonic()
-    view = choose_view(recordings, options.judge, nominal)
+    given = recordings[0].velocity is not None
+    recordings, held_out = ([without_derived_velocity(r) for r in group] for group in (recordings, held_out))
+    derived = given and recordings[0].velocity is None
+    view = choose_view(recordings, options.judge or recordings[0].judge or ("motion" if derived else None), nominal)
     varies = _varies(nominal, recordings[0])
 
     def by(experiments: Split) -> Diagnosis:
@@ -134,6 +142,8 @@ def diagnose(
             fitter.close()
 
     result = by(_experiments(recordings, held_out))
+    if derived:
+        result = dataclasses.replace(result, notes=(DERIVED, *result.notes))
     if held_out and _only_held_out_shows(result):
         shared = by(_experiments((*recordings, *held_out), ()))
         if shared.verdict is Verdict.MISSING_PHYSICS:
@@ -210,6 +220,11 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         )
     if remains and mapped is None:
         notes.append("No torque map over one or two state variables lowers the held-out error for sure: none is given.")
+    if verdict is Verdict.UNEXPLAINED and fitter.noise_known and any(e.recording.loop == "closed" for e in fitter.experiments):
+        notes.append(
+            "The axis was under feedback. A torque that no model knows of (other axes, cables, the process) is missed motion in a "
+            "free run; judged by force (--judge force) it counts as error, and what repeats in spite of it is named."
+        )
     if settled:
         notes.append(
             "The estimation recordings leave parameters open that the held-out ones need: fitted to both together, the same "

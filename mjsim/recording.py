@@ -327,6 +327,6 @@ def _sample_time(path: Path, time: np.ndarray) -> float:
     if len(off):
         raise InputError(
             path, f"sample time {step[off[0]]:.6g} s at {_row(path, off[0] + 1)}, elsewhere {dt:.6g} s", "uniform sampling",
-            "resample to a uniform grid first",
+            "resample to a uniform grid first; if only the stamps jitter, give [recording] dt in the binding, and no time",
         )  # fmt: skip
     return float(f"{dt:.9g}")

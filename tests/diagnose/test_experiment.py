@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.experiment import held_rows, hold_out_blocks, measured_velocity, prepare, white_noise_level
+from diagnose.experiment import (
+    held_rows,
+    hold_out_blocks,
+    measured_velocity,
+    prepare,
+    white_noise_level,
+    without_derived_velocity,
+)
 from diagnose.flow import Options, diagnose
 from diagnose.result import Verdict
 from mjsim.errors import InputError
@@ -148,3 +155,30 @@ def test_white_noise_has_one_level_by_either_way():
         levels = [white_noise_level(rng.standard_normal(n)) for _ in range(200)]
         assert min(levels) > 0.7
         assert max(levels) < 1.4
+
+
+def test_a_velocity_that_is_a_difference_of_the_angle_is_no_second_channel():
+    rng, dt = np.random.default_rng(7), 1e-3
+    t = dt * np.arange(4000)
+    motion = sum(np.sin(2 * np.pi * f * t + f) / f for f in (1.0, 3.0, 11.0))
+    angle = np.round((motion + 1e-5 * rng.standard_normal(len(t))) / 1e-4) * 1e-4
+    steps = np.diff(angle) / dt
+    shown = np.gradient(motion, dt)
+    for made in (np.append(0.0, steps), np.append(steps, 0.0), np.gradient(angle, dt), np.round(np.gradient(angle, dt), 6)):
+        r = Recording(t, motion, made, angle, dt)
+        assert without_derived_velocity(r).velocity is None
+    for own in (shown, shown + 0.05 * rng.standard_normal(len(t))):
+        r = Recording(t, motion, own, angle, dt)
+        assert without_derived_velocity(r) is r
+    alone = Recording(t, motion, shown, None, dt)
+    assert without_derived_velocity(alone) is alone
+
+
+def test_a_diagnosis_says_that_the_velocity_is_the_angle(robot, record):
+    r = record(seconds=2)
+    angle = np.round(r.angle / 1e-3) * 1e-3
+    made = [Recording(r.time, r.torque, np.append(0.0, np.diff(angle)) / r.dt, angle, r.dt)]
+    result = diagnose(robot, made, (), Options(jobs=1, effects=("torque_offset", "time_delay")))
+    assert result.channel == "velocity"
+    assert any("difference of the angle column" in note for note in result.notes)
+    assert result.verdict is Verdict.PARAMETERS_ONLY
