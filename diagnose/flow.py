@@ -222,8 +222,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         notes.append("No torque map over one or two state variables lowers the held-out error for sure: none is given.")
     if verdict is Verdict.UNEXPLAINED and fitter.noise_known and any(e.recording.loop == "closed" for e in fitter.experiments):
         notes.append(
-            "The axis was under feedback. A torque that no model knows of (other axes, cables, the process) is missed motion in a "
-            "free run; judged by force (--judge force) it counts as error, and what repeats in spite of it is named."
+            "The axis was under feedback. A torque that no model knows of (other axes, cables, the process) is missed motion in "
+            "a free run; judged by force (--judge force) it counts as error, and what repeats in spite of it is named."
         )
     if settled:
         notes.append(

@@ -10,10 +10,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from mjsim.axis import Axis
+from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.system import System, assemble
 
-__all__ = ["DivergedError", "Trajectory", "apply_input", "inverse", "sensed", "simulate"]
+__all__ = ["DivergedError", "Trajectory", "apply_input", "inverse", "load_kernel", "sensed", "simulate"]
 
 _here = threading.local()  # what a thread works in
 _copies: dict[int, tuple[weakref.ref[np.ndarray], np.ndarray]] = {}  # of arrays that nobody can change, while they live
@@ -145,6 +145,15 @@ def sensed(
     out = _workspace(len(torque), _width(s))
     _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, out)
     return _sense(s, out[:, s.n], out[:, 0], dt)[0].copy()
+
+
+def load_kernel(bodies: int) -> None:
+    """Load the compiled simulation of so many bodies, or compile it where it was not yet (some 20 s)."""
+    chain = Chain(
+        tuple(Body("arm", 1.0, 0.1, f"joint{i}") for i in range(bodies)),
+        tuple(Coupling("arm", 1.0, 1.0, 0.1, f"joint{i}") for i in range(1, bodies)),
+    )
+    simulate(Axis(chain), np.zeros(2), 1e-3)
 
 
 def _width(s: System) -> int:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import math
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +22,7 @@ from diagnose.result import Diagnosis
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, write_corrected
+from mjsim.ode import load_kernel
 from mjsim.recording import Recording, load
 from simgap.following import following
 
@@ -85,6 +89,8 @@ def diagnose_files(
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
+            if "force" not in (options.judge, loaded[0].judge) and loaded[0].velocity is not None and options.jobs > 1:
+                _load_kernels(len(nominal.chain.bodies))
             result = diagnose(nominal, loaded, held, options, say, memory)
     except InputError:
         memory.discard()
@@ -109,22 +115,56 @@ def diagnose_files(
 
 @contextmanager
 def _compiling_told(say: Callable[[Step], None]) -> Iterator[None]:
-    """Say so when the simulation has to be compiled: whoever waits for the first answer on a machine waits a minute longer."""
+    """Say so when the simulation has to be compiled: who waits for the first answer on a machine waits half a minute longer."""
+    with _when_compiling(
+        lambda: say(Step("compile", "the simulation of such an axis, once on this machine: about half a minute"))
+    ):
+        yield
+
+
+@contextmanager
+def _when_compiling(do: Callable[[], None]) -> Iterator[None]:
+    """Call ``do`` once, when something begins to be compiled."""
     from numba.core import event
 
     class Once(event.Listener):
-        told = False
+        done = False
 
         def on_start(self, event: Any) -> None:
-            if not self.told:
-                self.told = True
-                say(Step("compile", "the simulation of such an axis, once on this machine: about a minute"))
+            if not self.done:
+                self.done = True
+                do()
 
         def on_end(self, event: Any) -> None:
             """Of no interest."""
 
     with event.install_listener("numba:compile", Once()):
         yield
+
+
+_COMPILE = "import sys; sys.path[:] = sys.argv[2:]; from mjsim.ode import load_kernel; load_kernel(int(sys.argv[1]))"
+
+
+def _load_kernels(bodies: int) -> None:
+    """Load the simulation of an axis; where it must be compiled, that of one with a further mode is, by a process beside it."""
+    beside: list[subprocess.Popen[bytes]] = []
+
+    def begin() -> None:
+        if sys.executable and not getattr(sys, "frozen", False):
+            with contextlib.suppress(OSError):  # no process can be had
+                beside.append(
+                    subprocess.Popen([sys.executable, "-c", _COMPILE, str(bodies + 1), *sys.path], stderr=subprocess.DEVNULL)
+                )
+
+    try:
+        with _when_compiling(begin):
+            load_kernel(bodies)
+        for process in beside:
+            process.wait()  # else both would compile it
+    finally:
+        for process in beside:
+            process.kill()
+            process.wait()
 
 
 def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> str:
