@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.special import ndtr
 
 from diagnose.experiment import Experiment, measured_velocity, white_noise_level
 from mjsim.axis import Axis
@@ -82,6 +81,8 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
     """
     if step <= 0:
         return clean
+    from scipy.special import ndtr  # loading it takes a sixth of the time until the first fit, and few sensors round
+
     level = np.round(clean / step)
     off = clean / step - level
     best, least = clean, math.inf
