@@ -167,9 +167,9 @@ class Hypothesis:
 
     @cached_property
     def told(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-        """What the nominal axis says of numbers: how many it speaks of, whatever is supposed; and of those that are in the vector
+        """What the nominal axis says of numbers: of how many, whatever is supposed; then, of those that are in the vector, which.
 
-        the row among them (k,), where they stand in the vector (k,), and their nominal values, scaled (k,).
+        Their rows among all of them (k,), where they stand in the vector (k,), and their nominal values, scaled (k,).
         """
         nominal = {p.name: p.value for p in self.nominal.chain.linear_parameters()}
         linear = [(i, e.scaled(nominal[e.name])) for i, e in enumerate(self.entries) if e.owner == "" and e.name in nominal]

@@ -111,6 +111,7 @@ def test_a_refinement_takes_the_place_of_nominal_friction(model, tmp_path):
     assert [(f.effect, f.place) for f in result.findings] == [("stribeck_friction", "motor")]
     for name, value in refined.values.items():
         assert result.findings[0].parameters[name].value == pytest.approx(value, rel=0.05)
+    assert any("as the nominal model had it: what was found has taken its place" in note for note in result.notes)
     found = corrected_axis(nominal, result)
     assert {e.id for e in found.effects} == {"stribeck_friction", "actuator_saturation", "gravity_load"}
     out = tmp_path / "corrected.xml"
