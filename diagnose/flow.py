@@ -200,7 +200,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     notes = list(unphysical(fitter.nominal))
     notes += [
-        f"{e.describe(fitter.nominal.chain.motion).removesuffix('.')}, as the nominal model had it: what was found has taken its place."
+        f"{e.describe(fitter.nominal.chain.motion).removesuffix('.')}, as the nominal model had it: "
+        "what was found has taken its place."
         for e in fitter.nominal.effects if e.key not in {kept.key for kept in best.hypothesis.carried}
     ]  # fmt: skip
     held, error = _held(fitter, best)
