@@ -38,9 +38,14 @@ FAR = 3.0  # chi-square over n beyond which other physics is missing than a riva
 ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
 # rates [1/s] at which a model is led in turn: from J/lead of 1 ms to a free run
 LEADS = (1000.0, 560.0, 300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
+CLOSELY = 300.0  # rate [1/s] at which structures are compared that a free run may have left in a wrong minimum
 WRONG = 2.0  # chi-square over n of a led model, at first: something else is missing than such moments; later: they are lost
-LOST = 1.2  # times the least cost under a lead: an event was lost as the lead gave way, and other points are drawn
+LOST = 1.2  # times the least cost under a lead, or noise: an event was lost as the lead gave way, and other points are drawn
+SHAKES, PATIENCE = 12, 3  # sets of points about a fit, and how many of them in a row may lead nowhere
 DRAWS = 3  # sets of them at most
+SAME = (
+    0.002  # difference in the logarithm of chi-square of one minimum: a model let go that comes back to it has no better one near
+)
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -563,24 +568,49 @@ class Fitter:
         Where bodies stick or strike a free run has a minimum for each order in which they do; a led model is soon put right.
         None where it cannot be led, or leaves more than noise as soon as it is: something else is missing than those moments.
         """
-        now, least = fitted, math.inf
+        now, least, idle = fitted, math.inf, 0
         for k, rate in enumerate(LEADS):
             best: Fitted | None = None
             for draw in range(DRAWS):
                 spread = 16 if k or seed or draw else 0
                 at = len(LEADS) * (DRAWS * seed + draw) + k
-                found = self.led(now, rate, 6 if k else 20, spread=spread, keep=3, seed=at)
+                found = self.led(now if best is None else best, rate, 6 if k else 20, spread=spread, keep=3, seed=at)
                 if found is None:
                     return None
+                same = best is not None and abs(math.log(found.chi2 / best.chi2)) < SAME
                 best = found if best is None or found.chi2 < best.chi2 else best
-                if best.chi2 < (LOST * least if k else WRONG * best.n):
+                idle = idle + 1 if same else 0 if draw else idle
+                if idle >= PATIENCE or same:
+                    break  # points about the best lead nowhere: no event was lost
+                if best.chi2 < (LOST * max(least, best.n) if k else WRONG * best.n):
                     break
             if best is None or (not k and best.chi2 > WRONG * best.n):
                 return None
             now, least = best, min(least, best.chi2)
-            if now.chi2 > WRONG * max(least, now.n):
-                break  # from here it would only be drawn to another order of events
+            if now.chi2 > (LOST if rate >= CLOSELY else WRONG) * max(least, now.n):
+                break  # from here it would only be drawn to another order of events; led closely it lacks something else
         return self.fit(now.hypothesis, now.fit.x, iterations=20)
+
+    def shaken(self, fitted: Fitted) -> Fitted:
+        """The same structure from points drawn about its fit, as long as one of them leads to a lower minimum.
+
+        Where bodies stick or strike the minima are many and narrow: an event a sample sooner is another one. No gradient leads
+        from one to the next; points by the covariance of the fit, ever wider, do.
+        """
+        idle = 0
+        for turn in range(SHAKES):
+            points = _drawn(fitted, np.geomspace(0.3, 30.0, 24), turn)
+            answers = self.run([partial(self.residual(fitted.hypothesis), x) for x in points])
+            costs = [math.inf if r is None else float(r @ r) for r in answers]
+            chosen = sorted(range(len(points)), key=lambda i: costs[i])[:2]
+            begin = partial(self.fit, fitted.hypothesis, iterations=6, tolerance=1e-4)
+            fits = self.map([partial(begin, points[i]) for i in chosen if costs[i] < 2.0 * fitted.chi2])
+            best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=fitted)
+            idle = 0 if best.chi2 < fitted.chi2 - 1.0 else idle + 1
+            fitted = best if best.chi2 < fitted.chi2 else fitted
+            if idle == PATIENCE:
+                break
+        return fitted
 
     def unfolded(self, fitted: Fitted, linear: Mapping[str, float] | None, iterations: int = 12) -> Fitted:
         """The same structure fitted to the first stretch of each recording, then to ever longer ones, and then to all of it.

@@ -481,7 +481,7 @@ def _put_together(search: Search, best: Fitted) -> Fitted:
     for effects in put_together(search.candidates, best.effects):
         simpler = search.fitter.fit(search.fitter.hypothesis(effects, best.linear, best.own), iterations=10)
         if simpler.ok and search.ahead(best, simpler) <= ALIKE_C:
-            search._keep(simpler)
+            search.keep(simpler)
             return search.pool[simpler.key]
     return best
 

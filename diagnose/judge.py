@@ -19,7 +19,7 @@ import numpy as np
 from diagnose.candidates import Candidate
 from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
-from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut
+from diagnose.fitter import CLOSELY, UNEXPLAINED, Fitted, Fitter, HeldOut
 from diagnose.force_orders import FEW
 from diagnose.moves import named
 from diagnose.search_options import SearchOptions
@@ -37,6 +37,9 @@ IMITATED = {"signal", "coupling", "structure", "offset"}  # families of effects 
 SPREAD = (
     4.0  # ratio of an effect's logarithmic gains in two recordings of some 15 independent samples each (2 standard deviations)
 )
+LACKS = 4.0  # times the noise variance left by a closely led model, which no wrong order of events leaves
+SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
+LAW = 0.01  # part of what another law of an effect changed that the better law may still miss
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
@@ -54,7 +57,11 @@ class Judge:
     _encoder: dict[tuple[object, ...], bool] = field(default_factory=dict, init=False)
     _in_blocks: dict[tuple[object, ...], Comparison] = field(default_factory=dict, init=False)
     _leads: dict[tuple[object, ...], float] = field(default_factory=dict, init=False)
+    _led_fits: dict[tuple[object, ...], Fitted | None] = field(default_factory=dict, init=False)
     _samples: dict[tuple[object, ...], list[np.ndarray] | None] = field(default_factory=dict, init=False)
+    _least: dict[tuple[str, ...], float] = field(default_factory=dict, init=False)  # whatever has left the pool
+    _shaken: set[tuple[object, ...]] = field(default_factory=set, init=False)
+    _begun_beside: dict[tuple[object, ...], Fitted] = field(default_factory=dict, init=False)
 
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
@@ -103,12 +110,22 @@ class Judge:
         return self.held[f.key]
 
     def compared(self, before: Fitted, after: Fitted) -> Comparison:
-        """Two structures on held-out data; as far as the one that fits foretells them, where its free run goes astray."""
+        """Two structures on held-out data.
+
+        Where one alone fits the estimation data, and its free run goes astray: also on what that one foretells. It is right if
+        either bears it out, at twice the p-value, and wrong if both speak against it.
+        """
         self.fitter.map([partial(self.held_out, f) for f in (before, after)])
         samples, pair = self._foretold(before, after), (self.held_out(before), self.held_out(after))
-        if samples is not None:
-            pair = (self.fitter.validate(before, samples), self.fitter.validate(after, samples))
-        return compare(*pair, known=self.fitter.noise_known)
+        known = self.fitter.noise_known
+        on_all = compare(*pair, known=known)
+        if samples is None:
+            return on_all
+        both = (on_all, compare(self.fitter.validate(before, samples), self.fitter.validate(after, samples), known=known))
+        if after.chi2 / after.n > before.chi2 / before.n:
+            return max(both, key=lambda c: c.p_value)
+        better = min(both, key=lambda c: c.p_value)
+        return Comparison(better.relative_gain, min(1.0, 2.0 * better.p_value))
 
     def _foretold(self, *structures: Fitted) -> list[np.ndarray] | None:
         """The held-out samples that one structure foretells which alone fits the estimation data but not the held-out ones."""
@@ -131,12 +148,30 @@ class Judge:
         """
         if self.gain(before, after) + self.foretold(before, after) < self.options.entry:
             return False
+        if after.chi2 > before.chi2 - self.of_the_law(before) and set(before.key) < set(after.key):
+            return False
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
             return False
         if self._feedback_does(before, after) or self._of_few_periods(before, after):
             return False
-        return not self._encoder_errs(before, after) and not self._events_only(before, after)
+        if self._encoder_errs(before, after) or self._events_only(before, after):
+            return False
+        lower = self._beside(before, after)
+        return lower is before or self.pays(lower, after, attempt)
+
+    def of_the_law(self, f: Fitted) -> float:
+        """How much chi-square beside a structure may be the error of a law that it holds in place of the contract's own.
+
+        Where another law of an effect fits better, what that changed tells how much there is in a law. Neither is the machine's
+        own, and an effect that gains less than ``LAW`` of that beside it may be what the better one still misses.
+        """
+        spread = 0.0
+        for i, effect in enumerate(f.effects):
+            if form_of := type(effect).form_of:
+                others = [f"{form_of}@{effect.place}" if k == i else e.key for k, e in enumerate(f.effects)]
+                spread = max(spread, self._least.get(tuple(sorted(others)), f.chi2) - f.chi2)
+        return LAW * spread
 
     def _feedback_does(self, before: Fitted, after: Fitted) -> bool:
         """Whether what was added may be the controller's answer to disturbances, where the error is the model's own.
@@ -207,6 +242,43 @@ class Judge:
         poorer = self.pool.get(tuple(k for k in f.key if k != key))
         return poorer is not None and not self._pays_on(self.compared(poorer, f), 1) and self._pays_in_blocks(poorer, f, 1)
 
+    def keep(self, f: Fitted) -> None:
+        """Put a fit in the pool, unless a better one of its structure is there."""
+        old = self.pool.get(f.key)
+        if f.ok:
+            self._least[f.key] = min(f.chi2, self._least.get(f.key, math.inf))
+        if f.ok and (old is None or f.chi2 < old.chi2):
+            self.pool[f.key] = f
+            self.held.pop(f.key, None)
+
+    def shake(self, f: Fitted) -> Fitted:
+        """A structure in which bodies stick or strike at the lowest minimum about it, where it leaves little more than noise."""
+        if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
+            return f
+        asked = (f.key, f.chi2, self.fitter.guide, self.fitter.whitening.tobytes())
+        if asked not in self._shaken:
+            lower = self.fitter.shaken(f)
+            self._shaken |= {asked, (f.key, lower.chi2, *asked[2:])}
+            self.keep(lower)
+        known = self.pool.get(f.key, f)
+        return known if known.chi2 < f.chi2 else f
+
+    def _beside(self, before: Fitted, after: Fitted) -> Fitted:
+        """A structure in which bodies stick or strike, begun where a richer one has led; itself where that is no better.
+
+        Of its minima it may have missed the one to which the richer one has come by another way.
+        """
+        if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
+            return before
+        asked = (before.key, before.chi2, after.key, after.chi2)
+        if asked not in self._begun_beside:
+            effects = tuple(e for e in after.effects if e.key in before.key)
+            begun = self.fitter.fit(self.fitter.hypothesis(effects, after.linear, after.own), iterations=20)
+            self._begun_beside[asked] = min((self.shake(f) for f in (begun, before) if f.ok), key=lambda f: f.chi2)
+        lower = self._begun_beside[asked]
+        self.keep(lower)
+        return lower if lower.chi2 < before.chi2 - 1.0 else before
+
     def _events_only(self, before: Fitted, after: Fitted) -> bool:
         """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.
 
@@ -231,6 +303,34 @@ class Judge:
             else:
                 self._leads[asked] = self.gain(min(poorer, key=lambda f: f.chi2), richer)
         return self._leads[asked] < max(self.options.entry, FAIR * gain)
+
+    def _led(self, f: Fitted, rate: float) -> Fitted | None:
+        """A structure fitted to a model that is led at a rate [1/s], computed once; None where it cannot be led.
+
+        Led closely, what the motion was is nearly given, and the error is that of the torques: it has hardly any minima but one.
+        """
+        asked = (rate, f.key, f.chi2, self.fitter.guide, self.fitter.whitening.tobytes())
+        if asked not in self._led_fits:
+            self._led_fits[asked] = self.fitter.led(f, rate, 20)
+        return self._led_fits[asked]
+
+    def lacks_more(self, f: Fitted) -> bool:
+        """Whether a structure lacks something else than the moments at which bodies stick, or a turn of an oscillation."""
+        led = self._led(f, self._closely(f)) if self.fitter.noise_known else None
+        return led is not None and led.chi2 > LACKS * led.n
+
+    def _closely(self, *structures: Fitted) -> float:
+        """The rate [1/s] at which structures are led closely: that of the lightest driven body among them."""
+        nominal = self.fitter.nominal.chain.bodies[0].inertia
+        return CLOSELY * min(1.0, *(f.axis.chain.bodies[0].inertia / nominal for f in structures))
+
+    def beaten(self, f: Fitted, current: Fitted) -> bool:
+        """Whether a structure stays behind another one when both are led, so that it is behind by no wrong minimum alone."""
+        if not self.fitter.noise_known:
+            return False
+        rate = self._closely(f, current)
+        mine, best = self.fitter.map([partial(self._led, g, rate) for g in (f, current)])
+        return mine is not None and best is not None and self.gain(mine, best) > self.options.entry
 
     def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:
         """Whether an encoder that errs over its turn does as much as the one effect that was added.

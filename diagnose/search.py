@@ -16,10 +16,10 @@ from typing import TypeVar
 import numpy as np
 
 from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced, screen, span
-from diagnose.fitter import UNEXPLAINED, Fitted, key_of
+from diagnose.fitter import SAME, UNEXPLAINED, Fitted, key_of
 from diagnose.hypothesis import make
 from diagnose.judge import Judge
-from diagnose.least_squares import Status
+from diagnose.least_squares import Status, orthonormal
 from diagnose.moves import (
     Entrant,
     folded,
@@ -34,7 +34,7 @@ from diagnose.moves import (
     with_other_laws,
 )
 from diagnose.progress import Progress
-from diagnose.whiten import guide_of
+from diagnose.whiten import guide_of, whitening_filter
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["ALIKE_C", "Search"]
@@ -47,9 +47,12 @@ LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
 STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
 BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
-SAME = (
-    0.002  # difference in the logarithm of chi-square of one minimum: a model let go that comes back to it has no better one near
-)
+INEXACT = 0.15  # of what is left without an effect: an inexact law of it leaves no more
+CREEPS = 2  # effects in a row that explain little of much, after which the library holds nothing that is missing
+BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
+# leaves more than noise, as little but with a colour, and noise alone
+HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
+COLOURED = 0.01  # of its variance, by which a residual foretells itself
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 
@@ -111,13 +114,7 @@ class Search(Judge):
 
     def know(self, f: Fitted) -> None:
         """Fit a structure that was found by other weights, from there: it is a rival whatever the screen says."""
-        self._keep(self.fitter.fit(self.fitter.hypothesis(f.effects, f.linear, f.own)))
-
-    def _keep(self, f: Fitted) -> None:
-        old = self.pool.get(f.key)
-        if f.ok and (old is None or f.chi2 < old.chi2):
-            self.pool[f.key] = f
-            self.held.pop(f.key, None)
+        self.keep(self.fitter.fit(self.fitter.hypothesis(f.effects, f.linear, f.own)))
 
     def expand(self, base: Fitted) -> list[Fitted]:
         """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
@@ -132,9 +129,8 @@ class Search(Judge):
         ranked = screen(self.fitter, base, free)
         self.screened[base.key] = ranked
         self.tested += len(ranked)
-        floor = 0.4 * self.options.entry
-        # a structure that leaves less than the noise explains a part of that: its level is not known any more
-        visible = abs(base.chi2 / base.n - 1.0) > 0.05 or not self.fitter.noise_known
+        floor = self._floor(base)
+        visible = self._visible(base)
         tried = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
         # a response that is not linear in its amplitude: fitted whatever the secant says, while there is something to explain, or
         # (a structure) a filter that may have taken it in
@@ -143,7 +139,28 @@ class Search(Judge):
         # nor is that of another law in the place of one that the nominal axis has
         folds = [s for s in ranked if visible and effect_class(s.candidate.id).multistart > 1 and s not in tried]
         tried += [s for s in folds if replaced(base, s.candidate) is not None]
-        return self._race(base, [(base.effects, s) for s in tried])
+        return self._race(base, [(base.effects, s) for s in tried], floor)
+
+    def _floor(self, base: Fitted) -> float:
+        """The gain in C that an effect must promise beside a structure: more where that much may be the error of a law in it."""
+        law = min(self.of_the_law(base), 0.5 * base.chi2)
+        return max(0.4 * self.options.entry, -base.n * self.effective * math.log(1.0 - law / base.chi2))
+
+    def _visible(self, base: Fitted) -> bool:
+        """Whether a structure leaves more than noise, or it cannot be known.
+
+        One that leaves less explains a part of what passed for noise (steps of a sensor), so that its level is not known any
+        more: then what it leaves must have a colour.
+        """
+        if not self.fitter.noise_known or base.chi2 > 1.05 * base.n:
+            return True
+        return base.chi2 < 0.95 * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
+
+    def _leaves_noise(self, f: Fitted) -> bool:
+        """Whether what a structure leaves is as large as noise and, unless it is whitened, as white: no rival leaves less."""
+        if not self.fitter.noise_known or self.fitter.misfit(f) > UNEXPLAINED:
+            return False
+        return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=COLOURED) is None
 
     def refine(self, base: Fitted, *, forms: bool = False) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` is replaced by one that refines it.
@@ -154,10 +171,12 @@ class Search(Judge):
         material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
+            bare = self.pool.get(key_of(others))
+            in_law = forms or bare is None or base.chi2 < INEXACT * bare.chi2
             supposed = [
                 c for c in self.candidates
                 if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
-                and (material or not effect_class(c.id).form_of)
+                and ((material and in_law) or not effect_class(c.id).form_of)
                 and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
                 and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
             ]  # fmt: skip
@@ -205,8 +224,21 @@ class Search(Judge):
         self.retried.add(mark)
         return True
 
-    def _race(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Fitted]:
-        """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win."""
+    def _promising(self, base: Fitted, f: Fitted, floor: float) -> bool:
+        """Whether a rival may come to gain ``floor`` in C, where its base leaves little: by what its sensitivities foretell.
+
+        A linear model of its response knows what it can take up of what it leaves; it is trusted with ``HOPE`` times that.
+        """
+        if not self.fitter.noise_known or base.chi2 > 1.5 * base.n or not f.fit.J.any():
+            return True
+        left = f.chi2 - HOPE * (f.chi2 - left_over(f.fit.residual, orthonormal(f.fit.J)))
+        return left <= 0.0 or self.gain(base, f) + f.n * math.log(f.chi2 / left) > floor
+
+    def _race(self, base: Fitted, entrants: Sequence[Entrant], floor: float = -ALIKE_C) -> list[Fitted]:
+        """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win.
+
+        ``floor``: the gain of C over the base without which a rival is of no account.
+        """
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
         self.progress.rivals(len(entrants))
@@ -229,6 +261,8 @@ class Search(Judge):
                 rank for rank, f in enumerate(running[:keep])
                 if f.fit.status is Status.BUDGET and (rank == 0 or math.log(f.chi2 / best) < behind)
             ]  # fmt: skip
+            hopes = self.fitter.map([partial(self._promising, base, running[k], floor) for k in on])
+            on = [k for k, hope in zip(on, hopes, strict=True) if hope]
             if not on or self._spent():
                 continue
             self.progress.rivals(len(on))
@@ -239,7 +273,7 @@ class Search(Judge):
                 running[rank] = f
         running[:1] = [self._smoothed(f) for f in running[:1]]
         for f in running:
-            self._keep(f)
+            self.keep(f)
         return running
 
     def _smoothed(self, f: Fitted) -> Fitted:
@@ -332,7 +366,7 @@ class Search(Judge):
         beam = [current]
         expanded: set[tuple[str, ...]] = set()
         stuck: set[tuple[str, ...]] = set()
-        helped = False
+        helped, creeps = False, 0
         for turn in range(2 * self.options.depth):
             self.progress.stage("search", f"round {turn + 1}")
             self.progress.begin_round(int(len(current.effects) + 1 < self.options.depth))
@@ -343,6 +377,8 @@ class Search(Judge):
                 grown = self.expand(state)
                 if self._spent() or (state.key == current.key and not grown):
                     break  # nothing can be added to the best structure: its rivals are not built on either
+                if grown and self._leaves_noise(min(grown, key=lambda f: f.chi2)):
+                    break  # nor where something that was added leaves noise alone
             best = self._best(current)
             if best.key != current.key and self._settled(best):
                 return self._alone(best)
@@ -355,6 +391,7 @@ class Search(Judge):
             if best.key != current.key:
                 best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
             self._unfold([best])
+            self.shake(self.pool.get(best.key, best))
             best = self._best(self.pool.get(current.key, current))
             self.progress.end_round()
             if best.key == current.key and best.chi2 < 0.9 * current.chi2:
@@ -376,7 +413,8 @@ class Search(Judge):
                     current = self._guided(current, UNEXPLAINED)
                 if guided or self.fitter.guide == 1.0:
                     creased = sorted((f for f in self.pool.values() if folded(f)), key=self.criterion)[: self.options.beam]
-                    self._unfold(creased)
+                    creased = [] if self._leaves_noise(current) else [f for f in creased if not self._smooths(current, f)]
+                    self._unfold(creased, current)
                     if self._best(current).key != current.key:
                         continue
                     if self._spent() or not guided:
@@ -386,6 +424,7 @@ class Search(Judge):
                 expanded.clear()
                 stuck.clear()
                 continue
+            creeps = creeps + 1 if self._creeps(current, best) else 0
             # half of the budget is left for what goes beside an effect that was dear to find
             self._runs = max(self._runs, self.fitter.runs - self.options.runs // 2)
             current = self._guided(best)
@@ -396,8 +435,12 @@ class Search(Judge):
             self._tell(current)
             if self._settled(current):
                 return self._alone(current)
+            if creeps == CREEPS:
+                break
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
-            near = [f for f in rivals if f.key != current.key and f.chi2 < 3.0 * current.chi2 and not formed(f)]
+            # beside a structure that leaves noise alone only one that leaves hardly more can be the ground of a better one
+            within = BEHIND[self._leaves_noise(current) + (self.fitter.noise_known and self.fitter.misfit(current) < UNEXPLAINED)]
+            near = [f for f in rivals if f.key != current.key and f.chi2 < within * current.chi2 and not formed(f)]
             beam = [current, *near[: self.options.beam - 1]]
             if self.fitter.noise_known:
                 beam = list({f.key: f for f in (ground(b, self.pool) for b in beam)}.values())
@@ -410,6 +453,12 @@ class Search(Judge):
             self.refine(kept)
             current = self._best(kept)
         return self._eliminate(current)
+
+    def _creeps(self, poorer: Fitted, richer: Fitted) -> bool:
+        """Whether an effect has entered that explains little of so much that it is no part of what is missing."""
+        if not self.fitter.noise_known or self.fitter.misfit(richer) < MISFIT:
+            return False
+        return math.log(self.fitter.misfit(poorer) / self.fitter.misfit(richer)) < RIVAL
 
     def _against_other_laws(self, current: Fitted) -> Fitted:
         """The best structure once those near it were tried by other laws: one may have come second by its law alone."""
@@ -473,9 +522,9 @@ class Search(Judge):
             fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
             lengths.append(math.inf)
         elif self._unguided is not None:
-            self._keep(self._unguided)
+            self.keep(self._unguided)
         for f in self.fitter.map(fits, lengths):
-            self._keep(self._smoothed(f) if f.key == current.key else f)
+            self.keep(self._smoothed(f) if f.key == current.key else f)
         return self.pool.get(current.key, current)
 
     def _weighed(self, f: Fitted, *, last: bool) -> Fitted:
@@ -488,12 +537,19 @@ class Search(Judge):
         fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
         return fit.to_go_on()
 
-    def _unfold(self, structures: Sequence[Fitted]) -> None:
-        """Structures once more over stretches of growing length, where they leave more than noise and their error is folded."""
+    def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None) -> None:
+        """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.
+
+        Not those that a led model shows to lack something else, nor those that stay behind the one ``beside`` when both are led.
+        """
         for f in structures:
             if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or not folded(f):
                 continue
             self.unfolded.add(f.key)
+            if not self._late() and self.shake(f).chi2 < UNEXPLAINED * f.n:
+                continue
+            if self.lacks_more(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
+                continue
             spent = self.fitter.runs
             for linear in (f.linear, None):
                 for _ in range(UNFOLDS):
@@ -501,7 +557,7 @@ class Search(Judge):
                     if self._late() or last.chi2 < UNEXPLAINED * last.n:
                         break
                     now = self.fitter.unfolded(last, linear)
-                    self._keep(now)
+                    self.keep(now)
                     if not now.ok or now.chi2 > 0.9 * last.chi2:
                         break
                     linear = now.linear
@@ -513,10 +569,17 @@ class Search(Judge):
                 if free is None:
                     break
                 self._let_go += 1
-                self._keep(free)
+                self.keep(free)
                 if abs(math.log(free.chi2 / last.chi2)) < SAME:
                     break
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
+
+    def _smooths(self, current: Fitted, f: Fitted) -> bool:
+        """Whether a structure adds to one that was unfolded what has no folds of its own, and explains little of what is left."""
+        added = [type(e) for e in f.effects if e.key not in current.key]
+        smooth = not any(cls.multistart > 1 or cls.rough for cls in added)
+        known = current.key in self.unfolded and set(current.key) < set(f.key)
+        return known and smooth and math.log(current.chi2 / f.chi2) < RIVAL
 
     def _larger(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data: where to go on from when none pays."""
@@ -528,6 +591,7 @@ class Search(Judge):
         """The structure with the best criterion among those that pay against the current one."""
         attempt = 0
         for f in sorted(self.pool.values(), key=self.criterion):
+            current = self.pool.get(current.key, current)
             larger = len(f.effects) > len(current.effects) or refines(f, current)
             if self.worth_of is not None:  # held-out data judge every number that is added
                 larger |= len(f.hypothesis.entries) > len(current.hypothesis.entries)
@@ -541,9 +605,10 @@ class Search(Judge):
 
     def polish(self, fitted: Fitted) -> Fitted:
         """The same structure fitted on to a tight tolerance."""
+        fitted = self.shake(fitted)
         better = self.fitter.fit(fitted.hypothesis, fitted.fit.x, iterations=40, tolerance=1e-8)
         if better.ok and better.chi2 <= fitted.chi2:
-            self._keep(better)
+            self.keep(better)
             return better
         return fitted
 
@@ -564,9 +629,9 @@ class Search(Judge):
             if r is None or float(r @ r) > 2.0 * known.chi2:  # else it may be a wrong minimum, which the effect has left
                 return known
         begun = self.fitter.fit(h, iterations=30, rival=True)
-        self._keep(begun)
+        self.keep(begun)
         if known is not None and known.fit.status is not Status.CONVERGED:
-            self._keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30, rival=True))
+            self.keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30, rival=True))
         return self.pool.get(key_of(rest), begun)
 
     def imitated(self, best: Fitted, effect: Effect) -> None:
@@ -581,7 +646,7 @@ class Search(Judge):
                     partial(self.fitter.fit, self.fitter.hypothesis((*others, s.effect), best.linear, best.own), rival=True)
                 )
         for f in self.fitter.map(fits):
-            self._keep(f)
+            self.keep(f)
 
     def _eliminate(self, current: Fitted) -> Fitted:
         """Drop every effect that does not pay; try simpler forms of each."""
@@ -609,9 +674,10 @@ class Search(Judge):
             values.update({k: v for k, v in effect.values.items() if k in values})
             h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
             simple = self.fitter.fit(h, iterations=30, rival=True)
-            self._keep(simple)
-            if simple.ok:
-                self._unfold([simple])  # a rival that has stalled is not beaten
+            self.keep(simple)
+            bare = self.pool.get(key_of(rest))
+            if simple.ok and (bare is None or simple.chi2 < bare.chi2):  # else it has come to nothing from there
+                self._unfold([simple], current)  # a rival that has stalled is not beaten
             return self.pool.get(simple.key, simple)
 
         return [

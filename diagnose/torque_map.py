@@ -20,6 +20,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -300,7 +301,7 @@ def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
         problem = _Problem(best.fit.residual, np.zeros(D.shape[1]), best.fit.J, D, _roughness(shape), fold)
         return _Candidate(best, shape, _solve(problem, best.chi2))
 
-    found = [c for c in map(judged, _shapes(known)) if c is not None]
+    found = [c for c in fitter.map([partial(judged, shape) for shape in _shapes(known)]) if c is not None]
     found.sort(key=lambda c: c.solution.cost)
     found = [c for c in found if c.solution.cost < 1 - MATERIAL]
     single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)

@@ -16,7 +16,9 @@ from simgap.benchmark.power import PowerCurve, power_curve, power_curves, shares
 from simgap.benchmark.score import NULLS, CaseScore, Outcome, ParameterScore, score_case
 from simgap.benchmark.score_arms import Arm, score_arms
 
-__all__ = ["summarise"]
+__all__ = ["SLOW", "summarise"]
+
+SLOW = 30.0  # seconds that a diagnosis of 10 s at 2 kHz may take on two cores
 
 
 def _rate(hits: Sequence[bool]) -> dict[str, Any]:
@@ -185,7 +187,8 @@ def summarise(truths: Mapping[str, Mapping[str, Any]], results: Mapping[str, Map
         "rivals": None,
         "arms_missing": [],
         "seconds": {"median": _median([c.seconds for c in cases]), "worst": max((c.seconds for c in cases), default=0.0),
-                    "sum": float(np.nansum([c.seconds for c in cases])) if cases else 0.0},
+                    "sum": float(np.nansum([c.seconds for c in cases])) if cases else 0.0,
+                    "slow": sum(c.seconds > SLOW for c in cases)},
         "errors": {c.name: c.error for c in cases if c.error},
         "cases": [c.as_dict() for c in cases],
     }  # fmt: skip

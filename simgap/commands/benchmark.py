@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["command", "diagnose_all", "diagnose_case", "run_arm", "run_arms", "seal"]
 
 
-Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, seconds) -> diagnosis.json
+Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, seconds, threads) -> diagnosis.json
 
 
 @click.command("benchmark", epilog="Example: simgap benchmark --out out/benchmark --grade quick --jobs 2")
@@ -23,6 +23,13 @@ Work = Callable[[Path, str, float], dict[str, Any]]  # (recordings, case, second
 @click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="25 or some 660 cases.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws every case.")
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes side by side (default: two, or one on one core).")
+@click.option(
+    "--threads",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 256),
+    help="Threads of one diagnosis; they change no answer.",
+)
 @click.option("--levels", help="Only these, LEVEL or LEVEL:COUNT with commas, e.g. plain:4,nothing:2.")
 @click.option(
     "--budget",
@@ -62,6 +69,7 @@ def command(
     grade: str,
     seed: int,
     jobs: int | None,
+    threads: int,
     levels: str | None,
     budget: float | None,
     first: int | None,
@@ -98,7 +106,7 @@ def command(
     click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
     seconds = BUDGETS[grade] if budget is None else budget or math.inf
     processes = jobs or min(2, os.cpu_count() or 1)
-    results = diagnose_all(out, processes, seconds, first=first, skip=skip)
+    results = diagnose_all(out, processes, seconds, first=first, skip=skip, threads=threads)
     opened = open_envelope(out / "recordings", out / "envelope" / "truth.json")
     truths = {name: opened[name] for name in results}
     versions: dict[str, str] = next((r["versions"] for r in results.values() if "versions" in r), {})
@@ -191,7 +199,7 @@ def stamp(*, arms: bool = False) -> str:
     return digest.hexdigest()
 
 
-def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) -> dict[str, Any]:
+def diagnose_case(recordings: Path, name: str, seconds: float = float("inf"), threads: int = 1) -> dict[str, Any]:
     """Diagnose one case from its two CSV files and the shipped nominal model; a failure is a result with ``error``."""
     from diagnose.flow import Options, diagnose
     from mjsim.mjcf import load_axis
@@ -201,7 +209,7 @@ def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) ->
     model = shipped_model("robot_axis1")
     try:
         estimation, held_out = (load(recordings / f"{name}_{part}.csv", model=model) for part in ("estimation", "held_out"))
-        result = diagnose(load_axis(model), [estimation], [held_out], Options(jobs=1, seconds=seconds)).as_dict()
+        result = diagnose(load_axis(model), [estimation], [held_out], Options(jobs=threads, seconds=seconds)).as_dict()
     except Exception as error:  # one case that breaks must not end the run; it is counted as wrong and listed
         return {"error": f"{type(error).__name__}: {error}"}
     return {**result, "rows": len(estimation)}
@@ -209,7 +217,7 @@ def diagnose_case(recordings: Path, name: str, seconds: float = float("inf")) ->
 
 def diagnose_all(
     out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case, first: int | None = None,
-    skip: int = 0,
+    skip: int = 0, threads: int = 1,
 ) -> dict[str, dict]:  # fmt: skip
     """Results of all cases, or the ``first`` so many after the ``skip`` first ones, by name.
 
@@ -220,7 +228,7 @@ def diagnose_all(
     recordings = out / "recordings"
     sealed = sealed_hashes(recordings)
     shelf = Shelf(out / "diagnoses", f"{stamp()} {seconds:g} s", sealed)
-    return shelf.results([Job(n, work, (recordings, n, seconds)) for n in list(sealed)[skip:][:first]], jobs)
+    return shelf.results([Job(n, work, (recordings, n, seconds, threads)) for n in list(sealed)[skip:][:first]], jobs)
 
 
 def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, Any]) -> dict[str, Any]:
@@ -276,6 +284,7 @@ def _show(summary: dict[str, Any], out: Path) -> None:
     from rich.table import Table
 
     from diagnose.report.figures import percent
+    from simgap.benchmark.score_table import SLOW
 
     console = Console()
     table = Table("bar", "asked", "figure", "95 % interval", "of", "")
@@ -301,4 +310,9 @@ def _show(summary: dict[str, Any], out: Path) -> None:
         console.print(table)
     for name, text in summary["errors"].items():
         console.print(f"case {name} could not be diagnosed: {text}", highlight=False)
-    console.print(f"Page: {out / 'benchmark.html'}   ({summary['seconds']['median'] or 0:.0f} s a case)", highlight=False)
+    took = summary["seconds"]
+    console.print(
+        f"Page: {out / 'benchmark.html'}   (a diagnosis took {took['median'] or 0:.0f} s in the median, {took['worst']:.0f} s at "
+        f"most, and more than {SLOW:.0f} s in {took['slow']} of {summary['n']} cases; as many at once as --jobs says)",
+        highlight=False,
+    )

@@ -38,7 +38,7 @@ def test_sealing_again_finds_the_same_envelope_and_refuses_another_plan(sealed: 
 def test_what_is_done_is_kept(sealed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def work(recordings: Path, name: str, seconds: float) -> dict:
+    def work(recordings: Path, name: str, seconds: float, threads: int) -> dict:
         assert sorted(p.name for p in recordings.iterdir() if name in p.name) == [
             f"{name}_estimation.csv",
             f"{name}_held_out.csv",

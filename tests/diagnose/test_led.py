@@ -140,3 +140,60 @@ def test_a_structure_whose_fit_was_lost_is_no_obstacle(fitter):
     assert lost.chi2 > 1.04 * lost.n
     search._unfold([lost])
     assert search.pool.get(lost.key) is None
+
+
+def test_points_about_a_fit_lead_to_lower_minima(fitter):
+    """Of the many narrow minima of a free run that sticks, to one that no gradient led to; the same each time."""
+    start = effect_class("static_friction")(torque_Nm=0.0503, peak=4.55)
+    plain = fitter.fit(fitter.hypothesis((start,)), iterations=25)
+    lower = fitter.shaken(plain)
+    assert plain.rough
+    assert lower.chi2 < plain.chi2 - 25.0
+    assert fitter.shaken(plain).chi2 == lower.chi2
+
+
+def test_an_effect_beside_stiction_has_to_beat_it_where_the_richer_structure_has_led(fitter):
+    """A ripple that is not there has led stiction to a better order of events: without it that is as good."""
+    search = Search(fitter, SearchOptions())
+    wrong = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.0503, peak=4.55),)), iterations=2)
+    ripple = effect_class("torque_ripple")(amplitude_Nm=1e-5, cycles_per_rev=5.4, phase_rad=0.0)
+    richer = fitter.fit(fitter.hypothesis((effect_class("static_friction")(**STICTION), ripple)), iterations=15)
+    search.keep(wrong)
+    assert search.gain(wrong, richer) > search.options.entry
+    assert not search.pays(wrong, richer)
+    lower = search._beside(wrong, richer)
+    assert lower.key == wrong.key
+    assert lower.chi2 < richer.chi2 + search.options.entry
+    assert search.pool[wrong.key] is lower
+
+
+def test_what_stays_behind_when_both_are_led_is_not_unfolded(fitter, monkeypatch):
+    """Coulomb friction in place of stiction leaves more at any order of events."""
+    search = Search(fitter, SearchOptions())
+    right = fitter.fit(fitter.hypothesis((effect_class("static_friction")(**STICTION),)), iterations=10)
+    coulomb = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=10)
+    lost = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.054, peak=4.2),)), iterations=10)
+    assert search.beaten(coulomb, right)
+    assert not search.beaten(right, coulomb)
+    assert lost.chi2 > 1.04 * lost.n
+    assert not search.beaten(lost, right), "it is behind by the moments at which it sticks, and no more"
+    assert not search.lacks_more(lost)
+    monkeypatch.setattr("diagnose.search.folded", lambda f: True)
+    monkeypatch.setattr(fitter, "unfolded", lambda *_: pytest.fail("unfolded all the same"))
+    search._unfold([coulomb], right)
+
+
+def test_stiction_beside_which_something_large_is_missing_is_not_let_go(robot, sticking):
+    plant, _ = sticking
+    pulled = plant + effect_class("gravity_load")(place="arm", torque_Nm=60.0, phase_rad=1.0)
+    torque = chirp(N * DT, DT, 0.6, 0.5, 25.0)
+    run = simulate(pulled, torque, DT)
+    speed = run.velocity + NOISE * np.random.default_rng(5).standard_normal(N)
+    experiment = prepare(Recording(run.time, torque, speed, run.angle, DT))
+    other = Fitter(robot, MotionView(), (experiment,), (experiment,), 1)
+    try:
+        search = Search(other, SearchOptions())
+        alone = other.fit(other.hypothesis((effect_class("static_friction")(**STICTION),)), iterations=10)
+        assert search.lacks_more(alone)
+    finally:
+        other.close()

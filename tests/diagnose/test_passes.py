@@ -44,7 +44,7 @@ def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase
     wrong = {"torque_Nm": 0.15, "relative_amplitude": 0.1, "cycles_per_rev": 3.3, "phase_rad": 0.5}
     stuck = fitter.fit(fitter.hypothesis((effect("position_dependent_friction", place="motor", **wrong),)))
     assert stuck.chi2 > 2 * stuck.n, "else there is nothing to show"
-    search._keep(stuck)
+    search.keep(stuck)
     search.refine(stuck)
     found = search.pool[stuck.key]
     assert found.chi2 < 1.05 * found.n
