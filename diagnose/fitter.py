@@ -571,7 +571,7 @@ class Fitter:
         now, least, idle = fitted, math.inf, 0
         for k, rate in enumerate(LEADS):
             best: Fitted | None = None
-            for draw in range(DRAWS):
+            for draw in range(DRAWS if k else 1):
                 spread = 16 if k or seed or draw else 0
                 at = len(LEADS) * (DRAWS * seed + draw) + k
                 found = self.led(now if best is None else best, rate, 6 if k else 20, spread=spread, keep=3, seed=at)

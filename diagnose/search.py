@@ -42,6 +42,7 @@ T = TypeVar("T")
 
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
+LITTLE = 0.02  # the same of an effect that explains next to nothing
 WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
 LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
@@ -575,11 +576,13 @@ class Search(Judge):
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 
     def _smooths(self, current: Fitted, f: Fitted) -> bool:
-        """Whether a structure adds to one that was unfolded what has no folds of its own, and explains little of what is left."""
+        """Whether a structure adds to one that was unfolded what explains little of what is left, or next to nothing.
+
+        Little is enough where what is added has no folds of its own.
+        """
         added = [type(e) for e in f.effects if e.key not in current.key]
-        smooth = not any(cls.multistart > 1 or cls.rough for cls in added)
-        known = current.key in self.unfolded and set(current.key) < set(f.key)
-        return known and smooth and math.log(current.chi2 / f.chi2) < RIVAL
+        least = LITTLE if any(cls.multistart > 1 or cls.rough for cls in added) else RIVAL
+        return current.key in self.unfolded and set(current.key) < set(f.key) and math.log(current.chi2 / f.chi2) < least
 
     def _larger(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data: where to go on from when none pays."""
@@ -676,7 +679,8 @@ class Search(Judge):
             simple = self.fitter.fit(h, iterations=30, rival=True)
             self.keep(simple)
             bare = self.pool.get(key_of(rest))
-            if simple.ok and (bare is None or simple.chi2 < bare.chi2):  # else it has come to nothing from there
+            behind = simple.ok and math.log(simple.chi2 / current.chi2) > SAME
+            if behind and (bare is None or simple.chi2 < bare.chi2):  # else it has come to nothing from there
                 self._unfold([simple], current)  # a rival that has stalled is not beaten
             return self.pool.get(simple.key, simple)
 
