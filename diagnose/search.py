@@ -457,9 +457,9 @@ class Search(Judge):
 
     def _creeps(self, poorer: Fitted, richer: Fitted) -> bool:
         """Whether an effect has entered that explains little of so much that it is no part of what is missing."""
-        if not self.fitter.noise_known or self.fitter.misfit(richer) < MISFIT:
-            return False
-        return math.log(self.fitter.misfit(poorer) / self.fitter.misfit(richer)) < RIVAL
+        # without what the prior costs, which may have weighed otherwise when the poorer one was fitted
+        before, after = (float(np.sum(f.fit.residual[: f.n] ** 2)) / f.n for f in (poorer, richer))
+        return self.fitter.noise_known and after > MISFIT and before < after * math.exp(RIVAL)
 
     def _against_other_laws(self, current: Fitted) -> Fitted:
         """The best structure once those near it were tried by other laws: one may have come second by its law alone."""

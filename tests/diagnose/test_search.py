@@ -405,6 +405,18 @@ def test_a_rival_without_hope_is_not_fitted_on(fitter_of, pair):
     assert search._promising(idle, dataclasses.replace(right, fit=right.fit), -10.0), "as good, and simpler"
 
 
+def test_an_effect_that_explains_little_of_much_creeps_whatever_the_prior_weighs(fitter_of, pair):
+    """A case ended with an error: what the prior cost under a new weight was more than all that the older fit had left."""
+    fitter = fitter_of(pair(coulomb(0.3)))
+    search = Search(fitter, SearchOptions())
+    base = search.nominal()
+    trifle = fitter.fit(fitter.hypothesis([effect("quadratic_friction", coefficient_Nm_s2_rad2=1e-9)], base.linear), iterations=0)
+    right = fitter.fit(fitter.hypothesis([coulomb(0.3)]))
+    for fitter.guide in (1.0, 1e9):
+        assert search._creeps(base, trifle)
+        assert not search._creeps(base, right), "it leaves noise"
+
+
 def test_a_structure_that_leaves_less_than_noise_leaves_something_if_that_has_a_colour(fitter_of, pair):
     fitter = fitter_of(pair(coulomb()))
     search = Search(fitter, SearchOptions())
