@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.locate import played
 from diagnose.whiten import levinson
 from mjsim.signals import lfilter

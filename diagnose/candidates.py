@@ -9,7 +9,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, orthonormal
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered

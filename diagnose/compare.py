@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.fitter import HeldOut
+from diagnose.fitted import HeldOut
 
 __all__ = ["Comparison", "compare"]
 

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnose.experiment import Experiment, measured_angle
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.result import Estimate, Finding
 from diagnose.search import ALIKE_C, Search
 from mjsim.axis import Axis

@@ -11,7 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.least_squares import orthonormal
 from mjsim.effects import Effect
 from mjsim.quantity import Motion

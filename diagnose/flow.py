@@ -23,7 +23,8 @@ from diagnose.decide import (
 )
 from diagnose.encoder import fit_beside_encoder
 from diagnose.experiment import Experiment, held_rows, hold_out_blocks, prepare, without_derived_velocity
-from diagnose.fitter import UNEXPLAINED, Fitted, Fitter, HeldOut
+from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut
+from diagnose.fitter import Fitter
 from diagnose.least_squares import Fit
 from diagnose.locate import locate
 from diagnose.memory import Memory

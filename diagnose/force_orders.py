@@ -17,7 +17,8 @@ import dataclasses
 import numpy as np
 
 from diagnose.experiment import measured_velocity
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.view import ForceView
 from diagnose.whiten import levinson
 

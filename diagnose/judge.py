@@ -19,7 +19,8 @@ import numpy as np
 from diagnose.candidates import Candidate
 from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
-from diagnose.fitter import CLOSELY, UNEXPLAINED, Fitted, Fitter, HeldOut
+from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut
+from diagnose.fitter import CLOSELY, Fitter
 from diagnose.force_orders import FEW
 from diagnose.moves import named
 from diagnose.search_options import SearchOptions

@@ -16,7 +16,8 @@ from functools import partial
 import numpy as np
 
 from diagnose.experiment import Experiment, measured_velocity
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.orders import torque_to_velocity
 from diagnose.result import Mismatch, Place, Share, StateShare
 from mjsim.axis import Axis

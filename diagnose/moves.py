@@ -9,7 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from diagnose.candidates import QUARTERS, Candidate, Screened, conflicts, inherit, screen
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, Linearised, Status, orthonormal
 from mjsim.effects import Effect, effect_class

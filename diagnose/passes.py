@@ -15,7 +15,8 @@ import numpy as np
 from diagnose.candidates import candidates
 from diagnose.decide import excluded_by_angle
 from diagnose.experiment import measured_angle, measured_velocity
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.force_orders import force_orders
 from diagnose.options import Options
 from diagnose.orders import find_orders, torque_to_velocity

@@ -16,7 +16,8 @@ from typing import TypeVar
 import numpy as np
 
 from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced, screen, span
-from diagnose.fitter import SAME, UNEXPLAINED, Fitted, key_of
+from diagnose.fitted import UNEXPLAINED, Fitted, key_of
+from diagnose.fitter import SAME
 from diagnose.hypothesis import make
 from diagnose.judge import Judge
 from diagnose.least_squares import Status, orthonormal
@@ -48,7 +49,7 @@ LET_GO = 3  # times at most that a led model is let go in a search
 UNFOLDS = 3  # times in a row, while it gains
 STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
 BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
-INEXACT = 0.15  # of what is left without an effect: an inexact law of it leaves no more
+INEXACT = 0.5  # of what is left without an effect: an inexact law of it leaves no more
 CREEPS = 2  # effects in a row that explain little of much, after which the library holds nothing that is missing
 BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
 # leaves more than noise, as little but with a colour, and noise alone

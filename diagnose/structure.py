@@ -16,7 +16,8 @@ import numpy as np
 
 from diagnose.encoder import whole_orders
 from diagnose.experiment import Experiment, measured_velocity
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.least_squares import bounded
 from diagnose.orders import torque_to_velocity
 from mjsim.axis import Axis

@@ -26,7 +26,8 @@ import numpy as np
 
 from diagnose.compare import compare
 from diagnose.experiment import Experiment, measured_velocity
-from diagnose.fitter import Fitted, Fitter, HeldOut
+from diagnose.fitted import Fitted, HeldOut
+from diagnose.fitter import Fitter
 from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, orthonormal
 from diagnose.orders import torque_to_velocity

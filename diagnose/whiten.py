@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.fitter import PRIOR, Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import PRIOR, Fitter
 
 __all__ = [
     "alike", "effective_share", "guide_of", "innovation", "lags_of", "levinson", "offset_share", "settle", "whitening_filter",

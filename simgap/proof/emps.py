@@ -15,7 +15,8 @@ import numpy as np
 
 from diagnose.compare import compare
 from diagnose.experiment import prepare
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.flow import Options, choose_view, diagnose
 from diagnose.force_orders import line_energy
 from diagnose.hypothesis import make

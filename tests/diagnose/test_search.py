@@ -13,7 +13,8 @@ from scipy.stats import wilcoxon
 
 from diagnose.compare import compare, signed_rank
 from diagnose.experiment import prepare
-from diagnose.fitter import FAR, PRIOR, Fitter, HeldOut
+from diagnose.fitted import HeldOut
+from diagnose.fitter import FAR, PRIOR, Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
 from diagnose.moves import ground, named, promising, with_other_laws

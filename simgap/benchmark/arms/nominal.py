@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.experiment import prepare
-from diagnose.fitter import Fitted, Fitter
+from diagnose.fitted import Fitted
+from diagnose.fitter import Fitter
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.view import MotionView
 from mjsim.errors import InputError

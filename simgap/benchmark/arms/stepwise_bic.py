@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from diagnose.candidates import candidates
-from diagnose.fitter import Fitted
+from diagnose.fitted import Fitted
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 from simgap.benchmark.arms.base import Answer, Arm, Task
