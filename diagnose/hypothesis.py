@@ -48,8 +48,9 @@ class Entry:
         return math.log(max(value, 1e-300) / self.scale) if self.log else value / self.scale
 
     def si(self, x: float) -> float:
-        """Vector -> SI value."""
-        return self.scale * math.exp(min(x, 600.0)) if self.log else x * self.scale
+        """Vector -> SI value; a bound is met exactly, which the last digit of a logarithm would pass."""
+        value = self.scale * math.exp(min(x, 600.0)) if self.log else x * self.scale
+        return next((b for b in (self.lower, self.upper) if math.isclose(value, b, rel_tol=1e-12)), value)
 
     def slope(self, x: float) -> float:
         """d(SI value) / d(vector)."""

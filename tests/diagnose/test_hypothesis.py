@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diagnose.experiment import prepare
-from diagnose.hypothesis import Hypothesis, make
+from diagnose.hypothesis import Entry, Hypothesis, make
 from diagnose.scales import PLACES, scales_by_place
 from mjsim.effects import NotApplicableError, registered
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
+from mjsim.quantity import Quantity
 
 AXIS = load_axis(shipped_model("robot_axis1"))
 CHOICES = [(n, p) for n, c in registered().items() for p in c.places]
@@ -108,3 +109,12 @@ def test_what_is_over_at_the_start_of_a_recording_is_no_drift(scales):
     h = Hypothesis.build(AXIS, (drift,), scales, 1, (False,))
     entry = next(e for e in h.entries if e.name == "time_constant_s")
     assert entry.lower == entry.start == pytest.approx(0.02 * scales["motor"].duration)
+
+
+def test_a_number_at_its_bound_is_within_it():
+    """A sharpness of 30 came back as 30.000000000000004, which the law refuses: a case ended with an error."""
+    for scale in np.geomspace(0.3, 70.0, 400):
+        entry = Entry("", "sharpness", Quantity.RATIO, float(scale), 1.0, 30.0, 5.0, log=True)
+        assert entry.si(entry.scaled(30.0)) == 30.0
+        assert entry.si(entry.scaled(1.0)) == 1.0
+        assert entry.si(entry.scaled(5.0)) == pytest.approx(5.0)
