@@ -40,11 +40,9 @@ LEADS = (1000.0, 560.0, 300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1
 CLOSELY = 300.0  # rate [1/s] at which structures are compared that a free run may have left in a wrong minimum
 WRONG = 2.0  # chi-square over n of a led model, at first: something else is missing than such moments; later: they are lost
 LOST = 1.2  # times the least cost under a lead, or noise: an event was lost as the lead gave way, and other points are drawn
-SHAKES, PATIENCE = 12, 3  # sets of points about a fit, and how many of them in a row may lead nowhere
 DRAWS = 3  # sets of them at most
-SAME = (
-    0.002  # difference in the logarithm of chi-square of one minimum: a model let go that comes back to it has no better one near
-)
+SHAKES, PATIENCE = 12, 3  # sets of points about a fit at most, and how many in a row may lead nowhere
+SAME = 0.002  # difference in the logarithm of chi-square of one minimum: a fit that comes back to it has no better one near
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 

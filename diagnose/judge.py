@@ -264,6 +264,11 @@ class Judge:
         known = self.pool.get(f.key, f)
         return known if known.chi2 < f.chi2 else f
 
+    def _begun_at(self, richer: Fitted, poorer: Fitted, iterations: int) -> Fitted:
+        """A poorer structure begun at the numbers of a richer one."""
+        effects = tuple(e for e in richer.effects if e.key in poorer.key)
+        return self.fitter.fit(self.fitter.hypothesis(effects, richer.linear, richer.own), iterations=iterations)
+
     def _beside(self, before: Fitted, after: Fitted) -> Fitted:
         """A structure in which bodies stick or strike, begun where a richer one has led; itself where that is no better.
 
@@ -273,8 +278,7 @@ class Judge:
             return before
         asked = (before.key, before.chi2, after.key, after.chi2)
         if asked not in self._begun_beside:
-            effects = tuple(e for e in after.effects if e.key in before.key)
-            begun = self.fitter.fit(self.fitter.hypothesis(effects, after.linear, after.own), iterations=20)
+            begun = self._begun_at(after, before, 20)
             self._begun_beside[asked] = min((self.shake(f) for f in (begun, before) if f.ok), key=lambda f: f.chi2)
         lower = self._begun_beside[asked]
         self.keep(lower)
@@ -296,8 +300,7 @@ class Judge:
         if asked not in self._leads:
             richer = self.fitter.led(after, LEAD, 15, spread=8, keep=2)
             own = self.fitter.led(before, LEAD, 15, spread=8, keep=2)
-            effects = tuple(e for e in after.effects if e.key in before.key)
-            begun = self.fitter.fit(self.fitter.hypothesis(effects, after.linear, after.own), iterations=0)
+            begun = self._begun_at(after, before, 0)
             poorer = [f for f in (own, self.fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
             if richer is None or not poorer:
                 self._leads[asked] = math.inf

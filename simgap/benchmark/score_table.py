@@ -31,6 +31,17 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(finite)) if finite else float("nan")
 
 
+def _seconds(cases: Sequence[CaseScore]) -> dict[str, float]:
+    """How long diagnoses took; one that broke has no time."""
+    took = [c.seconds for c in cases if np.isfinite(c.seconds)]
+    return {
+        "median": _median(took),
+        "worst": max(took, default=0.0),
+        "sum": float(sum(took)),
+        "slow": sum(t > SLOW for t in took),
+    }
+
+
 def _level(cases: Sequence[CaseScore]) -> dict[str, Any]:
     numbers = [p for c in cases for p in c.parameters]
     return {
@@ -186,9 +197,7 @@ def summarise(truths: Mapping[str, Mapping[str, Any]], results: Mapping[str, Map
         "arms": [_arm(*a) for a in arms],
         "rivals": None,
         "arms_missing": [],
-        "seconds": {"median": _median([c.seconds for c in cases]), "worst": max((c.seconds for c in cases), default=0.0),
-                    "sum": float(np.nansum([c.seconds for c in cases])) if cases else 0.0,
-                    "slow": sum(c.seconds > SLOW for c in cases)},
+        "seconds": _seconds(cases),
         "errors": {c.name: c.error for c in cases if c.error},
         "cases": [c.as_dict() for c in cases],
     }  # fmt: skip

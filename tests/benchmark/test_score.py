@@ -364,3 +364,10 @@ def test_a_page_of_nulls_alone() -> None:
     page, pictures = render_page(json.loads(json.dumps({**about, **summary}).replace("NaN", "null")), _manner())
     assert set(pictures) == {"levels"}
     assert "No single effects" in page
+
+
+def test_a_first_case_that_broke_does_not_hide_how_long_the_others_took():
+    """It has no seconds; as the largest of all they could not be printed, at the end of a long run."""
+    truths = {"1": truth("nothing"), "2": truth("nothing")}
+    took = summarise(truths, {"1": {"error": "ValueError: x"}, "2": {**said(NO), "seconds": 40.0}})["seconds"]
+    assert took == {"median": 40.0, "worst": 40.0, "sum": 40.0, "slow": 1}
