@@ -13,7 +13,17 @@ import numpy as np
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.system import System, assemble
 
-__all__ = ["DivergedError", "Trajectory", "apply_input", "inverse", "load_kernel", "sensed", "simulate"]
+__all__ = [
+    "DivergedError",
+    "Trajectory",
+    "apply_input",
+    "count_work",
+    "inverse",
+    "load_kernel",
+    "sensed",
+    "simulate",
+    "work_done",
+]
 
 _here = threading.local()  # what a thread works in
 _copies: dict[int, tuple[weakref.ref[np.ndarray], np.ndarray]] = {}  # of arrays that nobody can change, while they live
@@ -147,6 +157,16 @@ def sensed(
     return _sense(s, out[:, s.n], out[:, 0], dt)[0].copy()
 
 
+def count_work(products: int) -> None:
+    """Add to what this thread has done: what comes after a run takes time too."""
+    _here.work = work_done() + products
+
+
+def work_done() -> int:
+    """What the free runs of this thread have taken so far, in products of a step (`kernel.integrate`): the same everywhere."""
+    return getattr(_here, "work", 0)
+
+
 def load_kernel(bodies: int) -> None:
     """Load the compiled simulation of so many bodies, or compile it where it was not yet (some 20 s)."""
     chain = Chain(
@@ -192,10 +212,11 @@ def _run(
     n_sub = substeps or s.substeps(dt, speed)
     if n_sub > most_substeps:
         raise DivergedError(f"the model is too stiff: it needs {n_sub} steps a sample, {most_substeps} are allowed")
-    status, at = kernel.integrate(
+    status, at, work = kernel.integrate(
         (0,) * n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
         float(before), s.input_lag, n_sub, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
+    count_work(work)
     if status:
         raise DivergedError(
             f"the run diverged at {t0 + at * dt:.4f} s (body {s.chain.bodies[0].joint!r}); check signs of damping and stiffness"
@@ -288,6 +309,7 @@ def inverse(
     s = axis if isinstance(axis, System) else assemble(axis)
     speed = float(np.max(np.abs(velocity))) if len(velocity) else 0.0
     out = np.empty(len(angle))
+    count_work(4 * len(angle) * s.substeps(dt, speed))
     status, at = kernel.drive(
         (0,) * s.n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters,
         _own(angle), _own(velocity), _own(acceleration),
