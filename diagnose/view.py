@@ -22,17 +22,20 @@ from diagnose.experiment import Experiment, measured_velocity, white_noise_level
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
-from mjsim.ode import DivergedError, apply_input, inverse, sensed, simulate
+from mjsim.ode import DivergedError, apply_input, count_work, inverse, sensed, simulate
 from mjsim.recording import Recording
+from mjsim.signals import lfilter
 from mjsim.system import MOST_STEPS, STEP, System, assemble, state_matrix
 
-__all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "led_by_torque"]
+__all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "most_led"]
 
 
+ENOUGH = 4000  # samples that tell the noise ahead of a rounding
 DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
 LEAST_DELIVERED = 0.05  # of the commanded torque's variation: an actuator that delivers less moves nothing
 MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible, or to one so many times the nominal:
 STIFFER = 3
+SHAKES = 2.0  # times the sensor's noise by which a led model may be shaken
 
 
 @dataclass(frozen=True)
@@ -44,13 +47,37 @@ class Signals:
     predicted: np.ndarray
 
 
-def led_by_torque(axis: Axis) -> bool:
-    """Whether a torque that is added to the command reaches the axis as it is: no map, lag or delay is in its way."""
+def most_led(axis: Axis) -> float:
+    """The highest rate [1/s] at which a model may be led by its measured velocity; 0 where it cannot be run.
+
+    Ahead of a sensor's lag T the noise that leads it is rate T times as large: a body that would stick is shaken by that.
+    """
     try:
-        s = assemble(axis)
+        lag = assemble(axis).output_lag
     except (NotApplicableError, ValueError):
-        return False
-    return not s.input_maps and s.input_delay == 0 and s.input_lag == 0
+        return 0.0
+    return SHAKES / lag if lag > 0 else math.inf
+
+
+def _delivered(s: System, torque: np.ndarray, dt: float, before: float) -> np.ndarray:
+    """What an actuator makes of a command (N,) held over each sample: its mean over the sample."""
+    u = apply_input(s, np.asarray(torque, float))
+    late = math.ceil(s.input_delay / dt - 1e-9)
+    if s.input_delay > 0:
+        split = late - s.input_delay / dt  # part of a sample over which the newer command acts
+        earlier = np.concatenate([np.full(late, before), u])
+        u = split * earlier[1 : len(u) + 1] + (1.0 - split) * earlier[: len(u)]
+    return _lagged(u, s.input_lag, dt, before)
+
+
+def _ahead(s: System, v: np.ndarray, dt: float) -> np.ndarray:
+    """The velocity (N,) of which the measured one was measured, in its mean over each sample."""
+    for m in s.output_maps:
+        v = v - m.c if m.map is StaticMap.ADD else v
+    following = np.append(v[1:], v[-1])
+    mean = 0.5 * (v + following) + s.output_lag / dt * (following - v)  # of y + T y', which a lag T shows as y
+    k = np.arange(len(v))
+    return np.interp(k + s.output_delay / dt, k, mean) if s.output_delay > 0 else mean
 
 
 class View(Protocol):
@@ -83,15 +110,15 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
         return clean
     from scipy.special import ndtr  # loading it takes a sixth of the time until the first fit, and few sensors round
 
-    level = np.round(clean / step)
-    off = clean / step - level
-    best, least = clean, math.inf
-    for r in DITHER:
-        mean = step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r))
-        error = float(np.sum((measured - mean)[counts] ** 2))
-        if error < least:
-            best, least = mean, error
-    return best
+    def mean(part: slice, r: float) -> np.ndarray:
+        level = np.round(clean[part] / step)
+        off = clean[part] / step - level
+        return np.asarray(step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r)))
+
+    some = slice(None, None, max(1, len(clean) // ENOUGH))
+    off = [float(np.sum((measured[some] - mean(some, r))[counts[some]] ** 2)) for r in DITHER]
+    count_work(2 * len(clean))
+    return mean(slice(None), DITHER[int(np.argmin(off))])
 
 
 def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np.ndarray:
@@ -124,15 +151,12 @@ class MotionView:
         """Velocity measured and simulated at every sample."""
         r = experiment.recording
         torque = r.torque
-        if self.lead > 0:  # lead (v - v_model): the first part is input, the second viscous friction
-            v = measured_velocity(r)
-            held = 0.5 * (v + np.append(v[1:], v[-1]))  # as it is on average while it is held, not half a sample late
-            torque = torque + self.lead * held / axis.chain.gain
-            first, *others = axis.chain.bodies
-            first = dataclasses.replace(first, viscous=first.viscous + self.lead)
-            axis = dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=(first, *others)))
         try:
-            system = assemble(axis)
+            system = assemble(self._led(axis))
+            if self.lead > 0:  # lead (v - v_model): the first part is input, past the actuator, the second viscous friction
+                lead = self.lead * _ahead(system, measured_velocity(r), r.dt) / axis.chain.gain
+                torque = _delivered(system, torque, r.dt, experiment.before) + lead
+                system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
             rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
             if rounding:
                 rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
@@ -146,6 +170,14 @@ class MotionView:
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted)
+
+    def _led(self, axis: Axis) -> Axis:
+        """The axis with the loss of the lead as viscous friction."""
+        if self.lead <= 0:
+            return axis
+        first, *others = axis.chain.bodies
+        first = dataclasses.replace(first, viscous=first.viscous + self.lead)
+        return dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=(first, *others)))
 
     def counts(self, experiment: Experiment) -> np.ndarray:
         """The experiment's own mask."""
@@ -229,7 +261,8 @@ class ForceView:
         if not shrinking:
             return Signals(r.time[every], commanded[every], self._command(s, needed, r.dt)[every])
         # what these deliver does not tell the command: the command is taken through them
-        late = _shift(_lagged(apply_input(s, r.torque), s.input_lag, r.dt), -0.5 * r.dt - s.input_delay, r.dt)
+        u = apply_input(s, r.torque)
+        late = _shift(_lagged(u, s.input_lag, r.dt, u[0]), -0.5 * r.dt - s.input_delay, r.dt)
         acting = sosfiltfilt(sos, late)[every]
         # an actuator that delivers next to nothing asks next to nothing of the model: the error is one of the command
         keep = self.counts(experiment)
@@ -316,14 +349,12 @@ def clean_band(axis: Axis, recording: Recording, share: float = 1e-3) -> float:
     return highest if len(dirty) == 0 or f[dirty[0]] > 0.8 * highest else float(max(f[dirty[0]], 0.02 * highest))
 
 
-def _lagged(u: np.ndarray, lag: float, dt: float) -> np.ndarray:
-    """The output of a first-order lag [s] to an input held over each sample, averaged over the sample; settled at the start."""
-    from scipy.signal import lfilter
-
+def _lagged(u: np.ndarray, lag: float, dt: float, before: float) -> np.ndarray:
+    """What a first-order lag [s] makes of an input held over each sample, in its mean over the sample; settled at ``before``."""
     if lag <= 0:
         return u
     decay = math.exp(-dt / lag)
-    ends = lfilter([0.0, 1.0 - decay], [1.0, -decay], u, zi=[u[0]])[0]  # at the beginning of each sample
+    ends = before + lfilter([0.0, 1.0 - decay], [1.0, -decay], u - before)  # at the beginning of each sample
     return np.asarray(u + (ends - u) * (1.0 - decay) * lag / dt)
 
 

@@ -13,7 +13,7 @@ from diagnose.fitter import Fitter
 from diagnose.judge import LEAD
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
-from diagnose.view import MotionView, led_by_torque
+from diagnose.view import MotionView, most_led
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
@@ -73,10 +73,41 @@ def test_a_led_model_measures_without_bias(robot):
         fitter.close()
 
 
-def test_a_torque_cannot_lead_through_an_actuator_that_changes_it(robot):
-    assert led_by_torque(robot)
-    for name, values in (("actuator_lag", {"time_constant_s": 1e-3}), ("actuator_deadzone", {"half_width_Nm": 0.01})):
-        assert not led_by_torque(robot + effect_class(name)(**values))
+@pytest.mark.parametrize(
+    ("name", "place", "values"),
+    [
+        ("actuator_lag", "actuator", {"time_constant_s": 3e-3}),
+        ("time_delay", "actuator", {"delay_s": 2.3e-3}),
+        ("actuator_saturation", "actuator", {"limit_Nm": 0.4}),
+        ("time_delay", "sensor", {"delay_s": 2.4e-3}),
+        ("sensor_lag", "sensor", {"time_constant_s": 1.5e-3}),
+    ],
+)
+def test_a_model_is_led_past_its_actuator_and_from_ahead_of_its_sensor(robot, name, place, values):
+    """What leads acts on the axis as it is, by the velocity that the axis had: the truth, led, leaves what it leaves without."""
+    effect = effect_class(name)(place=place, **values)
+    torque = chirp(N * DT, DT, 0.6, 0.5, 25.0)
+    noise = NOISE * np.random.default_rng(3).standard_normal(N)
+
+    def left(plant, of):
+        run = simulate(plant, torque, DT)
+        experiment = prepare(Recording(run.time, torque, run.velocity + noise, run.angle, DT))
+        s = MotionView(lead=300.0 * plant.chain.bodies[0].inertia).signals(of, experiment, None)
+        return np.std(s.measured - s.predicted)
+
+    alone = left(robot, robot)
+    assert left(robot + effect, robot + effect) < 1.05 * alone
+    assert left(robot + effect, robot) > 2.0 * alone
+
+
+def test_a_slow_sensor_leaves_no_room_for_a_high_rate(robot, fitter):
+    """Ahead of its lag the noise that leads is larger than that of the recording: it would shake what sticks."""
+    slow = robot + effect_class("sensor_lag")(time_constant_s=5e-3)
+    assert most_led(robot) == np.inf
+    assert 100.0 < most_led(slow) < 1000.0
+    lagging = fitter.fit(fitter.hypothesis((effect_class("sensor_lag")(time_constant_s=5e-3),)), iterations=0)
+    assert fitter.led(lagging, 1000.0, 0) is None
+    assert fitter.led(lagging, 100.0, 0) is not None
 
 
 def test_stiction_is_found_where_plain_fits_stick(robot, fitter):
@@ -130,7 +161,25 @@ def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
     assert after.chi2 < 0.9 * before.chi2
     assert search._events_only(before, after)
     bare = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.n * 1.0))
-    assert not search._events_only(bare, after)  # nothing is left there to be explained
+    assert search._events_only(bare, after), "nor where noise alone is left: there are minima below the one that was found"
+
+
+def test_an_effect_that_is_there_beside_stiction_gains_in_a_led_model_too(robot, sticking):
+    plant, _ = sticking
+    ripple = effect_class("torque_ripple")(amplitude_Nm=0.02, cycles_per_rev=5.4, phase_rad=0.4)
+    torque = chirp(N * DT, DT, 0.6, 0.5, 25.0)
+    run = simulate(plant + ripple, torque, DT)
+    speed = run.velocity + NOISE * np.random.default_rng(6).standard_normal(N)
+    experiment = prepare(Recording(run.time, torque, speed, run.angle, DT))
+    other = Fitter(robot, MotionView(), (experiment,), (experiment,), 1)
+    try:
+        search = Search(other, SearchOptions())
+        stiction = effect_class("static_friction")(**STICTION)
+        alone = other.fit(other.hypothesis((stiction,)), iterations=15)
+        both = other.fit(other.hypothesis((stiction, ripple)), iterations=10)
+        assert not search._events_only(alone, both)
+    finally:
+        other.close()
 
 
 def test_a_structure_whose_fit_was_lost_is_no_obstacle(fitter):
