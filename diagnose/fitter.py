@@ -19,9 +19,10 @@ from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, l
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
 from diagnose.side_by_side import SideBySide
-from diagnose.view import MotionView, View, led_by_torque
+from diagnose.view import MotionView, View, most_led
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
+from mjsim.ode import work_done
 from mjsim.signals import lfilter
 from mjsim.system import STEP, assemble
 
@@ -43,6 +44,7 @@ LOST = 1.2  # times the least cost under a lead, or noise: an event was lost as 
 DRAWS = 3  # sets of them at most
 SHAKES, PATIENCE = 12, 3  # sets of points about a fit at most, and how many in a row may lead nowhere
 SAME = 0.002  # difference in the logarithm of chi-square of one minimum: a fit that comes back to it has no better one near
+RK4 = 3.5  # times as long as one product a step takes that laws make nonlinear
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
@@ -74,17 +76,25 @@ def _first(experiment: Experiment, share: float) -> Experiment:
     return dataclasses.replace(experiment, recording=experiment.recording.slice(0, n), counts=experiment.counts[:n])
 
 
-class _Counted:
-    """Runs residuals side by side and counts those of one fit."""
+def _counting(task: Callable[[], T]) -> tuple[T, int]:
+    """The answer of a task that simulates, and what that took."""
+    before = work_done()
+    answer = task()
+    return answer, work_done() - before
 
-    def __init__(self, side_by_side: Run) -> None:
-        self.runs = 0
+
+class _Counted:
+    """Runs residuals side by side and counts what they take."""
+
+    def __init__(self, side_by_side: Callable[..., list[tuple[np.ndarray | None, int]]]) -> None:
+        self.work = 0
         self._map = side_by_side
 
     def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
         """Answers in the order of the tasks."""
-        self.runs += len(tasks)
-        return self._map(tasks)
+        told = self._map([partial(_counting, task) for task in tasks])
+        self.work += sum(work for _, work in told)
+        return [answer for answer, _ in told]
 
 
 @dataclass
@@ -99,7 +109,8 @@ class Fitter:
     varies: tuple[str, ...] = ()
     orders: tuple[float, ...] = ()
     whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
-    runs: int = 0
+    work: int = 0
+    most_runs: float = math.inf
     memory: Memory | None = None
     guide: float = 1.0
     threads: SideBySide = field(init=False)
@@ -110,12 +121,29 @@ class Fitter:
         self._swung: tuple[float, ...] = ()
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
+        self._pooled: dict[tuple[object, ...], tuple[float, Fitted]] = {}
         self._clear: dict[tuple[int, int], np.ndarray] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
         self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
         self.scales = self._scales()
         self._steps = max(1, math.ceil(self.experiments[0].recording.dt * assemble(self.nominal).omega / STEP))
+        self.unit = self._steps * sum(len(e.recording) for e in self.experiments)
+
+    @property
+    def runs(self) -> int:
+        """What was simulated so far, in runs of the nominal model with friction on all estimation recordings."""
+        return self.work // self.unit
+
+    def took(self, work: int) -> None:
+        """Count what was simulated, in products of a step."""
+        with self._counting:
+            self.work += work
+
+    @property
+    def spent(self) -> bool:
+        """Whether the runs that a diagnosis may take are used up: the same on every machine, with any number of threads."""
+        return self.runs > self.most_runs
 
     def close(self) -> None:
         """Stop the threads: what they are at comes to nothing, and is not remembered."""
@@ -162,10 +190,11 @@ class Fitter:
         return self.threads.map(tasks, lengths)
 
     def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
-        """Run residuals side by side, and count them."""
-        with self._counting:
-            self.runs += len(tasks)
-        return self.map(tasks)
+        """Run residuals side by side, and count what they take."""
+        counted = _Counted(self.map)
+        answers = counted.run(tasks)
+        self.took(counted.work)
+        return answers
 
     def error(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
         """Measured minus predicted at every compared sample, in the view's unit."""
@@ -283,28 +312,30 @@ class Fitter:
             if self.memory is not None:
                 fit = dataclasses.replace(fit, linear=fit.linear.marked(key))
                 if not self.closed:
-                    self.memory.keep(key, fit, n, counted.runs)
-            runs = counted.runs
+                    self.memory.keep(key, fit, n, counted.work)
+            work = counted.work
         else:
             # its arrays only when somebody builds on them, by the same way again
             linear = Linearised(lambda: solve().linear.arrays, key)
             fit = Fit(known.x, known.cost, linear, known.status, known.iterations, known.predicted_gain)
-            n, runs = known.n, known.runs
-        with self._counting:
-            self.runs += math.ceil(runs * self.length(h, start))
+            n, work = known.n, known.work
+        self.took(work)
         return Fitted(h, fit, n)
 
     def length(self, h: Hypothesis, x: np.ndarray) -> float:
-        """Steps that a run of a hypothesis takes, over those of the nominal model with friction: what it counts in a budget."""
+        """How long a run of a hypothesis takes, over one of the nominal model with friction, as far as that is known beforehand.
+
+        By its steps, and by how a step is taken: as one product where all is affine between events, else by RK4.
+        """
         if self.view.channel != "velocity":
             return 1.0
         r = self.experiments[0].recording
         speed = float(np.max(np.abs(np.diff(r.angle)))) / r.dt if r.angle is not None else 0.0
         try:
-            steps = assemble(h.axis(x, 0)).substeps(r.dt, speed)
+            system = assemble(h.axis(x, 0))
         except (NotApplicableError, ValueError):
             return 1.0
-        return max(1.0, steps / self._steps)
+        return max(1.0, system.substeps(r.dt, speed) / self._steps) * (1.0 if system.affine else RK4)
 
     def lengths(self, fits: Sequence[Fitted]) -> list[float]:
         """How long an iteration takes from each of some fits: by its numbers and the steps of a run."""
@@ -358,15 +389,23 @@ class Fitter:
         For the question whether a structure can explain all recordings at all: what one of them leaves open (a stiffness that
         its excitation does not reach) another one may settle, and is no missing physics.
         """
+        asked = (fitted.key, self.whitening.tobytes())
+        known = self._pooled.get(asked)
+        if known is not None and abs(math.log(known[0] / fitted.chi2)) < SAME:  # the same fit, polished
+            return known[1]
+        self._pooled[asked] = fitted.chi2, self._fit_pooled(fitted)
+        return self._pooled[asked][1]
+
+    def _fit_pooled(self, fitted: Fitted) -> Fitted:
         everything = (*self.experiments, *self.held_out)
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
-        joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15)
-        if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough:
+        joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15, rival=True)
+        if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not self.spent:
             # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
             again = wider.unfolded(joint, fitted.linear)
             joint = again if again.ok and again.chi2 < joint.chi2 else joint
-        self.runs += wider.runs
+        self.took(wider.work)
         if not joint.ok:
             return fitted
         own = {k: v for k, v in joint.own.items() if k[2] < len(self.experiments)}
@@ -389,9 +428,15 @@ class Fitter:
     ) -> Fitter:
         """A fitter on the same threads for other experiments, each weighted as the one it is like, or for another view."""
         other = Fitter(self.nominal, view, experiments, held_out, self.jobs, self.varies, self.orders, self.whitening)
-        other.scales, other.guide, other.threads = self.scales, self.guide, self.threads
+        other.scales, other.guide, other.threads, other.unit = self.scales, self.guide, self.threads, self.unit
         other._sigma |= {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
         return other
+
+    def leading(self, rate: float, held_out: tuple[Experiment, ...] = ()) -> Fitter:
+        """A fitter of models that the measured velocity leads, by the nominal inertia times ``rate`` [1/s]."""
+        assert isinstance(self.view, MotionView)
+        view = dataclasses.replace(self.view, lead=rate * self.nominal.chain.bodies[0].inertia)
+        return self._beside(self.experiments, self.experiments, view, held_out)
 
     def led(
         self, fitted: Fitted, rate: float, iterations: int = 10, *, spread: int = 0, keep: int = 1, seed: int = 0
@@ -399,20 +444,19 @@ class Fitter:
         """The same structure fitted to a model that the measured velocity leads, by its own inertia times ``rate`` [1/s].
 
         ``spread``: begun also from so many points drawn about it by its covariance, ever wider; the best ``keep`` go on. None
-        where the torque does not reach the axis as it is commanded: there it cannot lead it.
+        where a lag of the sensor leaves no room for so high a rate.
         """
-        if not isinstance(self.view, MotionView) or not led_by_torque(fitted.axis):
+        if not isinstance(self.view, MotionView) or rate > most_led(fitted.axis):
             return None
-        view = dataclasses.replace(self.view, lead=rate * self.nominal.chain.bodies[0].inertia)
-        part = self._beside(self.experiments, self.experiments, view)
+        part = self.leading(rate)
         h, x = fitted.hypothesis, fitted.fit.x
         starts = [x, *_drawn(fitted, np.geomspace(1.0, 30.0, spread), seed)]
-        costs = [math.inf if r is None else float(r @ r) for r in self.run([partial(part.residual(h), s) for s in starts])]
+        answers = self.run([partial(part.residual(h), s) for s in starts])
+        costs = [math.inf if r is None else float(r @ r) for r in answers]
         order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
         chosen = order if 0 in order else [*order[:-1], 0]
         fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
-        with self._counting:
-            self.runs += part.runs
+        self.took(part.work)
         return min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
 
     def foretold(self, fitted: Fitted, count: int = 6, seed: int = 0) -> list[np.ndarray] | None:
@@ -457,14 +501,25 @@ class Fitter:
             count += int(np.sum(keep & chosen))
         return total / count if count else None
 
-    def let_go(self, fitted: Fitted, seed: int = 0) -> Fitted | None:
+    def led_error(self, fitted: Fitted, rate: float) -> float | None:
+        """Mean square of the weighted, whitened held-out error of a model that is led at a rate [1/s]; None if it cannot be."""
+        if not isinstance(self.view, MotionView) or rate > most_led(fitted.axis):
+            return None
+        held = self.leading(rate, self.held_out).validate(fitted)
+        return None if held is None else held.chi2 / float(np.sum(held.n))
+
+    def let_go(self, fitted: Fitted, seed: int = 0, highest: float = math.inf) -> Fitted | None:
         """The same structure fitted to a led model, and on as it is led ever less, to a free run.
 
         Where bodies stick or strike a free run has a minimum for each order in which they do; a led model is soon put right.
         None where it cannot be led, or leaves more than noise as soon as it is: something else is missing than those moments.
+        ``highest``: the rate [1/s] at which that begins.
         """
         now, least, idle = fitted, math.inf, 0
-        for k, rate in enumerate(LEADS):
+        highest = min(highest, most_led(fitted.axis))
+        for k, rate in enumerate(r for r in LEADS if r <= highest):
+            if self.spent:
+                break
             best: Fitted | None = None
             for draw in range(DRAWS if k else 1):
                 spread = 16 if k or seed or draw else 0
@@ -494,6 +549,8 @@ class Fitter:
         """
         idle = 0
         for turn in range(SHAKES):
+            if self.spent:
+                break
             points = _drawn(fitted, np.geomspace(0.3, 30.0, 24), turn)
             answers = self.run([partial(self.residual(fitted.hypothesis), x) for x in points])
             costs = [math.inf if r is None else float(r @ r) for r in answers]
@@ -517,8 +574,7 @@ class Fitter:
         for share in UNFOLD:
             part = self._beside(tuple(_first(e, share) for e in self.experiments), self.experiments, self.view)
             found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
-            with self._counting:
-                self.runs += math.ceil(share * part.runs)
+            self.took(part.work)
             if not found.ok:
                 return fitted
             effects, linear, own = found.effects, found.linear, found.own

@@ -24,10 +24,10 @@ from diagnose.fitter import CLOSELY, Fitter
 from diagnose.force_orders import FEW
 from diagnose.moves import named
 from diagnose.search_options import SearchOptions
-from diagnose.whiten import lags_of, worth_of_errors
+from diagnose.whiten import lags_of, whitening_filter, worth_of_errors
 from mjsim.effects import effect_class
 
-__all__ = ["LEAD", "Judge"]
+__all__ = ["LACKS", "LEAD", "Judge"]
 
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
@@ -41,6 +41,7 @@ SPREAD = (
 LACKS = 4.0  # times the noise variance left by a closely led model, which no wrong order of events leaves
 SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
 LAW = 0.01  # part of what another law of an effect changed that the better law may still miss
+COLOURED = 0.01  # of its variance, by which a residual foretells itself
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
@@ -174,6 +175,33 @@ class Judge:
                 spread = max(spread, self._least.get(tuple(sorted(others)), f.chi2) - f.chi2)
         return LAW * spread
 
+    def floor(self, base: Fitted) -> float:
+        """The gain in C that an effect must promise beside a structure: more where that much may be the error of a law in it."""
+        law = min(self.of_the_law(base), 0.5 * base.chi2)
+        return max(0.4 * self.options.entry, -base.n * self.effective * math.log(1.0 - law / base.chi2))
+
+    def visible(self, base: Fitted) -> bool:
+        """Whether a structure leaves more than noise, or it cannot be known.
+
+        One that leaves less explains a part of what passed for noise (steps of a sensor), so that its level is not known any
+        more: then what it leaves must have a colour.
+        """
+        if not self.fitter.noise_known or base.chi2 > 1.05 * base.n:
+            return True
+        return base.chi2 < 0.95 * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
+
+    def leaves_noise(self, f: Fitted) -> bool:
+        """Whether what a structure leaves is as large as noise and, unless it is whitened, as white: no rival leaves less."""
+        if not self.fitter.noise_known or self.fitter.misfit(f) > UNEXPLAINED:
+            return False
+        return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=COLOURED) is None
+
+    def solved(self, poorer: Fitted, richer: Fitted) -> bool:
+        """Whether a structure leaves noise alone, or much less than one did that left what passed for noise."""
+        return self.leaves_noise(richer) or (
+            self.fitter.noise_known and self.fitter.misfit(poorer) < UNEXPLAINED and richer.chi2 < 0.5 * poorer.chi2
+        )
+
     def _feedback_does(self, before: Fitted, after: Fitted) -> bool:
         """Whether what was added may be the controller's answer to disturbances, where the error is the model's own.
 
@@ -254,7 +282,7 @@ class Judge:
 
     def shake(self, f: Fitted) -> Fitted:
         """A structure in which bodies stick or strike at the lowest minimum about it, where it leaves little more than noise."""
-        if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
+        if not self.options.free or not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
             return f
         asked = (f.key, f.chi2, self.fitter.guide, self.fitter.whitening.tobytes())
         if asked not in self._shaken:
@@ -288,13 +316,12 @@ class Judge:
         """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.
 
         A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
-        right within J/lead: there it must gain as well, a fair part of that; and it must explain a fair part of what was left.
+        right within J/lead: there it must gain as well, a fair part of that. Of more than noise it must explain a fair part.
         """
-        stuck = before.rough and before.chi2 > UNEXPLAINED * before.n
-        if not stuck or not self.fitter.noise_known or not set(before.key) < set(after.key):
+        if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
             return False
         gain = self.gain(before, after)
-        if gain < FAIR * before.n * math.log(before.chi2 / before.n):
+        if before.chi2 > UNEXPLAINED * before.n and gain < FAIR * before.n * math.log(before.chi2 / before.n):
             return True
         asked = (before.key, before.chi2, after.key, after.chi2)
         if asked not in self._leads:

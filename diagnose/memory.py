@@ -31,7 +31,7 @@ FORMAT = 1
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A fit without its arrays: solution x (p,), cost, status, iterations, gain; n: samples; runs: what it took."""
+    """A fit without its arrays: solution x (p,), cost, status, iterations, gain; n: samples; work: what it took."""
 
     x: np.ndarray
     cost: float
@@ -39,7 +39,7 @@ class Known:
     iterations: int
     predicted_gain: float
     n: int
-    runs: int
+    work: int
 
 
 class Memory:
@@ -72,7 +72,7 @@ class Memory:
             try:
                 self._known[said["key"]] = Known(
                     np.array([float.fromhex(v) for v in said["x"]]), float.fromhex(said["cost"]), Status[said["status"]],
-                    int(said["iterations"]), float.fromhex(said["gain"]), int(said["n"]), int(said["runs"]),
+                    int(said["iterations"]), float.fromhex(said["gain"]), int(said["n"]), int(said["work"]),
                 )  # fmt: skip
                 whole.append(line)
             except (KeyError, TypeError, ValueError):
@@ -87,12 +87,12 @@ class Memory:
         """What is known under a key."""
         return self._known.get(key)
 
-    def keep(self, key: str, fit: Fit, n: int, runs: int) -> None:
+    def keep(self, key: str, fit: Fit, n: int, work: int) -> None:
         """Write a fit down."""
-        known = Known(fit.x, fit.cost, fit.status, fit.iterations, fit.predicted_gain, n, runs)
+        known = Known(fit.x, fit.cost, fit.status, fit.iterations, fit.predicted_gain, n, work)
         said = {
             "key": key, "x": [float(v).hex() for v in fit.x], "cost": float(fit.cost).hex(), "status": fit.status.name,
-            "iterations": fit.iterations, "gain": float(fit.predicted_gain).hex(), "n": n, "runs": runs,
+            "iterations": fit.iterations, "gain": float(fit.predicted_gain).hex(), "n": n, "work": work,
         }  # fmt: skip
         with self._lock:
             if not self._open or key in self._known:

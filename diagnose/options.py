@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["Options"]
+__all__ = ["RUNS", "Options"]
+
+RUNS = 26_000  # simulations of all recordings that a diagnosis may take: about 25 s for 10 s at 2 kHz on two cores
 
 
 @dataclass(frozen=True)
@@ -13,10 +15,11 @@ class Options:
     """Options of a diagnosis.
 
     judge: "motion", "force" or None (what the binding says, else by the channels); effects: identifiers to consider, all when
-    empty; jobs: threads; seconds: budget; depth: most effects. structure_share, structure_p: least part of the held-out squared
-    error that must be predictable, and its p-value, for structure to remain; missed: least mean square of missed motion over
-    that of the noise; left: least part of the mismatch that must be left where the noise is not known, closed: of the rms error
-    above the noise, the part that must be closed where it is (docs/decisions/false-alarms.md).
+    empty; jobs: threads; seconds: budget of time; effort: of simulations, times `RUNS`; depth: most effects. structure_share,
+    structure_p: least part of the held-out squared error that must be predictable, and its p-value, for structure to remain;
+    missed: least mean square of missed motion over that of the noise; left: least part of the mismatch that must be left where
+    the noise is not known, closed: of the rms error above the noise, the part that must be closed where it is
+    (docs/decisions/false-alarms.md).
     """
 
     judge: str | None = None
@@ -24,6 +27,7 @@ class Options:
     jobs: int = 2
     seed: int = 0
     seconds: float = math.inf
+    effort: float = 1.0
     depth: int = 3
     structure_share: float = 0.05
     structure_p: float = 1e-4

@@ -18,12 +18,14 @@ from diagnose.experiment import measured_angle, measured_velocity
 from diagnose.fitted import Fitted
 from diagnose.fitter import Fitter
 from diagnose.force_orders import force_orders
+from diagnose.led_search import among_led
 from diagnose.options import Options
 from diagnose.orders import find_orders, torque_to_velocity
 from diagnose.progress import Progress
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 from diagnose.structure import motion_error
+from diagnose.view import MotionView
 from diagnose.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
 from mjsim.errors import InputError
 from mjsim.ode import simulate
@@ -87,6 +89,8 @@ def _search(
     search.only_beside = excluded_by_angle(fitter.experiments)
     search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
     search.orders_of = lambda f: _orders(fitter, f)
+    if fitter.noise_known and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
+        search.led_by = partial(among_led, search)
     if not fitter.noise_known:
         search.effective = effective_share(fitter, base)
         search.effective_of = lambda f: effective_share(fitter, f)
@@ -169,7 +173,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if settled is None or not noise_only(settled, unknown=False):
             return search, best, False
         best = settled
-    for turn in range(MOST_FILTERS):
+    for turn in range(MOST_FILTERS if not fitter.spent else 0):  # a search that could not look would find nothing
         filter_ = _whitening(fitter, search, best)
         if alike(filter_, fitter.whitening / fitter.whitening[0]):
             break
@@ -196,7 +200,12 @@ def _less_coloured(
     """
     rivals = [f for f in search.pool.values() if set(best.key) < set(f.key)]
     refused = min(rivals, key=search.criterion, default=None)
-    if len(fitter.whitening) == 1 or refused is None or search.gain(best, refused) < REFUSED * search.options.entry:
+    if (
+        len(fitter.whitening) == 1
+        or fitter.spent
+        or refused is None
+        or search.gain(best, refused) < REFUSED * search.options.entry
+    ):
         return search, best
     settled = settle(fitter, refused)
     filter_ = np.ones(1) if settled is None else settled[0]

@@ -19,7 +19,7 @@ from diagnose.candidates import Screened, candidates, conflicts, left_over, rela
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import SAME
 from diagnose.hypothesis import make
-from diagnose.judge import Judge
+from diagnose.judge import LACKS, Judge
 from diagnose.least_squares import Status, orthonormal
 from diagnose.moves import (
     Entrant,
@@ -35,7 +35,7 @@ from diagnose.moves import (
     with_other_laws,
 )
 from diagnose.progress import Progress
-from diagnose.whiten import guide_of, whitening_filter
+from diagnose.whiten import guide_of
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["ALIKE_C", "Search"]
@@ -53,8 +53,8 @@ INEXACT = 0.5  # of what is left without an effect: an inexact law of it leaves 
 CREEPS = 2  # effects in a row that explain little of much, after which the library holds nothing that is missing
 BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
 # leaves more than noise, as little but with a colour, and noise alone
+NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
-COLOURED = 0.01  # of its variance, by which a residual foretells itself
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 
@@ -72,6 +72,7 @@ class Search(Judge):
     effective_of: Callable[[Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
     settled_by: Callable[[Fitted], bool] | None = None  # whether what a structure leaves is noise alone
+    led_by: Callable[[], None] | None = None  # adds to the pool what a search among closely led models finds
     only_beside: Mapping[str, str] = field(default_factory=dict)  # an effect that may only stand beside another, and that one
 
     def __post_init__(self) -> None:
@@ -84,12 +85,12 @@ class Search(Judge):
         self._starts: dict[tuple[object, ...], Fitted] = {}
 
     def _spent(self) -> bool:
-        """Whether the budget of runs (the same on every machine) or of seconds is used up."""
+        """Whether what this stretch of the search may take (the same on every machine), or the whole diagnosis, is used up."""
         return self.fitter.runs - self._runs > self.options.runs or self._late()
 
     def _late(self) -> bool:
-        """Whether the budget of seconds is used up."""
-        return time.monotonic() - self._began > self.options.seconds
+        """Whether what the whole diagnosis may take is used up."""
+        return self.fitter.spent or time.monotonic() - self._began > self.options.seconds
 
     def nominal(self) -> Fitted:
         """The refitted nominal model: the rival to beat."""
@@ -120,6 +121,8 @@ class Search(Judge):
 
     def expand(self, base: Fitted) -> list[Fitted]:
         """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
+        if self._spent():
+            return []
         # another law of an effect is tried in its place, where that leaves something material: of one that stands in the
         # structure by `refine`, of one that the nominal axis has here
         material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
@@ -131,8 +134,8 @@ class Search(Judge):
         ranked = screen(self.fitter, base, free)
         self.screened[base.key] = ranked
         self.tested += len(ranked)
-        floor = self._floor(base)
-        visible = self._visible(base)
+        floor = self.floor(base)
+        visible = self.visible(base)
         tried = [s for s in ranked if s.gain > floor][: self.options.width if visible else 4]
         # a response that is not linear in its amplitude: fitted whatever the secant says, while there is something to explain, or
         # (a structure) a filter that may have taken it in
@@ -143,32 +146,13 @@ class Search(Judge):
         tried += [s for s in folds if replaced(base, s.candidate) is not None]
         return self._race(base, [(base.effects, s) for s in tried], floor)
 
-    def _floor(self, base: Fitted) -> float:
-        """The gain in C that an effect must promise beside a structure: more where that much may be the error of a law in it."""
-        law = min(self.of_the_law(base), 0.5 * base.chi2)
-        return max(0.4 * self.options.entry, -base.n * self.effective * math.log(1.0 - law / base.chi2))
-
-    def _visible(self, base: Fitted) -> bool:
-        """Whether a structure leaves more than noise, or it cannot be known.
-
-        One that leaves less explains a part of what passed for noise (steps of a sensor), so that its level is not known any
-        more: then what it leaves must have a colour.
-        """
-        if not self.fitter.noise_known or base.chi2 > 1.05 * base.n:
-            return True
-        return base.chi2 < 0.95 * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
-
-    def _leaves_noise(self, f: Fitted) -> bool:
-        """Whether what a structure leaves is as large as noise and, unless it is whitened, as white: no rival leaves less."""
-        if not self.fitter.noise_known or self.fitter.misfit(f) > UNEXPLAINED:
-            return False
-        return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=COLOURED) is None
-
     def refine(self, base: Fitted, *, forms: bool = False) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` is replaced by one that refines it.
 
         Where the score says it can matter; by other laws (``forms``) where it leaves something material, or if asked for.
         """
+        if self._spent():
+            return []
         entrants: list[Entrant] = []
         material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         for effect in base.effects:
@@ -200,7 +184,7 @@ class Search(Judge):
 
         What has entered since may tell them apart, or it may be what kept the better one from being seen.
         """
-        if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED:
+        if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED or self._spent():
             return []
         return self._race(base, self._new(base, in_place(self.pool, self.candidates, base, RIVAL)))
 
@@ -379,11 +363,12 @@ class Search(Judge):
                 grown = self.expand(state)
                 if self._spent() or (state.key == current.key and not grown):
                     break  # nothing can be added to the best structure: its rivals are not built on either
-                if grown and self._leaves_noise(min(grown, key=lambda f: f.chi2)):
+                if grown and self.solved(state, min(grown, key=lambda f: f.chi2)):
                     break  # nor where something that was added leaves noise alone
             best = self._best(current)
             if best.key != current.key and self._settled(best):
                 return self._alone(best)
+            best = self._led_first(current, best)
             self.refine(best)
             refined = self._best(current)
             if refined.key != best.key:  # by another law, before it is unfolded at length by a wrong one
@@ -415,7 +400,7 @@ class Search(Judge):
                     current = self._guided(current, UNEXPLAINED)
                 if guided or self.fitter.guide == 1.0:
                     creased = sorted((f for f in self.pool.values() if folded(f)), key=self.criterion)[: self.options.beam]
-                    creased = [] if self._leaves_noise(current) else [f for f in creased if not self._smooths(current, f)]
+                    creased = [] if self.leaves_noise(current) else [f for f in creased if not self._smooths(current, f)]
                     self._unfold(creased, current)
                     if self._best(current).key != current.key:
                         continue
@@ -441,7 +426,7 @@ class Search(Judge):
                 break
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             # beside a structure that leaves noise alone only one that leaves hardly more can be the ground of a better one
-            within = BEHIND[self._leaves_noise(current) + (self.fitter.noise_known and self.fitter.misfit(current) < UNEXPLAINED)]
+            within = BEHIND[self.leaves_noise(current) + (self.fitter.noise_known and self.fitter.misfit(current) < UNEXPLAINED)]
             near = [f for f in rivals if f.key != current.key and f.chi2 < within * current.chi2 and not formed(f)]
             beam = [current, *near[: self.options.beam - 1]]
             if self.fitter.noise_known:
@@ -512,7 +497,8 @@ class Search(Judge):
         if self.fitter.guide == 1.0:
             self._unguided = self.pool[()]
         self.fitter.guide = guide
-        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2), key=self.criterion)[: self.options.width]
+        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2), key=self.criterion)
+        near = near[: 0 if self._late() else self.options.width]
         again = {f.key: f for f in (self.pool[()], current, *near)}
         self.pool.clear()
         self.held.clear()
@@ -539,12 +525,31 @@ class Search(Judge):
         fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
         return fit.to_go_on()
 
+    def _led_first(self, current: Fitted, best: Fitted) -> Fitted:
+        """The best structure once one that sticks or strikes, and is near it, was asked what it lacks; far from the noise.
+
+        If that is no more than other moments of its events it is unfolded. Else its free run is no ground to build on: it may be
+        ever so far from what the same effect does beside what is missing, and led models are searched, once.
+        """
+        sticks = [f for f in self.pool.values() if f.rough and f.chi2 < NEARBY * best.chi2]
+        if self.led_by is None or self.fitter.misfit(best) < LACKS or self._spent() or not sticks:
+            return best
+        least = min(sticks, key=self.criterion)
+        if not self.lacks_more(least):
+            if least.key == best.key:
+                return best
+            self._unfold([least])
+        else:
+            led_by, self.led_by = self.led_by, None
+            led_by()
+        return self._best(current)
+
     def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.
 
         Not those that a led model shows to lack something else, nor those that stay behind the one ``beside`` when both are led.
         """
-        for f in structures:
+        for f in structures if self.options.free and not self._late() else ():
             if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or not folded(f):
                 continue
             self.unfolded.add(f.key)
@@ -610,7 +615,8 @@ class Search(Judge):
     def polish(self, fitted: Fitted) -> Fitted:
         """The same structure fitted on to a tight tolerance."""
         fitted = self.shake(fitted)
-        better = self.fitter.fit(fitted.hypothesis, fitted.fit.x, iterations=40, tolerance=1e-8)
+        # a rough cost has no such minimum
+        better = self.fitter.fit(fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-8)
         if better.ok and better.chi2 <= fitted.chi2:
             self.keep(better)
             return better
@@ -660,7 +666,8 @@ class Search(Judge):
             fewer = self.fitter.map([partial(self.without, current, effect) for effect in current.effects])
             for effect, rest in zip(current.effects, fewer, strict=True):
                 # dropped, or in the simpler form that it refines: a refinement may have entered while another effect was missing
-                poorer = chain([rest], (make_it() for make_it in self._simpler(current, effect)))
+                simpler = [] if self._late() else self._simpler(current, effect)
+                poorer = chain([rest], (make_it() for make_it in simpler))
                 worth = (p for p in poorer if p.ok and self._admitted([e.id for e in p.effects]))
                 found = next((p for p in worth if not (self.pays(p, current) or self.stands(p, current))), None)
                 if found is not None:

@@ -49,6 +49,7 @@ FOLDS = 5
 STRETCHES = 20  # per recording, dealt to the folds in turn
 MIMIC = 2e-3  # a direction of which the model's own numbers leave less than this is theirs
 RICHER = 0.05  # a second variable must lower the cross-validated cost of the first by so much
+RUNS = 1500  # simulations after which no further map is tried, nor one fitted on
 TRIED = 3  # maps fitted in the model
 FAR = 1.25  # one whose screened cost is so many times that of the best fitted one is not
 STILL = 0.01  # the fit goes on while its cost falls by more than this share
@@ -124,11 +125,12 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     progress.stage("map", "what is left, over each state variable")
     ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
     tried: list[_Refined] = []
+    began = fitter.runs
     for candidate in ranked[:TRIED]:
-        if tried and candidate.cost > FAR * min(t.cost for t in tried):
+        if fitter.runs - began > RUNS or (tried and candidate.cost > FAR * min(t.cost for t in tried)):
             break
         progress.stage("map", f"fitting one {_words(candidate.shape)}")
-        refined = _refine(fitter, candidate)
+        refined = _refine(fitter, candidate, began + RUNS)
         if refined is not None:
             tried.append(refined)
     for t in sorted(tried, key=lambda t: t.cost):
@@ -360,8 +362,11 @@ def _with(h: Hypothesis, shape: TorqueMap) -> Hypothesis:
     return dataclasses.replace(h, nominal=dataclasses.replace(nominal, effects=(*nominal.effects, shape)))
 
 
-def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 6) -> _Refined | None:
-    """Gauss-Newton in the model over its numbers and the coefficients, the penalty chosen anew at each linearisation."""
+def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) -> _Refined | None:
+    """Gauss-Newton in the model over its numbers and the coefficients, the penalty chosen anew at each linearisation.
+
+    ``until``: what the fitter may have simulated when another one is begun.
+    """
     best, solution = candidate.start, candidate.solution
     h = best.hypothesis
     k = len(h.entries)
@@ -407,7 +412,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, rounds: int = 6) -> _Refined 
         fell = outcome is None or cost < (1 - STILL) * outcome.fitted.chi2
         own = Fit(x, cost, at, fit.status, fit.iterations, fit.predicted_gain)
         outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, after, problem, after.cost * best.chi2)
-        if not fell:
+        if not fell or fitter.runs > until:
             break
     return outcome
 

@@ -168,8 +168,8 @@ def _load_kernels(bodies: int) -> None:
 
 
 def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> str:
-    """Hash of what the fits of a diagnosis follow from; neither threads nor a budget of time change a fit."""
-    same = dataclasses.replace(options, jobs=1, seconds=math.inf)
+    """Hash of what the fits of a diagnosis follow from; neither threads nor a budget change a fit."""
+    same = dataclasses.replace(options, jobs=1, seconds=math.inf, effort=1.0)
     return fingerprint(nominal, (*recordings, *held_out), len(recordings), same)
 
 

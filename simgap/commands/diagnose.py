@@ -28,6 +28,14 @@ __all__ = ["command"]
 @click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads; the answer does not depend on them.")
 @click.option("--seed", default=0, show_default=True, type=int, help="Seed of whatever is random.")
 @click.option("--budget", default=0.0, type=float, help="Seconds after which no further structure is tried (0: no limit).")
+@click.option(
+    "--effort",
+    default=1.0,
+    show_default=True,
+    type=click.FloatRange(0.0),
+    help="How many simulations the search may take: 1 is about half a minute for 10 s at 2 kHz on two cores; 0: no limit. "
+    "Unlike --budget it gives the same answer on every machine.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def command(
@@ -40,6 +48,7 @@ def command(
     jobs: int,
     seed: int,
     budget: float,
+    effort: float,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -59,7 +68,7 @@ def command(
         for name in only:
             if name not in registered():
                 raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), "correct the name")
-        options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf)
+        options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf)
         try:
             result = diagnose_files(recordings, model, out, held_out, options, progress=not quiet, draw=draw)
         except KeyboardInterrupt:

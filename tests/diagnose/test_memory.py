@@ -159,7 +159,7 @@ def test_lines_come_back_to_the_last_digit_and_a_cut_one_is_dropped(tmp_path):
     known = again.recall("a")
     assert known is not None
     assert [v.hex() for v in known.x] == [v.hex() for v in FIT.x]
-    assert (known.cost, known.status, known.n, known.runs) == (0.1, Status.BUDGET, 7, 11)
+    assert (known.cost, known.status, known.n, known.work) == (0.1, Status.BUDGET, 7, 11)
     assert known.predicted_gain == np.inf
     again.keep("b", FIT, 7, 11)
     assert Memory(path, "this").recalled == 2

@@ -388,7 +388,7 @@ def test_what_a_better_law_may_still_miss_is_no_effect_of_its_own(fitter_of, pai
     assert search.of_the_law(own) == 0.0
     assert search.of_the_law(other) == pytest.approx(0.01 * 48.8 * other.n)
     assert not search.pays(other, richer)
-    assert search._floor(other) > 3_000
+    assert search.floor(other) > 3_000
     search.pool.clear()
     assert search.of_the_law(other) > 0.0, "what has left the pool was fitted all the same"
 
@@ -401,8 +401,8 @@ def test_a_rival_without_hope_is_not_fitted_on(fitter_of, pair):
     poor = fitter.fit(fitter.hypothesis([coulomb(0.3)]), iterations=1)
     beside = [*right.effects, effect("gravity_load", place="arm", torque_Nm=1e-4, phase_rad=0.0)]
     idle = fitter.fit(fitter.hypothesis(beside, right.linear), iterations=2)
-    assert not search._promising(right, idle, search._floor(right))
-    assert search._promising(search.nominal(), poor, search._floor(right)), "far from noise all go on"
+    assert not search._promising(right, idle, search.floor(right))
+    assert search._promising(search.nominal(), poor, search.floor(right)), "far from noise all go on"
     assert search._promising(idle, dataclasses.replace(right, fit=right.fit), -10.0), "as good, and simpler"
 
 
@@ -423,7 +423,7 @@ def test_a_structure_that_leaves_less_than_noise_leaves_something_if_that_has_a_
     search = Search(fitter, SearchOptions())
     right, wrong = fitter.fit(fitter.hypothesis([coulomb()])), search.nominal()
     less = [dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=0.8 * f.n)) for f in (right, wrong)]
-    assert not search._visible(right)
-    assert not search._visible(less[0])
-    assert search._visible(less[1])
-    assert search._visible(wrong)
+    assert not search.visible(right)
+    assert not search.visible(less[0])
+    assert search.visible(less[1])
+    assert search.visible(wrong)

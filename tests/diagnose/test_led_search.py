@@ -1,0 +1,96 @@
+"""A search among models that the measured velocity leads, and how many simulations a diagnosis may take."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnose.experiment import prepare
+from diagnose.fitter import Fitter
+from diagnose.flow import Options, diagnose
+from diagnose.led_search import among_led
+from diagnose.result import Verdict
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
+from diagnose.view import MotionView
+from mjsim.effects import effect_class
+from mjsim.excitation import chirp
+from mjsim.ode import simulate, work_done
+from mjsim.recording import Recording
+
+DT, N, NOISE = 1e-3, 8_000, 0.05
+STICTION = {"torque_Nm": 0.06, "peak": 3.6}
+PAIR = ("coulomb_friction", "static_friction", "stribeck_friction", "sensor_lag", "hysteresis")
+
+
+def recorded(plant, seed: int, amplitude: float = 0.6) -> Recording:
+    """A chirp of an axis that sticks at each reversal."""
+    torque = chirp(N * DT, DT, amplitude, 0.5, 25.0)
+    run = simulate(plant, torque, DT)
+    rng = np.random.default_rng(seed)
+    return Recording(
+        run.time, torque, run.velocity + NOISE * rng.standard_normal(N), run.angle + 1e-4 * rng.standard_normal(N), DT
+    )
+
+
+@pytest.fixture(scope="module")
+def plant(robot):
+    """Static friction behind a sensor that lags: neither is seen for what it is without the other."""
+    changed = robot.with_linear({p.name: 1.05 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"})
+    return changed + effect_class("static_friction")(**STICTION) + effect_class("sensor_lag")(time_constant_s=2e-3)
+
+
+@pytest.fixture
+def search(robot, plant):
+    """A search that has only the nominal model so far."""
+    experiment, held = (prepare(recorded(plant, seed, a)) for seed, a in ((1, 0.6), (2, 0.5)))
+    fitter = Fitter(robot, MotionView(), (experiment,), (held,), 1)
+    found = Search(fitter, SearchOptions(only=PAIR))
+    found.nominal()
+    yield found
+    fitter.close()
+
+
+def test_a_pair_of_which_one_sticks_is_found_among_led_models(search):
+    before = search.fitter.runs
+    among_led(search)
+    best = min(search.pool.values(), key=search.criterion)
+    assert best.key == ("sensor_lag@sensor", "static_friction@motor")
+    assert best.chi2 < 0.02 * search.nominal().chi2
+    assert before < search.fitter.runs < before + 15_000
+
+
+def test_no_structure_is_made_up_where_led_models_lack_what_none_has(search):
+    """Of effects that cannot explain it none is fitted to a free run."""
+    search.candidates = tuple(c for c in search.candidates if c.id == "hysteresis")
+    among_led(search)
+    assert list(search.pool) == [()]
+
+
+def test_what_a_run_takes_is_counted_in_products_of_a_step(robot):
+    """One a step where all is affine between events, four by RK4; the same each time."""
+    torque = np.full(1001, 0.2)
+
+    def took(axis) -> int:
+        before = work_done()
+        simulate(axis, torque, DT, substeps=2)
+        return work_done() - before
+
+    assert took(robot) == 2000
+    smooth = robot + effect_class("quadratic_friction")(coefficient_Nm_s2_rad2=1e-6)
+    assert took(smooth) == 4 * 2000
+    sticking = robot + effect_class("static_friction")(**STICTION)
+    assert took(sticking) == took(sticking) >= 2000
+
+
+def test_a_search_that_may_not_go_on_says_so_whatever_the_number_of_threads(robot, plant):
+    estimation, held_out = recorded(plant, 1), recorded(plant, 2, 0.5)
+    few = Options(jobs=1, effects=PAIR, effort=0.02)
+    one, two = (diagnose(robot, [estimation], [held_out], dataclasses.replace(few, jobs=jobs)) for jobs in (1, 2))
+    assert one.verdict is Verdict.UNEXPLAINED
+    assert any("--effort" in note for note in one.notes)
+    assert [(f.effect, f.place) for f in one.findings] == [(f.effect, f.place) for f in two.findings]
+    assert one.fit["corrected"].rms == two.fit["corrected"].rms
+    assert one.rivals == two.rivals
