@@ -19,7 +19,7 @@ import numpy as np
 from diagnose.candidates import Candidate
 from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
-from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut
+from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut, key_of
 from diagnose.fitter import CLOSELY, Fitter
 from diagnose.force_orders import FEW
 from diagnose.moves import named
@@ -39,6 +39,7 @@ SPREAD = (
     4.0  # ratio of an effect's logarithmic gains in two recordings of some 15 independent samples each (2 standard deviations)
 )
 LACKS = 4.0  # times the noise variance left by a closely led model, which no wrong order of events leaves
+STAYS = 0.5  # part of what is left beside noise that stays when a model is led, and is then none of other moments
 SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
 LAW = 0.01  # part of what another law of an effect changed that the better law may still miss
 COLOURED = 0.01  # of its variance, by which a residual foretells itself
@@ -349,6 +350,22 @@ class Judge:
         """Whether a structure lacks something else than the moments at which bodies stick, or a turn of an oscillation."""
         led = self._led(f, self._closely(f)) if self.fitter.noise_known else None
         return led is not None and led.chi2 > LACKS * led.n
+
+    def lacks_law(self, f: Fitted) -> bool:
+        """Whether what a structure leaves beside noise is no wrong order of its events: where that is little, and stays when led.
+
+        A led model is put right within J/lead, so that an event at another moment costs it a fraction of what a free run pays.
+        """
+        f = self.pool.get(f.key, f)
+        if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
+            return False
+        led = self._led(f, LEAD)
+        return led is not None and led.chi2 - led.n > STAYS * (f.chi2 - f.n)
+
+    def sticks(self, f: Fitted) -> bool:
+        """Whether bodies stick or strike in a structure to some effect."""
+        bare = self.pool.get(key_of(tuple(e for e in f.effects if not type(e).rough))) if f.rough else None
+        return f.rough and (bare is None or f.chi2 < 0.9 * bare.chi2)
 
     def _closely(self, *structures: Fitted) -> float:
         """The rate [1/s] at which structures are led closely: that of the lightest driven body among them."""

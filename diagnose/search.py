@@ -531,7 +531,7 @@ class Search(Judge):
         If that is no more than other moments of its events it is unfolded. Else its free run is no ground to build on: it may be
         ever so far from what the same effect does beside what is missing, and led models are searched, once.
         """
-        sticks = [f for f in self.pool.values() if f.rough and f.chi2 < NEARBY * best.chi2]
+        sticks = [f for f in self.pool.values() if f.chi2 < NEARBY * best.chi2 and self.sticks(f)]
         if self.led_by is None or self.fitter.misfit(best) < LACKS or self._spent() or not sticks:
             return best
         least = min(sticks, key=self.criterion)
@@ -555,7 +555,7 @@ class Search(Judge):
             self.unfolded.add(f.key)
             if not self._late() and self.shake(f).chi2 < UNEXPLAINED * f.n:
                 continue
-            if self.lacks_more(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
+            if self.lacks_more(f) or self.lacks_law(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
                 continue
             spent = self.fitter.runs
             for linear in (f.linear, None):
