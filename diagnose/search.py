@@ -666,8 +666,7 @@ class Search(Judge):
             fewer = self.fitter.map([partial(self.without, current, effect) for effect in current.effects])
             for effect, rest in zip(current.effects, fewer, strict=True):
                 # dropped, or in the simpler form that it refines: a refinement may have entered while another effect was missing
-                simpler = [] if self._late() else self._simpler(current, effect)
-                poorer = chain([rest], (make_it() for make_it in simpler))
+                poorer = chain([rest], (make_it() for make_it in self._simpler(current, effect)))
                 worth = (p for p in poorer if p.ok and self._admitted([e.id for e in p.effects]))
                 found = next((p for p in worth if not (self.pays(p, current) or self.stands(p, current))), None)
                 if found is not None:
