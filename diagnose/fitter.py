@@ -391,7 +391,7 @@ class Fitter:
         """
         asked = (fitted.key, self.whitening.tobytes())
         known = self._pooled.get(asked)
-        if known is not None and abs(math.log(known[0] / fitted.chi2)) < SAME:  # the same fit, polished
+        if known is not None and abs(known[0] - fitted.chi2) < SAME * fitted.chi2:  # the same fit, polished
             return known[1]
         self._pooled[asked] = fitted.chi2, self._fit_pooled(fitted)
         return self._pooled[asked][1]

@@ -47,7 +47,7 @@ __all__ = ["Options", "diagnose"]
 
 Split = tuple[tuple[Experiment, ...], tuple[Experiment, ...]]
 
-AGAIN = 3  # part of the simulations that a search of another split of the recordings may take whatever the first one took
+AGAIN = 1 / 3  # part of the simulations that a search of another split of the recordings may take whatever the first one took
 JUDGED = 8  # rivals whose held-out error the report shows, whether the search has asked for it or not
 SWING = 3.0  # log of the growth over a recording from which a mechanism cannot be moved as recorded
 EVENTS = (30.0, 56.0, 100.0, 170.0)  # rates [1/s] at which a model is led whose free run goes astray
@@ -141,7 +141,7 @@ def diagnose(
     def by(experiments: Split) -> Diagnosis:
         nonlocal taken
         fitter = Fitter(nominal, view, *experiments, options.jobs, varies, memory=memory)
-        fitter.most_runs = max(options.effort * RUNS - taken, options.effort * RUNS / AGAIN)
+        fitter.most_runs = max(options.effort * RUNS - taken, AGAIN * options.effort * RUNS)
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
                 return _diagnose(fitter, options, Progress(progress), began)
@@ -256,7 +256,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     if fitter.spent and verdict is Verdict.UNEXPLAINED:
         notes.append(
             f"The search ended once it had taken {fitter.most_runs:.0f} simulations, and left structures untried: "
-            "--effort 4 looks four times as long."
+            f"--effort {4 * options.effort:g} looks four times as long."
         )
     notes += _steps(search, best, _unit(fitter))
     notes += [

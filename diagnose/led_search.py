@@ -38,9 +38,9 @@ def among_led(search: Search) -> None:
         search.keep(free)
         if search.shake(free).chi2 > UNEXPLAINED * min(free.n, led.chi2):
             again = search.fitter.let_go(led, highest=CLOSELY)
-            free = free if again is None else again
-            search.keep(free)
-        if search.pool[free.key].chi2 < UNEXPLAINED * free.n:
+            search.keep(free if again is None else again)
+        known = search.pool.get(led.key)  # none where no free run of it could be fitted
+        if known is not None and known.chi2 < UNEXPLAINED * known.n:
             break
 
 
@@ -103,7 +103,7 @@ def _restarted(search: Search, f: Fitted) -> Fitted:
     best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=f)
     if best.chi2 < f.chi2:
         search.keep(fitter.fit(best.hypothesis, best.fit.x, iterations=12))
-    return search.pool[f.key]
+    return search.pool.get(f.key, f)
 
 
 def _spread(search: Search, f: Fitted) -> Fitted:

@@ -116,9 +116,9 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
         return np.asarray(step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r)))
 
     some = slice(None, None, max(1, len(clean) // ENOUGH))
-    off = [float(np.sum((measured[some] - mean(some, r))[counts[some]] ** 2)) for r in DITHER]
+    errors = [float(np.sum((measured[some] - mean(some, r))[counts[some]] ** 2)) for r in DITHER]
     count_work(2 * len(clean))
-    return mean(slice(None), DITHER[int(np.argmin(off))])
+    return mean(slice(None), DITHER[int(np.argmin(errors))])
 
 
 def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np.ndarray:

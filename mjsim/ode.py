@@ -163,7 +163,7 @@ def count_work(products: int) -> None:
 
 
 def work_done() -> int:
-    """What the free runs of this thread have taken so far, in products of a step (`kernel.integrate`): the same everywhere."""
+    """What the runs of this thread have taken so far, in products of a step (`kernel.integrate`): the same everywhere."""
     return getattr(_here, "work", 0)
 
 
@@ -309,11 +309,12 @@ def inverse(
     s = axis if isinstance(axis, System) else assemble(axis)
     speed = float(np.max(np.abs(velocity))) if len(velocity) else 0.0
     out = np.empty(len(angle))
-    count_work(4 * len(angle) * s.substeps(dt, speed))
+    n_sub = s.substeps(dt, speed)
+    count_work(4 * len(angle) * n_sub)
     status, at = kernel.drive(
         (0,) * s.n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters,
         _own(angle), _own(velocity), _own(acceleration),
-        dt, s.substeps(dt, speed), t0, np.zeros((2, s.n)) if rest is None else _own(rest), out,
+        dt, n_sub, t0, np.zeros((2, s.n)) if rest is None else _own(rest), out,
     )  # fmt: skip
     if status:
         raise DivergedError(f"the inverse run diverged at {t0 + at * dt:.4f} s: the chain is unstable when its motor is held")

@@ -10,6 +10,7 @@ import pytest
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
+from diagnose.least_squares import Status
 from diagnose.led_search import among_led
 from diagnose.result import Verdict
 from diagnose.search import Search
@@ -65,6 +66,17 @@ def test_a_pair_of_which_one_sticks_is_found_among_led_models(search):
 def test_no_structure_is_made_up_where_led_models_lack_what_none_has(search):
     """Of effects that cannot explain it none is fitted to a free run."""
     search.candidates = tuple(c for c in search.candidates if c.id == "hysteresis")
+    among_led(search)
+    assert list(search.pool) == [()]
+
+
+def test_a_structure_that_cannot_be_run_free_is_left_out(search, monkeypatch):
+    """Led, a model may stand that swings up by itself."""
+    led = search.fitter.fit(search.fitter.hypothesis((effect_class("static_friction")(**STICTION),)), iterations=0)
+    lost = dataclasses.replace(led, fit=dataclasses.replace(led.fit, cost=np.inf, status=Status.FAILED))
+    monkeypatch.setattr("diagnose.led_search._search", lambda _: [led])
+    monkeypatch.setattr(search.fitter, "fit", lambda *_, **__: lost)
+    monkeypatch.setattr(search.fitter, "let_go", lambda *_, **__: None)
     among_led(search)
     assert list(search.pool) == [()]
 
