@@ -33,7 +33,7 @@ class Experiment:
 
     counts (N) bool; sigma: noise rms of the judged output (weights recordings against each other); moving: the axis is
     not at rest
-    at the first sample; before: torque held ahead of it.
+    at the first sample; before: torque held ahead of it; correction (N): added to the measured velocity where motion is compared.
     """
 
     recording: Recording
@@ -41,6 +41,7 @@ class Experiment:
     sigma: float
     moving: bool
     before: float
+    correction: np.ndarray | None = None
 
 
 def measured_velocity(recording: Recording) -> np.ndarray:

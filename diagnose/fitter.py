@@ -44,6 +44,7 @@ LOST = 1.2  # times the least cost under a lead, or noise: an event was lost as 
 DRAWS = 3  # sets of them at most
 SHAKES, PATIENCE = 12, 3  # sets of points about a fit at most, and how many in a row may lead nowhere
 SAME = 0.002  # difference in the logarithm of chi-square of one minimum: a fit that comes back to it has no better one near
+SLOWLY = 0.01  # relative gain of an iteration below which a fit to all recordings, that leaves as much, has converged
 RK4 = 3.5  # times as long as one product a step takes that laws make nonlinear
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
@@ -281,21 +282,23 @@ class Fitter:
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
             tolerance: float = 1e-6, borrow: Fitted | None = None, secant: bool = False,
-            fresh: Sequence[str] = (), rival: bool = False) -> Fitted:  # fmt: skip
+            fresh: Sequence[str] = (), rival: bool = False,
+            slow: tuple[float, float] = (math.inf, 0.0)) -> Fitted:  # fmt: skip
         """Fit one hypothesis from its start.
 
         ``borrow``: a fitted neighbour whose sensitivities stand in for the shared parameters in the first iteration.
         ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
         ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to ROUGHLY is
-        enough, unless bodies stick or strike in it: a rough cost falls slowly.
+        enough, unless bodies stick or strike in it: a rough cost falls slowly. ``slow``: a cost, and the relative gain of an
+        iteration that is enough above it.
         """
         start = h.start if x0 is None else x0
         rival = rival and self.noise_known and not h.rough
-        how = (iterations, step, tolerance, secant, tuple(fresh), rival)
+        how = (iterations, step, tolerance, secant, tuple(fresh), rival, slow)
         key = self._key(h, start, how, borrow) if self.memory is not None else ""
         known = self.memory.recall(key) if self.memory is not None else None
         counted = _Counted(self.map)
-        coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival else (math.inf, 0.0)
+        coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival and not slow[1] else slow
 
         def solve() -> Fit:
             lent = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
@@ -400,7 +403,10 @@ class Fitter:
         everything = (*self.experiments, *self.held_out)
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
-        joint = wider.fit(wider.hypothesis(fitted.effects, fitted.linear, fitted.own), iterations=15, rival=True)
+        # one that leaves much of both need not be known to the last digit
+        slow = (FAR * sum(int(np.sum(self.counted(e))) for e in everything), SLOWLY)
+        h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
+        joint = wider.fit(h, iterations=15, rival=True, slow=slow)
         if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not self.spent:
             # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
             again = wider.unfolded(joint, fitted.linear)
@@ -431,6 +437,12 @@ class Fitter:
         other.scales, other.guide, other.threads, other.unit = self.scales, self.guide, self.threads, self.unit
         other._sigma |= {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
         return other
+
+    def thinned(self, experiments: tuple[Experiment, ...], view: View, every: int) -> Fitter:
+        """A fitter on every so-manyth sample: its costs, and what the nominal model says, are so many times smaller."""
+        part = self._beside(experiments, self.experiments, view)
+        part.guide, part.memory = self.guide / every, self.memory
+        return part
 
     def leading(self, rate: float, held_out: tuple[Experiment, ...] = ()) -> Fitter:
         """A fitter of models that the measured velocity leads, by the nominal inertia times ``rate`` [1/s]."""
@@ -575,7 +587,7 @@ class Fitter:
             part = self._beside(tuple(_first(e, share) for e in self.experiments), self.experiments, self.view)
             found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
             self.took(part.work)
-            if not found.ok:
+            if not found.ok or self.spent:
                 return fitted
             effects, linear, own = found.effects, found.linear, found.own
         return self.fit(self.hypothesis(effects, linear, own), iterations=20)

@@ -20,7 +20,7 @@ from diagnose.candidates import Candidate
 from diagnose.compare import Comparison, compare
 from diagnose.encoder import encoder_gain, gain_beside_encoder
 from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut, key_of
-from diagnose.fitter import CLOSELY, Fitter
+from diagnose.fitter import CLOSELY, SAME, Fitter
 from diagnose.force_orders import FEW
 from diagnose.moves import named
 from diagnose.search_options import SearchOptions
@@ -46,6 +46,15 @@ COLOURED = 0.01  # of its variance, by which a residual foretells itself
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
+Key = tuple[str, ...]
+
+
+def _alike(asked: tuple[Key, float, Key, float], before: Fitted, after: Fitted) -> bool:
+    """Whether two structures are those that were asked about, by keys and chi-squares, but for the last digits of a fit."""
+    same = (asked[0], asked[2]) == (before.key, after.key)
+    return same and all(abs(math.log(f.chi2 / known)) < SAME for f, known in ((before, asked[1]), (after, asked[3])))
+
+
 @dataclass
 class Judge:
     """Everything fitted so far, by structure, and how it compares."""
@@ -59,7 +68,7 @@ class Judge:
     worth_of: Callable[[Fitted, Fitted], float] | None = None
     _encoder: dict[tuple[object, ...], bool] = field(default_factory=dict, init=False)
     _in_blocks: dict[tuple[object, ...], Comparison] = field(default_factory=dict, init=False)
-    _leads: dict[tuple[object, ...], float] = field(default_factory=dict, init=False)
+    _leads: dict[tuple[Key, float, Key, float], float] = field(default_factory=dict, init=False)
     _led_fits: dict[tuple[object, ...], Fitted | None] = field(default_factory=dict, init=False)
     _samples: dict[tuple[object, ...], list[np.ndarray] | None] = field(default_factory=dict, init=False)
     _least: dict[tuple[str, ...], float] = field(default_factory=dict, init=False)  # whatever has left the pool
@@ -324,7 +333,7 @@ class Judge:
         gain = self.gain(before, after)
         if before.chi2 > UNEXPLAINED * before.n and gain < FAIR * before.n * math.log(before.chi2 / before.n):
             return True
-        asked = (before.key, before.chi2, after.key, after.chi2)
+        asked = next((a for a in self._leads if _alike(a, before, after)), (before.key, before.chi2, after.key, after.chi2))
         if asked not in self._leads:
             richer = self.fitter.led(after, LEAD, 15, spread=8, keep=2)
             own = self.fitter.led(before, LEAD, 15, spread=8, keep=2)

@@ -15,12 +15,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced, screen, span
+from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import SAME
 from diagnose.hypothesis import make
 from diagnose.judge import LACKS, Judge
 from diagnose.least_squares import Status, orthonormal
+from diagnose.look import Look, look
 from diagnose.moves import (
     Entrant,
     folded,
@@ -55,6 +56,9 @@ BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to whi
 # leaves more than noise, as little but with a colour, and noise alone
 NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
+FIRST = 6  # rivals that go on after the first look
+ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
+FORMS, CRAWLS = 30, 0.01  # iterations of a simpler form, and what each must gain while all could not bring it near
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 
@@ -82,11 +86,15 @@ class Search(Judge):
         self._unguided: Fitted | None = None
         self._let_go = 0
         self._without: set[tuple[object, ...]] = set()
-        self._starts: dict[tuple[object, ...], Fitted] = {}
+        self._last_look: tuple[object, Look] | None = None
 
     def _spent(self) -> bool:
         """Whether what this stretch of the search may take (the same on every machine), or the whole diagnosis, is used up."""
-        return self.fitter.runs - self._runs > self.options.runs or self._late()
+        return self._left() < 0 or self._late()
+
+    def _left(self) -> float:
+        """How many simulations may still be taken."""
+        return min(self.options.runs - (self.fitter.runs - self._runs), self.fitter.most_runs - self.fitter.runs)
 
     def _late(self) -> bool:
         """Whether what the whole diagnosis may take is used up."""
@@ -131,7 +139,7 @@ class Search(Judge):
             if not conflicts(c, base.effects) and (not effect_class(c.id).form_of or (material and replaced(base, c) is not None))
             and self._admitted([c.id, *(e.id for e in base.effects)])
         ]  # fmt: skip
-        ranked = screen(self.fitter, base, free)
+        ranked = self._look(base).screen(free)
         self.screened[base.key] = ranked
         self.tested += len(ranked)
         floor = self.floor(base)
@@ -166,7 +174,7 @@ class Search(Judge):
                 and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
                 and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
             ]  # fmt: skip
-            ranked = screen(self.fitter, base, supposed, replacing=effect)
+            ranked = self._look(base).screen(supposed, effect)
             self.tested += len(ranked)
             entrants += [
                 (others, s) for s in ranked
@@ -228,11 +236,16 @@ class Search(Judge):
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
         self.progress.rivals(len(entrants))
-        spent = self._spent()
+        spent, ground = self._spent(), self._look(base)
         if not spent and any(far or effect_class(s.candidate.id).family in CURVED for _, s in entrants):
-            self._begun(base)  # once, whatever the number of threads
-        begin = [partial(self._done, partial(self._enter, base, p, s, far)) for p, s in entrants]
-        firsts = [] if spent else self.fitter.map(begin)
+            ground.ready()
+        begin = [partial(self._done, partial(ground.enter, p, s, far)) for p, s in entrants]
+        firsts: list[Fitted | None] = []
+        portion = len(begin) if self._left() > ENTRANT * len(begin) else PORTION
+        while len(firsts) < len(begin) and not spent:
+            firsts += self.fitter.map(begin[len(firsts) :][:portion])
+            ground.took()
+            spent = self._spent()
         running: list[Fitted] = []
         for (_, s), first in zip(entrants, firsts, strict=False):
             if first is None:
@@ -240,7 +253,7 @@ class Search(Judge):
             else:
                 running.append(first)
         # (how many go on, for how many iterations, how far behind the leader they may be, in units of n)
-        for keep, iterations, behind in ((6, 3, 1.5), (4, 6, 0.4), (3, 20, 0.05)):
+        for keep, iterations, behind in ((FIRST, 3, 1.5), (4, 6, 0.4), (3, 20, 0.05)):
             running.sort(key=lambda f: f.chi2)
             best = running[0].chi2 if running else 0.0
             on = [
@@ -253,7 +266,9 @@ class Search(Judge):
                 continue
             self.progress.rivals(len(on))
             further = partial(self.fitter.fit, iterations=iterations, rival=True)
-            longer = [partial(self._done, partial(further, f.hypothesis, f.fit.x)) for f in (running[k] for k in on)]
+            # its sensitivities where it is, if they are not those that secants brought up to date
+            known = [f if ground.every > 1 and keep == FIRST and not f.rough else None for f in running]
+            longer = [partial(self._done, partial(further, running[k].hypothesis, running[k].fit.x, borrow=known[k])) for k in on]
             lengths = self.fitter.lengths([running[k] for k in on])
             for rank, f in zip(on, self.fitter.map(longer, lengths), strict=True):
                 running[rank] = f
@@ -282,57 +297,12 @@ class Search(Judge):
         self.progress.rival()
         return outcome
 
-    def _enter(self, base: Fitted, present: tuple[Effect, ...], s: Screened, far: bool) -> Fitted | None:
-        """A few cheap iterations from the best starts of one rival; None when none of them can be run."""
-        # the response of these is not linear in their amplitude, and a stiffness has drifted to stand in for them: they begin
-        # from the nominal parameters as well, with amplitudes that no secant has moved
-        cls = effect_class(s.candidate.id)
-        curved = cls.multistart > 1
-        stiff = cls.family in ("structure", "coupling")
-        own = (s.candidate.key,) if curved else ()  # the columns that change most
-        # where the same effect enters once more, its own phases are those of its starts
-        rest = {k: v for k, v in base.own.items() if k[0] != s.candidate.key}
-        guesses = [self.fitter.hypothesis((*present, e), base.linear, rest) for e in s.starts[: None if curved else 2]]
-        borrowing = len(guesses)
-        raw = [make(cls.id, s.candidate.place, v) for v in cls.starts(self.fitter.scales_for(cls, s.candidate.place))]
-        from_nominal = (*raw,) if stiff else (*s.starts[:2], *raw[:2]) if far else ()
-        guesses += [self.fitter.hypothesis((*present, e), None, rest) for e in from_nominal]
-        residuals = self.fitter.run([self.fitter.at_start(h) for h in guesses])
-        # what the base's own parameters, or the nominal ones, will take up does not count against a start
-        spans = (span(base), span(self._begun(base)) if from_nominal else None)
-        cost = [left_over(r, spans[i >= borrowing]) for i, r in enumerate(residuals)]
-        order = sorted(range(len(guesses)), key=lambda i: cost[i])
-        if stiff:  # one that the screen has shrunk to nothing costs no more than the base: both kinds go on
-            half = (cls.multistart + 1) // 2
-            order = [i for i in order if i < borrowing][:half] + [i for i in order if i >= borrowing][:half]
-        else:
-            order = order[: cls.multistart]
-        if far and borrowing < len(guesses) and max(order) < borrowing:
-            # far off, the refitted parameters may have gone where no way leads back from
-            order.append(min(range(borrowing, len(guesses)), key=lambda i: cost[i]))
-        # how a body that sticks or strikes answers to the others' parameters, they do not know without it
-        lent = self._begun(base) if from_nominal and not (cls.rough or base.rough) else None
-        borrows = [base if i < borrowing else lent for i in order]
-        begin = partial(self.fitter.fit, iterations=3, tolerance=1e-4, secant=True, fresh=own)
-        tasks = [partial(begin, guesses[i], borrow=b) for i, b in zip(order, borrows, strict=True) if math.isfinite(cost[i])]
-        fits = self.fitter.map(tasks)
-        first = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
-        if first is None:
-            return None
-        if curved and first.fit.status is Status.BUDGET:
-            # on a curved way it is early to say how far it leads: on while it falls fast
-            first = self.fitter.fit(
-                first.hypothesis, first.fit.x, iterations=6, tolerance=0.02, borrow=first, secant=True, fresh=own
-            )
-        # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
-        return first.to_go_on()
-
-    def _begun(self, base: Fitted) -> Fitted:
-        """The structure of ``base`` at the nominal linear parameters, with its sensitivities there."""
-        asked = (base.key, base.chi2, self.fitter.guide)
-        if asked not in self._starts:
-            self._starts[asked] = self.fitter.fit(self.fitter.hypothesis(base.effects, None, base.own), iterations=1)
-        return self._starts[asked]
+    def _look(self, base: Fitted) -> Look:
+        """The first look at the rivals of a structure, by the present weights and orders."""
+        asked = (base.key, base.chi2, self.fitter.guide, self.fitter.orders, id(self.fitter.scales))
+        if self._last_look is None or self._last_look[0] != asked:
+            self._last_look = asked, look(self.fitter, base)
+        return self._last_look[1]
 
     def _tell(self, current: Fitted) -> None:
         """The best so far, by its error against that of the refitted nominal model."""
@@ -459,7 +429,7 @@ class Search(Judge):
     def _shown(self, current: Fitted) -> Fitted:
         """With the effects that the angle shows whatever the model is, where they pay: the rest is sought beside them."""
         for candidate in [c for c in self.candidates if c.id in self.only_beside.values()]:
-            entrants = screen(self.fitter, current, [candidate])
+            entrants = self._look(current).screen([candidate])
             self.tested += len(entrants)
             for richer in self._race(current, [(current.effects, s) for s in entrants]):
                 if self.pays(current, richer):
@@ -616,7 +586,9 @@ class Search(Judge):
         """The same structure fitted on to a tight tolerance."""
         fitted = self.shake(fitted)
         # a rough cost has no such minimum
-        better = self.fitter.fit(fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-8)
+        better = self.fitter.fit(
+            fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-6 if fitted.rough else 1e-8
+        )
         if better.ok and better.chi2 <= fitted.chi2:
             self.keep(better)
             return better
@@ -683,7 +655,9 @@ class Search(Judge):
             values = dict(cls.starts(self.fitter.scales_for(cls, effect.place))[0])
             values.update({k: v for k, v in effect.values.items() if k in values})
             h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
-            simple = self.fitter.fit(h, iterations=30, rival=True)
+            # as long as it may still come near: the cost of what sticks falls for ever; among led models it is ground to build on
+            slow = (math.exp(FORMS * CRAWLS) * current.chi2, CRAWLS) if self.options.free else (math.inf, 0.0)
+            simple = self.fitter.fit(h, iterations=FORMS, rival=True, slow=slow)
             self.keep(simple)
             bare = self.pool.get(key_of(rest))
             behind = simple.ok and math.log(simple.chi2 / current.chi2) > SAME

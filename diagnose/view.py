@@ -132,7 +132,7 @@ class MotionView:
 
     lead [N m s/rad | N s/m]: torque that draws the model to the recorded velocity, per unit of its error; 0 for a free run.
     A led model has forgotten within J/lead what it did before: events do not add up, and its error has fewer minima.
-    most_substeps: of a run, a sample; a model that needs more is not run.
+    most_substeps: of a run, a sample; a model that needs more is not run. step [rad]: by which the fastest motion turns in one.
     Source: C. P. Vyasarayani et al., Multibody Syst. Dyn. 26 (2011) 411.
     """
 
@@ -140,6 +140,7 @@ class MotionView:
     decimate: int = 1
     lead: float = 0.0
     most_substeps: int = MOST_SUBSTEPS
+    step: float = STEP
 
     @classmethod
     def of(cls, nominal: Axis, recordings: Sequence[Recording]) -> MotionView:
@@ -162,11 +163,14 @@ class MotionView:
                 rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
                 system = dataclasses.replace(system, output_maps=rest)
             predicted = (sensed if r.velocity is not None else _mean_speed)(
-                system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before, most_substeps=self.most_substeps
-            )
+                system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before,
+                most_substeps=self.most_substeps, step=self.step,
+            )  # fmt: skip
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
         measured = measured_velocity(r)
+        if experiment.correction is not None:
+            measured = measured + experiment.correction
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted)

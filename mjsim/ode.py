@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjsim.axis import Axis, Body, Chain, Coupling
-from mjsim.system import System, assemble
+from mjsim.system import STEP, System, assemble
 
 __all__ = [
     "DivergedError",
@@ -122,17 +122,19 @@ def simulate(
     before: float = 0.0,
     substeps: int | None = None,
     most_substeps: int = 64,
+    step: float = STEP,
 ) -> Trajectory:
     """Free-run an axis on a commanded torque (N,) held over each sample of dt [s].
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
     ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied, ahead of what the sensor path does to
     it; ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
-    accuracy rule of `System.substeps`; a model that needs more than ``most_substeps`` is not run. Raises DivergedError.
+    accuracy rule of `System.substeps` by ``step``; a model that needs more than ``most_substeps`` is not run. Raises
+    DivergedError.
     """
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, out = s.n, np.empty((len(torque), _width(s)))
-    _run(s, torque, dt, initial, states, angle, t0, before, substeps, most_substeps, out)
+    _run(s, torque, dt, initial, states, angle, t0, before, substeps, most_substeps, step, out)
     time = _times(len(torque), dt, t0)
     velocity, measured = _sense(s, out[:, n], out[:, 0], dt)
     return Trajectory(
@@ -149,11 +151,12 @@ def sensed(
     angle: np.ndarray | None = None,
     before: float = 0.0,
     most_substeps: int = 64,
+    step: float = STEP,
 ) -> np.ndarray:
     """Velocity (N,) that the sensor shows of the free run of `simulate`, and nothing else of it: what a fit asks for."""
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     out = _workspace(len(torque), _width(s))
-    _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, out)
+    _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, step, out)
     return _sense(s, out[:, s.n], out[:, 0], dt)[0].copy()
 
 
@@ -183,7 +186,7 @@ def _width(s: System) -> int:
 
 def _run(
     s: System, torque: np.ndarray, dt: float, initial: np.ndarray | None, states: np.ndarray | None, angle: np.ndarray | None,
-    t0: float, before: float, substeps: int | None, most_substeps: int, out: np.ndarray,
+    t0: float, before: float, substeps: int | None, most_substeps: int, step: float, out: np.ndarray,
 ) -> None:  # fmt: skip
     """Write the free run of `simulate` to ``out`` (N, `_width`)."""
     from mjsim import kernel
@@ -209,7 +212,7 @@ def _run(
     speed = 0.0
     if s.spatial > 0:
         speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
-    n_sub = substeps or s.substeps(dt, speed)
+    n_sub = substeps or s.substeps(dt, speed, step)
     if n_sub > most_substeps:
         raise DivergedError(f"the model is too stiff: it needs {n_sub} steps a sample, {most_substeps} are allowed")
     status, at, work = kernel.integrate(

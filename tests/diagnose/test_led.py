@@ -164,6 +164,23 @@ def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
     assert search._events_only(bare, after), "nor where noise alone is left: there are minima below the one that was found"
 
 
+def test_a_pair_is_led_once_but_for_the_last_digits_of_its_fits(robot, fitter, monkeypatch):
+    search = Search(fitter, SearchOptions())
+    ripple = effect_class("torque_ripple")(amplitude_Nm=1e-3, cycles_per_rev=5.4, phase_rad=0.0)
+    stiction = effect_class("static_friction")(**STICTION)
+    before, after = (fitter.fit(fitter.hypothesis(effects), iterations=1) for effects in ((stiction,), (stiction, ripple)))
+    led, calls = fitter.led, []
+    monkeypatch.setattr(fitter, "led", lambda *args, **how: calls.append(args) or led(*args, **how))
+    said = search._events_only(before, after)
+    first = len(calls)
+    finer = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.chi2 * (1 - 1e-4)))
+    assert search._events_only(finer, after) == said
+    assert 0 < first == len(calls)
+    other = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.chi2 * 0.98))
+    search._events_only(other, after)
+    assert len(calls) > first
+
+
 def test_an_effect_that_is_there_beside_stiction_gains_in_a_led_model_too(robot, sticking):
     plant, _ = sticking
     ripple = effect_class("torque_ripple")(amplitude_Nm=0.02, cycles_per_rev=5.4, phase_rad=0.4)

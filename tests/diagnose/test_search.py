@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from diagnose.fitter import FAR, PRIOR, Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.least_squares import Status
 from diagnose.moves import ground, named, promising, with_other_laws
-from diagnose.search import Search
+from diagnose.search import PORTION, Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
 from mjsim.effects import effect_class
@@ -427,3 +428,27 @@ def test_a_structure_that_leaves_less_than_noise_leaves_something_if_that_has_a_
     assert not search.visible(less[0])
     assert search.visible(less[1])
     assert search.visible(wrong)
+
+
+def test_near_the_end_of_what_may_be_simulated_rivals_are_begun_a_few_at_a_time(fitter_of, pair):
+    """All that a race begins was begun at once, and it passed the end by as much as it takes."""
+    fitter = fitter_of(pair(coulomb(0.3)))
+    search = Search(fitter, SearchOptions())
+    base = search.nominal()
+    ranked = [(base.effects, s) for s in search._look(base).screen(search.candidates)[: 3 * PORTION]]
+    fitter.most_runs = fitter.runs + 1
+    assert len(search._race(base, ranked)) == PORTION
+    assert search._race(base, ranked) == []
+    fitter.most_runs = math.inf
+    assert len(search._race(base, ranked)) == 3 * PORTION
+
+
+def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, pair):
+    """The cost of what sticks falls for ever: a simpler form of it had taken half of a diagnosis."""
+    fitter = fitter_of(pair(coulomb(0.3)))
+    start = fitter.hypothesis([effect("static_friction", torque_Nm=0.02, peak=3.0)])
+    all_the_way = fitter.fit(start, iterations=30, rival=True)
+    behind = fitter.fit(start, iterations=30, rival=True, slow=(0.5 * all_the_way.chi2, 0.1))
+    near = fitter.fit(start, iterations=30, rival=True, slow=(1e9 * all_the_way.chi2, 0.1))
+    assert near.chi2 == all_the_way.chi2
+    assert behind.fit.iterations < all_the_way.fit.iterations
