@@ -404,9 +404,9 @@ class Fitter:
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
         # one that leaves much of both need not be known to the last digit
-        slow = (FAR * sum(int(np.sum(self.counted(e))) for e in everything), SLOWLY)
+        much = FAR * sum(int(np.sum(self.counted(e))) for e in everything) if self.noise_known else math.inf
         h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
-        joint = wider.fit(h, iterations=15, rival=True, slow=slow)
+        joint = wider.fit(h, iterations=15, rival=True, slow=(much, SLOWLY))
         if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not self.spent:
             # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
             again = wider.unfolded(joint, fitted.linear)
