@@ -6,7 +6,7 @@ import dataclasses
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property, partial
 from typing import TypeVar
 
@@ -23,7 +23,7 @@ from diagnose.view import MotionView, View, most_led
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.ode import work_done
-from mjsim.signals import lfilter
+from mjsim.signals import lfilter, weigh_into
 from mjsim.system import STEP, assemble
 
 __all__ = ["Fitter"]
@@ -114,10 +114,10 @@ class Fitter:
     most_runs: float = math.inf
     memory: Memory | None = None
     guide: float = 1.0
-    threads: SideBySide = field(init=False)
+    beside: InitVar[Fitter | None] = None  # one that it shares threads, scales and the unit of what it takes with
 
-    def __post_init__(self) -> None:
-        self.threads = SideBySide(self.jobs)
+    def __post_init__(self, beside: Fitter | None) -> None:
+        self.threads: SideBySide = SideBySide(self.jobs) if beside is None else beside.threads
         self.closed = False
         self._swung: tuple[float, ...] = ()
         self._counting = threading.Lock()
@@ -127,9 +127,10 @@ class Fitter:
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
         self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
-        self.scales = self._scales()
+        self.scales: dict[str, Scales] = self._scales() if beside is None else beside.scales
         self._steps = max(1, math.ceil(self.experiments[0].recording.dt * assemble(self.nominal).omega / STEP))
-        self.unit = self._steps * sum(len(e.recording) for e in self.experiments)
+        unit = self._steps * sum(len(e.recording) for e in self.experiments)
+        self.unit: int = unit if beside is None else beside.unit
 
     @property
     def runs(self) -> int:
@@ -212,24 +213,36 @@ class Fitter:
 
     def weighted(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
         """The error whitened, weighted and cut to the samples that count."""
-        e = self.error(axis, experiment, initial)
-        if e is None:
+        out = np.empty(len(self.counted(experiment)))
+        count = self._weigh(axis, experiment, initial, out)
+        return None if count is None else out[:count]
+
+    def _weigh(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None, out: np.ndarray) -> int | None:
+        """Write `weighted` from the start of ``out`` on; how many numbers that are, None where it cannot be had."""
+        s = self.view.signals(axis, experiment, initial)
+        if s is None:
             return None
-        w, keep = self.whitened(e, experiment)
-        return w[keep]
+        how = self.counted(experiment), self.whitening, self._telling(experiment)
+        count = int(weigh_into(s.measured, s.predicted, self.sigma(experiment), *how, out))
+        return None if count < 0 else count
 
     def whitened(self, e: np.ndarray, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
         """Weighted, whitened error (M,) and which of it counts: not the samples that the filter reaches past a gap."""
-        keep = self.counted(experiment)
         w = e / self.sigma(experiment)
-        p = len(self.whitening) - 1
+        if len(self.whitening) > 1:
+            w = lfilter(self.whitening, [1.0], np.where(self.counted(experiment), w, 0.0))
+        return w, self._telling(experiment)
+
+    def _telling(self, experiment: Experiment) -> np.ndarray:
+        """Which of the whitened errors count: not those that the filter reaches past a gap."""
+        keep, p = self.counted(experiment), len(self.whitening) - 1
         if p == 0:
-            return w, keep
+            return keep
         if (id(experiment), p) not in self._clear:
             reach = np.convolve(~keep, np.ones(p + 1))[: len(keep)] > 0
             reach[:p] = True
             self._clear[id(experiment), p] = keep & ~reach
-        return lfilter(self.whitening, [1.0], np.where(keep, w, 0.0)), self._clear[id(experiment), p]
+        return self._clear[id(experiment), p]
 
     def residual(self, h: Hypothesis) -> Callable[[np.ndarray], np.ndarray | None]:
         """Residual vector over all estimation experiments as a function of the scaled vector."""
@@ -237,18 +250,18 @@ class Fitter:
         def of(x: np.ndarray) -> np.ndarray | None:
             if self.closed:
                 return None
-            parts = []
+            out, at = np.empty(sum(len(self.counted(e)) for e in self.experiments) + h.told[0]), 0
             for r, experiment in enumerate(self.experiments):
                 try:
                     axis = h.axis(x, r)
                 except ValueError:
                     return None
-                part = self.weighted(axis, experiment, h.initial(x, r))
-                if part is None:
+                count = self._weigh(axis, experiment, h.initial(x, r), out[at:])
+                if count is None:
                     return None
-                parts.append(part)
-            parts.append(self.prior(h, x))
-            return np.concatenate(parts)
+                at += count
+            out[at : at + h.told[0]] = self.prior(h, x)
+            return out[: at + h.told[0]]
 
         return of
 
@@ -433,8 +446,8 @@ class Fitter:
         self, experiments: tuple[Experiment, ...], like: Sequence[Experiment], view: View, held_out: tuple[Experiment, ...] = ()
     ) -> Fitter:
         """A fitter on the same threads for other experiments, each weighted as the one it is like, or for another view."""
-        other = Fitter(self.nominal, view, experiments, held_out, self.jobs, self.varies, self.orders, self.whitening)
-        other.scales, other.guide, other.threads, other.unit = self.scales, self.guide, self.threads, self.unit
+        shared = (self.jobs, self.varies, self.orders, self.whitening)
+        other = Fitter(self.nominal, view, experiments, held_out, *shared, guide=self.guide, beside=self)
         other._sigma |= {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
         return other
 

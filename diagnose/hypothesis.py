@@ -50,7 +50,9 @@ class Entry:
     def si(self, x: float) -> float:
         """Vector -> SI value; a bound is met exactly, which the last digit of a logarithm would pass."""
         value = self.scale * math.exp(min(x, 600.0)) if self.log else x * self.scale
-        return next((b for b in (self.lower, self.upper) if math.isclose(value, b, rel_tol=1e-12)), value)
+        if math.isclose(value, self.lower, rel_tol=1e-12):
+            return self.lower
+        return self.upper if math.isclose(value, self.upper, rel_tol=1e-12) else value
 
     def slope(self, x: float) -> float:
         """d(SI value) / d(vector)."""
@@ -203,23 +205,40 @@ class Hypothesis:
         """(owner, name, recording) -> SI value."""
         return {(e.owner, e.name, e.recording): float(e.si(v)) for e, v in zip(self.entries, x, strict=True)}
 
+    @cached_property
+    def _numbers_of(self) -> list[tuple[list[int], list[tuple[Effect, list[int]]]]]:
+        """Where in the vector the numbers of each recording's axis are: of its chain, and of each of its effects."""
+
+        def of(owner: str, recording: int) -> list[int]:
+            own = (-1, recording)
+            return [
+                i for i, e in enumerate(self.entries) if e.owner == owner and e.recording in own and e.name != "initial_velocity"
+            ]
+
+        effects = (*self.carried, *self.effects)
+        return [(of("", r), [(e, of(e.key, r)) for e in effects]) for r in range(self.n_recordings)]
+
     def axis(self, x: np.ndarray, recording: int = 0) -> Axis:
         """The axis that a vector stands for, with the numbers of one recording."""
-        v = self.values(x)
-        linear = {
-            n: value for (owner, n, r), value in v.items() if owner == "" and n != "initial_velocity" and r in (-1, recording)
-        }  # fmt: skip
-        effects = []
-        for effect in (*self.carried, *self.effects):
-            mine = {n: value for (owner, n, r), value in v.items() if owner == effect.key and r in (-1, recording)}
-            effects.append(effect.with_values(mine))
-        return Axis(self.nominal.chain.with_linear(linear), tuple(effects), self.nominal.backlash_law)
+        linear, mine = self._numbers_of[recording]
+        entries, v = self.entries, x.tolist()
+        effects = tuple(
+            effect.with_values({entries[i].name: entries[i].si(v[i]) for i in at}) if at else effect for effect, at in mine
+        )
+        chain = self.nominal.chain.with_linear({entries[i].name: entries[i].si(v[i]) for i in linear})
+        return Axis(chain, effects, self.nominal.backlash_law)
+
+    @cached_property
+    def _begins(self) -> dict[int, int]:
+        """Where in the vector the speed is at which a recording starts, of those that start in motion."""
+        return {e.recording: i for i, e in enumerate(self.entries) if e.owner == "" and e.name == "initial_velocity"}
 
     def initial(self, x: np.ndarray, recording: int) -> np.ndarray | None:
         """Initial angles and velocities (2, n) when the recording starts in motion, else None."""
-        v = self.values(x).get(("", "initial_velocity", recording))
-        if v is None:
+        at = self._begins.get(recording)
+        if at is None:
             return None
+        v = float(self.entries[at].si(x[at]))
         chain = self.nominal.chain
         out = np.zeros((2, len(chain.bodies)))
         out[1] = [v * chain.total_ratio(i) for i in range(len(chain.bodies))]

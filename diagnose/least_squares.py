@@ -71,24 +71,26 @@ class Fit:
 
 
 Residual = Callable[[np.ndarray], np.ndarray | None]
-Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
+Task = Callable[[], np.ndarray | None]
+Run = Callable[[Sequence[Task]], list[np.ndarray | None]]
+Beside = Callable[[Task, Task], tuple[np.ndarray | None, Task | None]]
 
 
 def jacobian(
     residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, run: Run,
-    which: Sequence[int] | None = None, begun: Mapping[bytes, np.ndarray | None] | None = None,
+    which: Sequence[int] | None = None, begun: Mapping[bytes, Task] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
     """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound.
 
-    One that cannot be run is turned too; None when that fails as well. ``begun``: residuals that are known, by the bytes of their
-    points.
+    One that cannot be run is turned too; None when that fails as well. ``begun``: how to ask for residuals that are worked out
+    already, by the bytes of their points.
     """
     points, steps = _beside(x, step, lower, upper, which)
     known = begun or {}
 
     def at(y: np.ndarray) -> np.ndarray | None:
         mark = y.tobytes()
-        return known[mark] if mark in known else residual(y)
+        return known[mark]() if mark in known else residual(y)
 
     return _secants(r0, *_turned(residual, x, run([partial(at, y) for y in points]), points, steps, run))
 
@@ -199,7 +201,7 @@ def levenberg_marquardt(
     fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
     coarse: tuple[float, float] = (np.inf, 0.0),
-    beside: Run | None = None,
+    beside: Beside | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
@@ -210,8 +212,8 @@ def levenberg_marquardt(
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
     coarse: a cost, and the tolerance that is enough above it;
-    beside: runs the first of some tasks, and the others if that costs no time: the first column of the next Jacobian beside a
-    step, or, once one has failed, the next step beside it; neither changes an outcome.
+    beside: the answer of a task, and how to ask for that of another one if somebody works that out: the first column of the next
+    Jacobian beside a step, or, once one has failed, the next step beside it; neither changes an outcome.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -233,7 +235,7 @@ def levenberg_marquardt(
     gain = np.inf
     iteration = 0
     asked = tolerance
-    begun: dict[bytes, np.ndarray | None] = {}
+    begun: dict[bytes, Task] = {}
     for iteration in range(1, max_iterations + 1):
         tolerance = max(asked, coarse[1]) if cost > coarse[0] else asked
         if secant and iteration > 1:
@@ -257,7 +259,7 @@ def levenberg_marquardt(
         scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
         improved = False
         first_gain: float | None = None
-        tried: dict[bytes, np.ndarray | None] = {}
+        tried: dict[bytes, Task] = {}
         failed = False
         moved = partial(_moved, A, scale, g, x, lower, upper, reach)
         for _ in range(12):
@@ -272,15 +274,15 @@ def levenberg_marquardt(
                 mu = max(mu, 1e-6) * 10
                 continue
             if trial.tobytes() in tried:
-                r_new = tried.pop(trial.tobytes())
+                r_new = tried.pop(trial.tobytes())()
             elif failed and beside is not None:
                 following = moved(max(mu, 1e-6) * 10)
-                r_new, *more = beside([partial(residual, trial), partial(residual, following)])
-                tried = {following.tobytes(): r_next for r_next in more}
+                r_new, ask = beside(partial(residual, trial), partial(residual, following))
+                tried = {following.tobytes(): ask} if ask is not None else {}
             elif beside is not None and not secant and iteration < max_iterations:
                 (first,), _ = _beside(trial, step, lower, upper, [0])
-                r_new, *more = beside([partial(residual, trial), partial(residual, first)])
-                begun = {first.tobytes(): r_first for r_first in more}
+                r_new, ask = beside(partial(residual, trial), partial(residual, first))
+                begun = {first.tobytes(): ask} if ask is not None else {}
             else:
                 r_new = residual(trial)
             if r_new is not None and (c_new := float(r_new @ r_new)) < cost:

@@ -126,9 +126,13 @@ class Chain:
         ]
         return tuple(out)
 
+    @cached_property
+    def _linear_by_name(self) -> dict[str, LinearParameter]:
+        return {p.name: p for p in self._linear}
+
     def with_linear(self, values: Mapping[str, float]) -> Chain:
         """A copy with some linear parameters replaced, by name."""
-        known = {p.name: p for p in self._linear}
+        known = self._linear_by_name
         bodies: dict[int, dict[str, Any]] = {}
         couplings: dict[int, dict[str, Any]] = {}
         for name, value in values.items():

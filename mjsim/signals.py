@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["coherence", "filter_into", "freqz", "lfilter", "transforms", "welch"]
+__all__ = ["coherence", "filter_into", "freqz", "lfilter", "transforms", "weigh_into", "welch"]
 
 
 @njit(cache=True, nogil=True)
@@ -35,6 +35,36 @@ def filter_into(num, num_delay, den, x, out):
         for i in range(nd, 0, -1):
             s -= den[i] * out[t - i]
         out[t] = s
+
+
+@njit(cache=True, nogil=True)
+def weigh_into(measured, predicted, sigma, counts, whitening, clear, out):
+    """Write what of measured less predicted (N,) tells, from the start of ``out`` on; how many numbers that are.
+
+    It is divided by sigma, put to 0 where it does not count, whitened by a filter in rising powers of q^-1, and taken where
+    that is ``clear`` of what does not count. -1 where an error has no finite square, whether it counts or not.
+    """
+    n, order, at = measured.size, whitening.size, 0
+    for t in range(n):
+        if not abs(measured[t] - predicted[t]) < 1e100:
+            return -1
+    if order == 1:
+        for t in range(n):
+            if clear[t]:
+                out[at] = (measured[t] - predicted[t]) / sigma
+                at += 1
+        return at
+    e = np.empty(n)
+    for t in range(n):
+        e[t] = (measured[t] - predicted[t]) / sigma if counts[t] else 0.0
+    for t in range(n):
+        if clear[t]:
+            s = 0.0
+            for i in range(min(order, t + 1)):
+                s += whitening[i] * e[t - i]
+            out[at] = s
+            at += 1
+    return at
 
 
 def lfilter(b: ArrayLike, a: ArrayLike, x: ArrayLike, delay: int = 0) -> NDArray:

@@ -158,6 +158,7 @@ def _levels(port: P.Friction) -> tuple[float, float, float, float] | None:
     return None if forward is None or backward is None else (forward[0], backward[0], forward[1], backward[1])
 
 
+@lru_cache(256)  # fits change one number of many at a time
 def constant(law: Law, p: tuple[float, ...], direction: float) -> tuple[float, float] | None:
     """What the law writes when it is the same for all local quantities but the direction of slip, else None."""
     seen = None
@@ -193,7 +194,7 @@ def _affine(ports: list[P.Port], gap_law: P.BacklashLaw) -> bool:
 
 def _fastest(f: np.ndarray, stiff: np.ndarray, damping: np.ndarray) -> float:
     """Largest natural frequency or decay rate of the chain [rad/s]."""
-    return _fastest_of(np.vstack((f[0], f[1] + damping, f[2:5], stiff)).tobytes(), f.shape[1])
+    return _fastest_of(np.concatenate((f[0], f[1] + damping, f[2], f[3], f[4], stiff)).tobytes(), f.shape[1])
 
 
 @lru_cache(256)  # fits change one number of many at a time, and most of them are none of the linear chain
@@ -206,17 +207,17 @@ def _fastest_of(rows: bytes, n: int) -> float:
 def state_matrix(f: np.ndarray, stiff: np.ndarray | None = None) -> np.ndarray:
     """A (2n, 2n) of x' = A x + b u for x = (q, v), without gaps and effects."""
     n = f.shape[1]
-    k = np.zeros((n, n))
-    d = np.diag(f[1]).astype(float)
+    inertia, viscous, ratio, stiffness, damping = f[:5].tolist()  # numbers of their own are the quicker
+    rows = [[0.0] * (2 * n) for _ in range(2 * n)]
+    for i in range(n):
+        rows[i][n + i] = 1.0
+        rows[n + i][i], rows[n + i][n + i] = 0.0 if stiff is None else float(stiff[i]), viscous[i]
     for j in range(n - 1):
-        row = np.zeros(n)
-        row[j], row[j + 1] = f[2, j], -1.0
-        k += f[3, j] * np.outer(row, row)
-        d += f[4, j] * np.outer(row, row)
-    if stiff is not None:
-        k += np.diag(stiff)
-    a = np.zeros((2 * n, 2 * n))
-    a[:n, n:] = np.eye(n)
-    a[n:, :n] = -k / f[0][:, None]
-    a[n:, n:] = -d / f[0][:, None]
+        for first, c in ((0, stiffness[j]), (n, damping[j])):
+            rows[n + j][first + j] += c * (ratio[j] * ratio[j])
+            rows[n + j][first + j + 1] -= c * ratio[j]
+            rows[n + j + 1][first + j] -= c * ratio[j]
+            rows[n + j + 1][first + j + 1] += c
+    a = np.array(rows)
+    a[n:] /= -np.array(inertia)[:, None]
     return a

@@ -67,6 +67,35 @@ def test_no_more_are_at_work_than_were_asked_for(jobs):
     assert 1 <= most <= jobs
 
 
+def test_one_that_waits_for_its_last_task_helps_with_what_that_asks_for():
+    threads = SideBySide(2)
+    taken, together = threading.Event(), threading.Barrier(2)
+
+    def first() -> None:
+        taken.wait(20)
+
+    def last() -> list[int]:
+        taken.set()  # the other thread is here, and the one that asked has nothing left but to wait for it
+        return threads.map([lambda: together.wait(20), lambda: together.wait(20)])
+
+    try:
+        assert sorted(threads.map([lambda: threads.map([first, last])[1]])[0]) == [0, 1]
+    finally:
+        threads.close()
+
+
+def test_threads_that_nobody_uses_any_more_end():
+    before = threading.active_count()
+    for _ in range(5):
+        threads = SideBySide(3)
+        assert threads.map([lambda: 1, lambda: 2, lambda: 3]) == [1, 2, 3]
+    del threads
+    until = time.monotonic() + 20
+    while threading.active_count() > before and time.monotonic() < until:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
+
+
 def test_the_error_of_a_task_is_raised_and_the_rest_is_left():
     threads = SideBySide(2)
     ran = []
@@ -92,20 +121,29 @@ def test_closed_threads_refuse_what_a_running_task_asks_for():
 def test_what_may_come_next_is_worked_out_beside_by_an_idle_thread_only():
     threads = SideBySide(2)
     try:
-        assert threads.beside([lambda: 1, lambda: 2]) == [1, 2]  # both are idle
-        assert threads.map([lambda: threads.beside([lambda: 1, lambda: 2]), lambda: []])[0] in ([1], [1, 2])
+        begun = threading.Event()
+
+        def other() -> int:
+            begun.set()
+            return 2
+
+        answer, ask = threads.beside(lambda: begun.wait(20), other)  # somebody is idle, and comes to it
+        assert answer
+        assert ask is not None
+        assert ask() == 2
         together = threading.Barrier(2)
 
-        def busy() -> list[int]:
+        def busy() -> tuple[int, object]:
             together.wait(20)
-            answer = threads.beside([lambda: 1, lambda: 2])
+            found = threads.beside(lambda: 1, lambda: 2)
             together.wait(20)
-            return answer
+            return found
 
-        assert threads.map([busy, busy]) == [[1], [1]]
+        assert threads.map([busy, busy]) == [(1, None), (1, None)]
+        assert threads.map([busy, busy]) == [(1, None), (1, None)], "nothing is left over"
     finally:
         threads.close()
-    assert SideBySide(1).beside([lambda: 1, lambda: 2]) == [1]
+    assert SideBySide(1).beside(lambda: 1, lambda: 2) == (1, None)
 
 
 def test_the_longest_is_begun_first_and_the_answers_keep_their_order() -> None:
