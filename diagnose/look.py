@@ -76,11 +76,13 @@ class Look:
         """The structure at the nominal linear parameters, with its sensitivities there."""
         return self.fitter.fit(self.fitter.hypothesis(self.base.effects, None, self.base.own), iterations=1)
 
-    def ready(self) -> None:
-        """Have `begun` fitted: once, whatever the number of threads that will ask for it."""
-        _ = self.begun
-        if self.full is not None:
-            self.full.ready()
+    def ready(self, ids: Sequence[str]) -> None:
+        """Have `begun` fitted for rivals of these effects: once, whatever the number of threads that will ask for it."""
+        in_full = [name for name in ids if self.full is not None and effect_class(name).rough]
+        if self.full is not None and in_full:
+            self.full.ready(in_full)
+        if len(in_full) < len(ids):
+            _ = self.begun
 
     def took(self) -> None:
         """Have what was simulated so far counted."""

@@ -6,6 +6,7 @@ Which filter is the noise's is a question of its own: a residual is coloured by 
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -34,6 +35,7 @@ __all__ = ["searched"]
 
 MOST_FILTERS = 2  # whitened searches
 REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
+ALMOST = 0.5  # of the noise's mean square: more missed motion than that at nearly the nominal parameters no filter settles
 SWUNG = 3  # orders of a varying inertia
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
@@ -135,14 +137,18 @@ def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
     return nominal[0]
 
 
-def _settled_from_nominal(fitter: Fitter, search: Search) -> Fitted | None:
-    """The nominal structure settled with its own filter, begun where its nominal parameters hold it; None where it is white."""
-    base = search.nominal()
+def _settled_from_nominal(fitter: Fitter, base: Fitted, most: float = math.inf) -> Fitted | None:
+    """The nominal structure settled with its own filter, begun where its nominal parameters hold it.
+
+    None where it is white, or misses more than ``most`` there, as a share of the noise (the angle tells).
+    """
     fitter.guide = guide_of(fitter, base)
     try:
         held = fitter.fit(fitter.hypothesis(()))
     finally:
         fitter.guide = 1.0
+    if most < math.inf and (motion_error(fitter, held) or 0.0) > most:
+        return None
     settled = settle(fitter, held)
     return None if settled is None else settled[1]
 
@@ -152,8 +158,9 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
 
     A residual is coloured by its noise or by motion that the model misses; only noise may be whitened away. Once the angle shows
     that a structure misses no motion, and its residual is coloured, nothing is sought beside it on plain errors: there the
-    colour counts as mismatch. A structure found on whitened errors may bear out another filter, or none: then it is sought
-    once more.
+    colour counts as mismatch. Under feedback a fit on plain errors takes the colour for response: the nominal structure is
+    asked as it settles with its own filter, too. A structure found on whitened errors may bear out another filter, or none:
+    then it is sought once more.
     """
 
     def noise_only(f: Fitted, unknown: bool) -> bool:
@@ -162,14 +169,18 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
 
     def settled_by(f: Fitted) -> bool:
         # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
-        coloured = noise_only(f, unknown=False) and whitening_filter(fitter, f, material=2 * options.missed) is not None
-        return coloured and offset_share(fitter, f) < OFFSET
+        if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
+            return False
+        if noise_only(f, unknown=False) or f.effects:
+            return noise_only(f, unknown=False)
+        settled = _settled_from_nominal(fitter, f, ALMOST)
+        return settled is not None and noise_only(settled, unknown=False)
 
     known = fitter.noise_known
     search, best = _search(fitter, options, progress, began, settled_by if known else None)
     if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
         # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
-        settled = _settled_from_nominal(fitter, search) if known else None
+        settled = _settled_from_nominal(fitter, search.nominal()) if known else None
         if settled is None or not noise_only(settled, unknown=False):
             return search, best, False
         best = settled

@@ -237,8 +237,8 @@ class Search(Judge):
         # spread over rivals as long as there are enough of them
         self.progress.rivals(len(entrants))
         spent, ground = self._spent(), self._look(base)
-        if not spent and any(far or effect_class(s.candidate.id).family in CURVED for _, s in entrants):
-            ground.ready()
+        if not spent:
+            ground.ready([s.candidate.id for _, s in entrants if far or effect_class(s.candidate.id).family in CURVED])
         begin = [partial(self._done, partial(ground.enter, p, s, far)) for p, s in entrants]
         firsts: list[Fitted | None] = []
         portion = len(begin) if self._left() > ENTRANT * len(begin) else PORTION

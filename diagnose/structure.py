@@ -35,7 +35,8 @@ WINDOWS = (0.02, 0.006, 0.002)  # over which missed motion is looked for [s]
 class Structure:
     """share.
 
-    Part of the held-out squared residual that the dictionary predicts (<= 0 when none); p_value: one-sided, over blocks.
+    Part of the held-out squared residual, whitened as it was fitted, that the dictionary predicts (<= 0 when none); p_value:
+    one-sided, over blocks.
     """
 
     share: float
@@ -84,12 +85,16 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
 def _regressed(
     fitter: Fitter, experiment: Experiment, axis: Axis, initial: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Responses of the dictionary (M, k) and the residual (M,) on the samples that count, both over the noise."""
+    """Responses of the dictionary (M, k) and the residual (M,) on the samples that count, both over the noise and whitened.
+
+    Under feedback the torque holds earlier noise, which tells of later noise as long as that is coloured.
+    """
     e = fitter.error(axis, experiment, initial)
     if e is None:
         return None
-    keep, sigma = fitter.counted(experiment), fitter.sigma(experiment)
-    return _dictionary(fitter, axis, experiment, initial)[: len(e)][keep] / sigma, e[keep] / sigma
+    w, keep = fitter.whitened(e, experiment)
+    responses = _dictionary(fitter, axis, experiment, initial)[: len(e)]
+    return np.column_stack([fitter.whitened(column, experiment)[0][keep] for column in responses.T]), w[keep]
 
 
 def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Structure:
