@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,7 +33,8 @@ class Experiment:
 
     counts (N) bool; sigma: noise rms of the judged output (weights recordings against each other); moving: the axis is
     not at rest
-    at the first sample; before: torque held ahead of it; correction (N): added to the measured velocity where motion is compared.
+    at the first sample; before: torque held ahead of it; correction (N): added to the measured velocity where motion is compared;
+    kept: what views have made of it, by what they ask for.
     """
 
     recording: Recording
@@ -42,6 +43,7 @@ class Experiment:
     moving: bool
     before: float
     correction: np.ndarray | None = None
+    kept: dict[tuple[object, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
 
 def measured_velocity(recording: Recording) -> np.ndarray:

@@ -41,7 +41,8 @@ SPREAD = (
 LACKS = 4.0  # times the noise variance left by a closely led model, which no wrong order of events leaves
 STAYS = 0.5  # part of what is left beside noise that stays when a model is led, and is then none of other moments
 SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
-LAW = 0.01  # part of what another law of an effect changed that the better law may still miss
+LAW = (0.01, 0.02)  # part of what another law of an effect changed that the better law may still miss: of all, and besides of
+# what is no more than the noise variance
 COLOURED = 0.01  # of its variance, by which a residual foretells itself
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
@@ -183,7 +184,7 @@ class Judge:
             if form_of := type(effect).form_of:
                 others = [f"{form_of}@{effect.place}" if k == i else e.key for k, e in enumerate(f.effects)]
                 spread = max(spread, self._least.get(tuple(sorted(others)), f.chi2) - f.chi2)
-        return LAW * spread
+        return LAW[0] * spread + LAW[1] * min(spread, f.n)
 
     def floor(self, base: Fitted) -> float:
         """The gain in C that an effect must promise beside a structure: more where that much may be the error of a law in it."""

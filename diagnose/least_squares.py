@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import enum
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -29,11 +30,16 @@ class Linearised:
 
     def __init__(self, compute: Callable[[], tuple[np.ndarray, np.ndarray]], mark: str = "") -> None:
         self._compute, self.mark = compute, mark
+        self._arrays: tuple[np.ndarray, np.ndarray] | None = None
+        self._computing = threading.RLock()  # one of its own: that of a cached property is held for all others meanwhile
 
-    @cached_property
+    @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual and J."""
-        return self._compute()
+        with self._computing:
+            if self._arrays is None:
+                self._arrays = self._compute()
+            return self._arrays
 
     def marked(self, mark: str) -> Linearised:
         """The same under a mark."""
@@ -134,11 +140,11 @@ def _beside(
 
 def _secants(r0: np.ndarray, columns: Sequence[np.ndarray | None], steps: Sequence[float]) -> np.ndarray | None:
     J = np.empty((len(r0), len(columns)), order="F")  # whose columns are written, and multiplied, in one piece
-    for i, (c, h) in enumerate(zip(columns, steps, strict=True)):
+    for i, c in enumerate(columns):
         if c is None:
             return None
         np.subtract(c, r0, out=J[:, i])
-        J[:, i] /= h
+    J /= np.array(steps)
     return J
 
 

@@ -36,6 +36,7 @@ LEAST_DELIVERED = 0.05  # of the commanded torque's variation: an actuator that 
 MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible, or to one so many times the nominal:
 STIFFER = 3
 SHAKES = 2.0  # times the sensor's noise by which a led model may be shaken
+KEPT = 8  # torques that draw a model to one recording: those of the structures that are fitted at a time
 
 
 @dataclass(frozen=True)
@@ -155,8 +156,7 @@ class MotionView:
         try:
             system = assemble(self._led(axis))
             if self.lead > 0:  # lead (v - v_model): the first part is input, past the actuator, the second viscous friction
-                lead = self.lead * _ahead(system, measured_velocity(r), r.dt) / axis.chain.gain
-                torque = _delivered(system, torque, r.dt, experiment.before) + lead
+                torque = self._drawn(system, experiment, axis.chain.gain)
                 system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
             rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
             if rounding:
@@ -174,6 +174,27 @@ class MotionView:
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted)
+
+    def _drawn(self, system: System, experiment: Experiment, gain: float) -> np.ndarray:
+        """The torque (N,) past the actuator that draws a model to a recording, kept with it: a fit asks for few others."""
+        path = (
+            system.input_maps,
+            system.input_lag,
+            system.input_delay,
+            system.output_maps,
+            system.output_lag,
+            system.output_delay,
+        )
+        asked = (self.lead, gain, *path)
+        torque = experiment.kept.get(asked)
+        if torque is None:
+            r = experiment.recording
+            lead = self.lead * _ahead(system, measured_velocity(r), r.dt) / gain
+            torque = _delivered(system, r.torque, r.dt, experiment.before) + lead
+            if len(experiment.kept) >= KEPT:
+                experiment.kept.clear()
+            experiment.kept[asked] = torque
+        return torque
 
     def _led(self, axis: Axis) -> Axis:
         """The axis with the loss of the lead as viscous friction."""

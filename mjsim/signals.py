@@ -45,18 +45,18 @@ def weigh_into(measured, predicted, sigma, counts, whitening, clear, out):
     that is ``clear`` of what does not count. -1 where an error has no finite square, whether it counts or not.
     """
     n, order, at = measured.size, whitening.size, 0
+    e = np.empty(n if order > 1 else 0)
     for t in range(n):
-        if not abs(measured[t] - predicted[t]) < 1e100:
+        error = measured[t] - predicted[t]
+        if not abs(error) < 1e100:
             return -1
+        if order > 1:
+            e[t] = error / sigma if counts[t] else 0.0
+        elif clear[t]:
+            out[at] = error / sigma
+            at += 1
     if order == 1:
-        for t in range(n):
-            if clear[t]:
-                out[at] = (measured[t] - predicted[t]) / sigma
-                at += 1
         return at
-    e = np.empty(n)
-    for t in range(n):
-        e[t] = (measured[t] - predicted[t]) / sigma if counts[t] else 0.0
     for t in range(n):
         if clear[t]:
             s = 0.0

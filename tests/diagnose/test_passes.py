@@ -10,9 +10,19 @@ from robot_axis import effect
 
 from diagnose.experiment import held_rows, prepare
 from diagnose.fitter import Fitter
+from diagnose.flow import Options, diagnose
+from diagnose.result import Verdict
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
+from diagnose.structure import motion_error, remaining_structure
 from diagnose.view import MotionView
+from diagnose.whiten import settle
+from mjsim.recording import load
+from simgap.benchmark.experiment import speed_multisine
+from simgap.benchmark.laws import Laws
+from simgap.benchmark.measurement import Measurement
+from simgap.benchmark.plant import record as record_plant
+from simgap.benchmark.seal import write_motion
 
 # where a fit of the nominal structure to a closed-loop multisine ended, at 135 times the noise
 ELSEWHERE = {"Jm": 2.8e-4, "Jg": 13.7, "Ja": 2.9, "ka": 2.9e5, "dg": 128.0, "da": -7.4}
@@ -92,3 +102,37 @@ def test_digits_of_a_quantised_velocity_that_repeat_were_not_held(record):
     both = (np.diff(coarse.velocity) == 0) & (np.diff(coarse.angle) == 0)
     assert both.sum() > 20, "else there is nothing to show"
     assert not held_rows(coarse).any()
+
+
+@pytest.fixture(scope="module")
+def fed_back(tmp_path_factory):
+    """Speed loops that see noise with a resonance, of an axis whose linear parameters are off by some percent."""
+    rng, folder = np.random.default_rng(6), tmp_path_factory.mktemp("fed_back")
+    nominal = Laws()
+    laws = nominal._replace(
+        Jm=0.98 * nominal.Jm, Jg=0.94 * nominal.Jg, Ja=1.1 * nominal.Ja, fm=0.9 * nominal.fm, kg=1.1 * nominal.kg
+    )
+    measurement = Measurement(velocity_noise=0.074, poles=(0.726 + 0.582j, 0.726 - 0.582j))
+    for name, rms, f1, kp, ki in (("estimation", 3.95, 8.0, 0.143, 0.175), ("held_out", 3.63, 15.0, 0.173, 0.52)):
+        write_motion(folder / f"{name}.csv", record_plant(laws, speed_multisine(10.0, rms, f1, kp, ki, rng), measurement, rng))
+    return [load(folder / f"{name}.csv") for name in ("estimation", "held_out")]
+
+
+def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
+    """A fit on plain errors takes the noise for response, and the torque, which holds it, foretells what is left."""
+    first, other = fed_back
+    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
+    plain = fitter.fit(fitter.hypothesis(()))
+    assert motion_error(fitter, plain) > Options().missed, "else there is nothing to show"
+    found = settle(fitter, plain)
+    assert found is not None
+    filter_, settled = found
+    assert motion_error(fitter, settled) < Options().missed
+    coloured = remaining_structure(fitter, settled)
+    assert coloured.p_value < 1e-6, "else there is nothing to show"
+    fitter.whitening = filter_
+    white = remaining_structure(fitter, settled)
+    assert white.share < Options().structure_share or white.p_value > Options().structure_p
+    result = diagnose(robot, [first], [other], Options(jobs=1))
+    assert result.verdict in (Verdict.PARAMETERS_ONLY, Verdict.NO_MISMATCH)
+    assert not result.findings

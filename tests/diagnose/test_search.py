@@ -373,7 +373,7 @@ def test_a_gain_on_all_of_a_held_out_run_counts_where_what_is_foretold_of_it_say
 
 
 def test_what_a_better_law_may_still_miss_is_no_effect_of_its_own(fitter_of, pair):
-    """Where another law of an effect changed much, a hundredth of that is no evidence for anything beside it."""
+    """Where another law of an effect changed much, a hundredth of that is no evidence for anything beside it; of less, more."""
     fitter = fitter_of(pair(coulomb()))
     search = Search(fitter, SearchOptions())
     levels = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.05, "stribeck_velocity_rad_s": 1.0}
@@ -387,9 +387,15 @@ def test_what_a_better_law_may_still_miss_is_no_effect_of_its_own(fitter_of, pai
     assert search.of_the_law(other) == 0.0, "nobody knows what the contract's own law leaves"
     search.keep(own)
     assert search.of_the_law(own) == 0.0
-    assert search.of_the_law(other) == pytest.approx(0.01 * 48.8 * other.n)
+    assert search.of_the_law(other) == pytest.approx((0.01 * 48.8 + 0.02) * other.n)
     assert not search.pays(other, richer)
     assert search.floor(other) > 3_000
+    near = dataclasses.replace(own, fit=dataclasses.replace(own.fit, cost=1.5 * own.n))
+    search.pool.clear()
+    search._least.clear()
+    search.keep(near)
+    assert search.of_the_law(other) == pytest.approx(0.03 * 0.3 * other.n)
+    search.keep(own)
     search.pool.clear()
     assert search.of_the_law(other) > 0.0, "what has left the pool was fitted all the same"
 
