@@ -18,11 +18,10 @@ from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, residual_and_jacobian
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
-from diagnose.side_by_side import SideBySide
+from diagnose.side_by_side import Counted, SideBySide
 from diagnose.view import MotionView, View, most_led
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
-from mjsim.ode import work_done
 from mjsim.signals import lfilter, weigh_into
 from mjsim.system import STEP, assemble
 
@@ -75,27 +74,6 @@ def _first(experiment: Experiment, share: float) -> Experiment:
     """The first part of an experiment."""
     n = max(200, math.ceil(share * len(experiment.recording)))
     return dataclasses.replace(experiment, recording=experiment.recording.slice(0, n), counts=experiment.counts[:n])
-
-
-def _counting(task: Callable[[], T]) -> tuple[T, int]:
-    """The answer of a task that simulates, and what that took."""
-    before = work_done()
-    answer = task()
-    return answer, work_done() - before
-
-
-class _Counted:
-    """Runs residuals side by side and counts what they take."""
-
-    def __init__(self, side_by_side: Callable[..., list[tuple[np.ndarray | None, int]]]) -> None:
-        self.work = 0
-        self._map = side_by_side
-
-    def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
-        """Answers in the order of the tasks."""
-        told = self._map([partial(_counting, task) for task in tasks])
-        self.work += sum(work for _, work in told)
-        return [answer for answer, _ in told]
 
 
 @dataclass
@@ -193,7 +171,7 @@ class Fitter:
 
     def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
         """Run residuals side by side, and count what they take."""
-        counted = _Counted(self.map)
+        counted = Counted(self.threads)
         answers = counted.run(tasks)
         self.took(counted.work)
         return answers
@@ -310,7 +288,7 @@ class Fitter:
         how = (iterations, step, tolerance, secant, tuple(fresh), rival, slow)
         key = self._key(h, start, how, borrow) if self.memory is not None else ""
         known = self.memory.recall(key) if self.memory is not None else None
-        counted = _Counted(self.map)
+        counted = Counted(self.threads)
         coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival and not slow[1] else slow
 
         def solve() -> Fit:
@@ -319,7 +297,7 @@ class Fitter:
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
                 max_iterations=iterations, tolerance=tolerance, J0=J0, r0=r0, secant=secant, reach=h.reach,
-                beside=self.threads.beside, fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
+                beside=counted.beside, fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
             )  # fmt: skip
 
         if known is None:

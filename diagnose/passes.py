@@ -6,7 +6,6 @@ Which filter is the noise's is a question of its own: a residual is coloured by 
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -35,7 +34,7 @@ __all__ = ["searched"]
 
 MOST_FILTERS = 2  # whitened searches
 REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
-ALMOST = 0.5  # of the noise's mean square: more missed motion than that at nearly the nominal parameters no filter settles
+TAKEN = 4.0  # times the noise's mean square: what a fit takes of the noise for response lowers its error, so is at most twice it
 SWUNG = 3  # orders of a varying inertia
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
@@ -137,18 +136,13 @@ def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
     return nominal[0]
 
 
-def _settled_from_nominal(fitter: Fitter, base: Fitted, most: float = math.inf) -> Fitted | None:
-    """The nominal structure settled with its own filter, begun where its nominal parameters hold it.
-
-    None where it is white, or misses more than ``most`` there, as a share of the noise (the angle tells).
-    """
+def _settled_from_nominal(fitter: Fitter, base: Fitted) -> Fitted | None:
+    """The nominal structure settled with its own filter, begun where its nominal parameters hold it; None where it is white."""
     fitter.guide = guide_of(fitter, base)
     try:
         held = fitter.fit(fitter.hypothesis(()))
     finally:
         fitter.guide = 1.0
-    if most < math.inf and (motion_error(fitter, held) or 0.0) > most:
-        return None
     settled = settle(fitter, held)
     return None if settled is None else settled[1]
 
@@ -171,9 +165,10 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
         if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
             return False
-        if noise_only(f, unknown=False) or f.effects:
-            return noise_only(f, unknown=False)
-        settled = _settled_from_nominal(fitter, f, ALMOST)
+        missed = motion_error(fitter, f)
+        if missed is None or missed < options.missed or f.effects or missed > TAKEN:
+            return missed is not None and missed < options.missed
+        settled = _settled_from_nominal(fitter, f)
         return settled is not None and noise_only(settled, unknown=False)
 
     known = fitter.noise_known

@@ -7,9 +7,14 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Generic, TypeVar
 
-__all__ = ["SideBySide"]
+import numpy as np
+
+from mjsim.ode import count_work, work_done
+
+__all__ = ["Counted", "SideBySide"]
 
 T = TypeVar("T")
 
@@ -177,3 +182,41 @@ class SideBySide:
     def close(self) -> None:
         """Stop: what the threads are at ends with an error as soon as it asks for more."""
         self._desk.close()
+
+
+def _counting(task: Callable[[], T]) -> tuple[T, int]:
+    """The answer of a task that simulates, and what that took."""
+    before = work_done()
+    answer = task()
+    return answer, work_done() - before
+
+
+Residual = np.ndarray | None
+
+
+class Counted:
+    """Runs residuals side by side and counts what they take: the same, whoever has run them."""
+
+    def __init__(self, threads: SideBySide) -> None:
+        self.work = 0
+        self._threads = threads
+
+    def run(self, tasks: Sequence[Callable[[], Residual]]) -> list[Residual]:
+        """Answers in the order of the tasks."""
+        told = self._threads.map([partial(_counting, task) for task in tasks])
+        self.work += sum(work for _, work in told)
+        return [answer for answer, _ in told]
+
+    def beside(
+        self, first: Callable[[], Residual], other: Callable[[], Residual]
+    ) -> tuple[Residual, Callable[[], Residual] | None]:
+        """`SideBySide.beside`; who asks for the other's answer is counted as if he had worked it out."""
+        (answer, _), ask = self._threads.beside(lambda: (first(), 0), partial(_counting, other))
+
+        def told() -> Residual:
+            assert ask is not None
+            value, work = ask()
+            count_work(work)
+            return value
+
+        return answer, None if ask is None else told

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.side_by_side import SideBySide
+from diagnose.side_by_side import Counted, SideBySide
+from mjsim.ode import count_work
 
 
 @given(st.integers(1, 4), st.lists(st.integers(0, 6), max_size=6))
@@ -159,3 +160,25 @@ def test_the_longest_is_begun_first_and_the_answers_keep_their_order() -> None:
     threads.close()
     assert set(begun[:2]) == {2, 4}
     assert begun[-1] == 0
+
+
+def test_work_is_counted_whoever_has_done_it() -> None:
+    threads = SideBySide(2)
+    counted = Counted(threads)
+    begun = threading.Event()
+
+    def other() -> None:
+        count_work(7)
+        begun.set()
+
+    def first() -> None:
+        begun.wait(20)
+
+    try:
+        _, ask = counted.beside(first, other)
+        assert ask is not None
+        assert counted.work == 0, "nobody has asked for it"
+        counted.run([ask, partial(count_work, 5), partial(count_work, 5)])
+    finally:
+        threads.close()
+    assert counted.work == 17
