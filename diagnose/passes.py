@@ -34,7 +34,7 @@ __all__ = ["searched"]
 
 MOST_FILTERS = 2  # whitened searches
 REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
-TAKEN = 4.0  # times the noise's mean square: what a fit takes of the noise for response lowers its error, so is at most twice it
+TAKEN = 4.0  # times the noise's mean square: noise taken for response lowers a fit's error: its rms is at most twice the noise's
 SWUNG = 3  # orders of a varying inertia
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 

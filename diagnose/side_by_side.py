@@ -44,7 +44,7 @@ class _Desk:
             if self.closed:
                 raise RuntimeError("no tasks are taken any more: the threads were closed")
             self.offers.append(offer)
-            self.changed.notify(len(offer.left))
+            self.changed.notify_all()  # who waits for the end of another offer may not take this one
 
     def drop(self, offer: _Offer[Any]) -> bool:
         """Take back what is left of an offer; whether that was all of it."""
