@@ -17,7 +17,7 @@ import numpy as np
 
 from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
-from diagnose.fitter import SAME
+from diagnose.fitter import FAR, ROUGHLY, SAME
 from diagnose.hypothesis import make
 from diagnose.judge import LACKS, Judge
 from diagnose.least_squares import Status, orthonormal
@@ -583,12 +583,13 @@ class Search(Judge):
         return self.pool.get(current.key, current)
 
     def polish(self, fitted: Fitted) -> Fitted:
-        """The same structure fitted on to a tight tolerance."""
+        """The same structure fitted on to a tight tolerance; roughly, where it leaves so much that other physics is missing."""
         fitted = self.shake(fitted)
         # a rough cost has no such minimum
         better = self.fitter.fit(
-            fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-6 if fitted.rough else 1e-8
-        )
+            fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-6 if fitted.rough else 1e-8,
+            slow=(FAR * fitted.n, ROUGHLY) if self.fitter.noise_known else (math.inf, 0.0),
+        )  # fmt: skip
         if better.ok and better.chi2 <= fitted.chi2:
             self.keep(better)
             return better
