@@ -47,6 +47,8 @@ INTERVALS = (12, 5)  # of a map of one variable, and of each of two
 LAMBDAS = np.geomspace(1e-4, 1e8, 25)  # times the mean diagonal of the regression
 FOLDS = 5
 STRETCHES = 20  # per recording, dealt to the folds in turn
+STRAIGHT = 1e-10  # of the largest second difference: that of a straight line, by rounding
+RIDGE = 1e-6  # of the square of a column, in the normal equations: what the other stretches do not show is left at nought
 MIMIC = 2e-3  # a direction of which the model's own numbers leave less than this is theirs
 RICHER = 0.05  # a second variable must lower the cross-validated cost of the first by so much
 TELLING = 5000  # samples by which maps are screened
@@ -254,15 +256,16 @@ def _solve(p: _Problem, without: float) -> _Solution:
     inverse = np.linalg.inv(low)
     share, u = np.linalg.eigh(inverse @ rest @ inverse.T)
     V = inverse.T @ u[:, share > MIMIC]
-    X = np.column_stack([p.J, p.D @ V])
-    size = np.linalg.norm(X, axis=0) + 1e-300
-    X = X / size
     k = p.J.shape[1]
-    rough, bent = np.zeros((X.shape[1], X.shape[1])), np.zeros(X.shape[1])
-    SV = p.S @ V / size[k:]
-    rough[k:, k:], bent[k:] = SV.T @ SV, SV.T @ (p.S @ p.c)
-    scale = 1.0 / max(float(np.trace(rough)) / max(X.shape[1] - k, 1), 1e-300)
-    ridge = 1e-9 * np.eye(X.shape[1])
+    # along the axes of the roughness: what is smooth is then not lost beside a large penalty of the rest
+    V = V / (np.linalg.norm(p.D @ V, axis=0) + 1e-300)
+    bends, turn = np.linalg.eigh((p.S @ V).T @ (p.S @ V))
+    V = V @ turn
+    X = np.column_stack([p.J / (np.linalg.norm(p.J, axis=0) + 1e-300), p.D @ V])
+    rough, bent = np.zeros(X.shape[1]), np.zeros(X.shape[1])
+    rough[k:] = np.where(bends > STRAIGHT * bends.max(initial=0.0), bends, 0.0)
+    bent[k:] = np.where(rough[k:] > 0.0, V.T @ (p.S.T @ (p.S @ p.c)), 0.0)
+    scale = 1.0 / max(float(np.mean(bends)) if len(bends) else 0.0, 1e-300)
     grams = [X[p.fold == f].T @ X[p.fold == f] for f in range(-1, FOLDS)]
     slopes = [X[p.fold == f].T @ p.r[p.fold == f] for f in range(-1, FOLDS)]
     squares = [float(p.r[p.fold == f] @ p.r[p.fold == f]) for f in range(FOLDS)]
@@ -270,13 +273,19 @@ def _solve(p: _Problem, without: float) -> _Solution:
     costs = np.zeros(len(LAMBDAS))
     for i, penalty in enumerate(LAMBDAS):
         for f in range(FOLDS):
-            A = total_gram - grams[f + 1] + penalty * scale * rough + ridge
-            b = -np.linalg.solve(A, total_slope - slopes[f + 1] + penalty * scale * bent)
+            b = _ridged(total_gram - grams[f + 1], penalty * scale * rough, total_slope - slopes[f + 1] + penalty * scale * bent)
             costs[i] += squares[f] + 2 * float(slopes[f + 1] @ b) + float(b @ grams[f + 1] @ b)
     best = int(np.argmin(costs))
     penalty = float(LAMBDAS[best] * scale)
-    b = -np.linalg.solve(total_gram + penalty * rough + ridge, total_slope + penalty * bent)
-    return _Solution(penalty, float(costs[best] / max(without, 1e-300)), V, p.c + V @ (b[k:] / size[k:]))
+    b = _ridged(total_gram, penalty * rough, total_slope + penalty * bent)
+    return _Solution(penalty, float(costs[best] / max(without, 1e-300)), V, p.c + V @ b[k:])
+
+
+def _ridged(gram: np.ndarray, penalties: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Coefficients (k,) of least squares by its normal equations, each with a penalty of its own (k,)."""
+    A = gram + np.diag(penalties + RIDGE)
+    size = np.sqrt(np.diag(A))
+    return np.asarray(-np.linalg.solve(A / np.outer(size, size), slope / size) / size)
 
 
 def _folds(fitter: Fitter, size: int) -> np.ndarray:

@@ -11,6 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis.strategies import floats, integers
 from robot_axis import effect
 
 from diagnose.experiment import prepare
@@ -19,7 +21,7 @@ from diagnose.flow import Options, diagnose
 from diagnose.report.page import render_report
 from diagnose.result import Verdict
 from diagnose.structure import _dictionary
-from diagnose.torque_map import _Problem, _Responses, _solve, fit_map
+from diagnose.torque_map import _Problem, _Responses, _roughness, _solve, fit_map
 from diagnose.view import MotionView
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.law import INPUT, RATE, law
@@ -30,6 +32,7 @@ from mjsim.models import shipped_model
 from mjsim.ode import simulate
 from mjsim.quantity import Quantity
 from mjsim.recording import Recording
+from mjsim.torque_map import MapAxis, TorqueMap
 from simgap.cli import cli
 from simgap.pipeline import diagnose_files
 
@@ -202,6 +205,39 @@ def test_a_map_that_nothing_answers_to_is_level():
     solution = _solve(_Problem(r, np.zeros(8), J, np.zeros((300, 8)), S, np.arange(300) % 4), float(r @ r))
     assert np.all(solution.c == 0)
     assert solution.cost > 0.9
+
+
+@given(seed=integers(0, 10_000), slope=floats(-3.0, 3.0))
+@settings(max_examples=30, deadline=None)
+def test_the_regression_is_the_penalised_least_squares_that_it_says(seed, slope):
+    """Whatever the units, and where the penalty is so large that a straight line is all that it leaves."""
+    rng = np.random.default_rng(seed)
+    axis = MapAxis("velocity", -1.0, 1.0, 8)
+    shape = TorqueMap(place="motor", axes=(axis,), coefficients=(0.0,) * axis.count)
+    x = rng.uniform(-1, 1, 400)
+    D, J, S = 1e-3 * shape.row(x), 1e3 * np.column_stack([np.ones(400), rng.standard_normal(400)]), _roughness(shape)
+    r = J @ [0.002, -0.001] - 1e-3 * slope * x + 1e-2 * rng.standard_normal(400)
+    p = _Problem(r, np.zeros(D.shape[1]), J, D, S, np.arange(400) % 5)
+    s = _solve(p, float(r @ r))
+    root = np.sqrt(s.penalty)
+    A = np.block([[J, D @ s.V], [np.zeros((len(S), 2)), root * S @ s.V]])
+    size = np.linalg.norm(A, axis=0)
+    b = -np.linalg.lstsq(A / size, np.concatenate([r, np.zeros(len(S))]), rcond=1e-14)[0] / size
+    np.testing.assert_allclose(D @ s.c, D @ (s.V @ b[2:]), atol=1e-5 * float(np.std(r)))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_what_one_stretch_alone_shows_is_no_reason_to_refuse_a_map(seed):
+    """A straight line that the model's own numbers do as well but in one fold: the others do not say how much of it there is."""
+    rng = np.random.default_rng(seed)
+    axis = MapAxis("velocity", -1.0, 1.0, 12)
+    shape = TorqueMap(place="motor", axes=(axis,), coefficients=(0.0,) * axis.count)
+    x, fold = rng.uniform(-1, 1, 400), np.arange(400) % 5
+    D = 1e-3 * shape.row(x)
+    line = D @ np.linspace(-1, 1, axis.count) * (1 + 1e-5 * rng.standard_normal(400))
+    J = np.column_stack([np.ones(400), line + 1e-3 * (fold == 0) * rng.standard_normal(400)])
+    r = 0.1 * np.sin(5 * x) + 0.01 * rng.standard_normal(400)
+    assert _solve(_Problem(r, np.zeros(axis.count), J, D, _roughness(shape), fold), float(r @ r)).cost < 0.1
 
 
 def test_a_map_over_the_speed_judged_by_force():
