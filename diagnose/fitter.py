@@ -37,6 +37,7 @@ FAR = 3.0  # chi-square over n beyond which other physics is missing than a riva
 ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
 # rates [1/s] at which a model is led in turn: from J/lead of 1 ms to a free run
 LEADS = (1000.0, 560.0, 300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
+LANDING = (300.0, 100.0, 30.0, 10.0)  # the same in few and wide steps
 CLOSELY = 300.0  # rate [1/s] at which structures are compared that a free run may have left in a wrong minimum
 WRONG = 2.0  # chi-square over n of a led model, at first: something else is missing than such moments; later: they are lost
 LOST = 1.2  # times the least cost under a lead, or noise: an event was lost as the lead gave way, and other points are drawn
@@ -504,11 +505,15 @@ class Fitter:
             count += int(np.sum(keep & chosen))
         return total / count if count else None
 
-    def led_error(self, fitted: Fitted, rate: float) -> float | None:
-        """Mean square of the weighted, whitened held-out error of a model that is led at a rate [1/s]; None if it cannot be."""
+    def led_held_out(self, fitted: Fitted, rate: float) -> HeldOut | None:
+        """The held-out error of a model that is led at a rate [1/s]; None if it cannot be."""
         if not isinstance(self.view, MotionView) or rate > most_led(fitted.axis):
             return None
-        held = self.leading(rate, self.held_out).validate(fitted)
+        return self.leading(rate, self.held_out).validate(fitted)
+
+    def led_error(self, fitted: Fitted, rate: float) -> float | None:
+        """Mean square of the weighted, whitened held-out error of a led model; None if it cannot be led."""
+        held = self.led_held_out(fitted, rate)
         return None if held is None else held.chi2 / float(np.sum(held.n))
 
     def let_go(self, fitted: Fitted, seed: int = 0, highest: float = math.inf) -> Fitted | None:
@@ -542,6 +547,16 @@ class Fitter:
             now, least = best, min(least, best.chi2)
             if now.chi2 > (LOST if rate >= CLOSELY else WRONG) * max(least, now.n):
                 break  # from here it would only be drawn to another order of events; led closely it lacks something else
+        return self.fit(now.hypothesis, now.fit.x, iterations=20)
+
+    def landed(self, fitted: Fitted) -> Fitted | None:
+        """The same structure fitted to a led model, and on in few steps to a free run; None where it lacks something else."""
+        now = fitted
+        for k, rate in enumerate(r for r in LANDING if r <= most_led(fitted.axis)):
+            found = self.led(now, rate, 20)
+            if found is None or self.spent or (not k and found.chi2 > WRONG * found.n):
+                return None
+            now = found
         return self.fit(now.hypothesis, now.fit.x, iterations=20)
 
     def shaken(self, fitted: Fitted) -> Fitted:

@@ -40,6 +40,8 @@ SPREAD = (
 )
 LACKS = 4.0  # times the noise variance left by a closely led model, which no wrong order of events leaves
 STAYS = 0.5  # part of what is left beside noise that stays when a model is led, and is then none of other moments
+NEXT = 0.01  # of what one structure leaves above noise, that is next to nothing of it in another
+PUT_RIGHT = 56.0  # rate [1/s] at which a led model is put right before the next event
 SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
 LAW = (0.01, 0.02)  # part of what another law of an effect changed that the better law may still miss: of all, and besides of
 # what is no more than the noise variance
@@ -125,32 +127,45 @@ class Judge:
     def compared(self, before: Fitted, after: Fitted) -> Comparison:
         """Two structures on held-out data.
 
-        Where one alone fits the estimation data, and its free run goes astray: also on what that one foretells. It is right if
-        either bears it out, at twice the p-value, and wrong if both speak against it.
+        Where one alone fits the estimation data, and its free run goes astray: also on what that one foretells, and as led
+        models. It is right if one of these bears it out, at so many times the p-value, and wrong if all speak against it.
         """
         self.fitter.map([partial(self.held_out, f) for f in (before, after)])
-        samples, pair = self._foretold(before, after), (self.held_out(before), self.held_out(after))
         known = self.fitter.noise_known
-        on_all = compare(*pair, known=known)
-        if samples is None:
-            return on_all
-        both = (on_all, compare(self.fitter.validate(before, samples), self.fitter.validate(after, samples), known=known))
+        views = [compare(self.held_out(before), self.held_out(after), known=known)]
+        if self._astray(before, after):
+            views += [compare(*pair, known=known) for pair in self._beside_events(before, after)]
+        if len(views) == 1:
+            return views[0]
         if after.chi2 / after.n > before.chi2 / before.n:
-            return max(both, key=lambda c: c.p_value)
-        better = min(both, key=lambda c: c.p_value)
-        return Comparison(better.relative_gain, min(1.0, 2.0 * better.p_value))
+            return max(views, key=lambda c: c.p_value)
+        better = min(views, key=lambda c: c.p_value)
+        return Comparison(better.relative_gain, min(1.0, len(views) * better.p_value))
 
-    def _foretold(self, *structures: Fitted) -> list[np.ndarray] | None:
-        """The held-out samples that one structure foretells which alone fits the estimation data but not the held-out ones."""
+    def _astray(self, *structures: Fitted) -> bool:
+        """Whether the free run goes astray on held-out data of a structure that sticks or strikes, and alone fits the others."""
         fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
-        if not self.fitter.noise_known or fits.chi2 > UNEXPLAINED * fits.n or other.chi2 < UNEXPLAINED * other.n:
-            return None
-        held, asked = self.held_out(fits), (fits.key, fits.chi2)
-        if held is None or held.chi2 < UNEXPLAINED * float(np.sum(held.n)):
-            return None
+        if not self.fitter.noise_known or not fits.rough or other.chi2 < UNEXPLAINED * other.n:
+            return False
+        if fits.chi2 > max(UNEXPLAINED * fits.n, fits.n + NEXT * (other.chi2 - other.n)):  # nor next to nothing beside the other
+            return False
+        held = self.held_out(fits)
+        return held is not None and held.chi2 > UNEXPLAINED * float(np.sum(held.n))
+
+    def _beside_events(self, *structures: Fitted) -> list[list[HeldOut | None]]:
+        """Held-out errors of two structures that a wrong moment of an event does not carry.
+
+        On the samples that the one which fits better foretells, and of led models.
+        """
+        fits = min(structures, key=lambda f: f.chi2 / f.n)
+        asked = (fits.key, fits.chi2)
         if asked not in self._samples:
             self._samples[asked] = self.fitter.foretold(fits)
-        return self._samples[asked]
+        samples, pairs = self._samples[asked], []
+        if samples is not None:
+            pairs.append([self.fitter.validate(f, samples) for f in structures])
+        led = [self.fitter.led_held_out(f, PUT_RIGHT) for f in structures]
+        return pairs if None in led else [*pairs, led]
 
     def pays(self, before: Fitted, after: Fitted, attempt: int = 1) -> bool:
         """Whether ``after`` is better by the criterion, materially, and on held-out data.

@@ -55,6 +55,7 @@ CREEPS = 2  # effects in a row that explain little of much, after which the libr
 BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
 # leaves more than noise, as little but with a colour, and noise alone
 NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
+LONG = 4.0  # times a run of the nominal model with friction, which a run of such a rival may take to be fitted by led models
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
@@ -71,7 +72,7 @@ class Search(Judge):
     failed: dict[str, str] = field(default_factory=dict)
     screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
     retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)
-    unfolded: set[tuple[str, ...]] = field(default_factory=set)
+    unfolded: dict[tuple[str, ...], int] = field(default_factory=dict)  # and how often each was let go
     tested: int = 0
     effective_of: Callable[[Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
@@ -85,6 +86,7 @@ class Search(Judge):
         self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
         self._let_go = 0
+        self._landed: set[tuple[object, ...]] = set()
         self._without: set[tuple[object, ...]] = set()
         self._last_look: tuple[object, Look] | None = None
 
@@ -275,7 +277,28 @@ class Search(Judge):
         running[:1] = [self._smoothed(f) for f in running[:1]]
         for f in running:
             self.keep(f)
-        return running
+        self._land(running)
+        return [self.pool.get(f.key, f) for f in running]
+
+    def _land(self, running: Sequence[Fitted]) -> None:
+        """Rivals that stick or strike, near the best of them, once more by way of led models, where that leaves more than noise.
+
+        A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance.
+        """
+        best = min((f.chi2 for f in running), default=math.inf)
+        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
+            return
+        for f in running:
+            f = self.pool.get(f.key, f)
+            near = f.rough and f.chi2 < NEARBY * best and self.fitter.misfit(f) > UNEXPLAINED
+            if not near or self._spent() or self.fitter.length(f.hypothesis, f.fit.x) > LONG:
+                continue
+            asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
+            if asked not in self._landed:
+                self._landed.add(asked)
+                landed = self.fitter.landed(f)
+                if landed is not None:
+                    self.keep(landed)
 
     def _smoothed(self, f: Fitted) -> Fitted:
         """The winner of a race, once more by wide secants where its cost is rough: they see past the steps.
@@ -347,7 +370,7 @@ class Search(Judge):
             best = self._best(current)
             if best.key != current.key:
                 best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
-            self._unfold([best])
+            self._unfold([best], most=1)  # more of it only once nothing can be added
             self.shake(self.pool.get(best.key, best))
             best = self._best(self.pool.get(current.key, current))
             self.progress.end_round()
@@ -514,21 +537,23 @@ class Search(Judge):
             led_by()
         return self._best(current)
 
-    def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None) -> None:
+    def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.
 
         Not those that a led model shows to lack something else, nor those that stay behind the one ``beside`` when both are led.
+        ``most``: how often one may be let go.
         """
         for f in structures if self.options.free and not self._late() else ():
-            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or f.key in self.unfolded or not folded(f):
+            known = self.unfolded.get(f.key)
+            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or (known or 0) >= most or not folded(f):
                 continue
-            self.unfolded.add(f.key)
+            self.unfolded[f.key] = UNFOLDS
             if not self._late() and self.shake(f).chi2 < UNEXPLAINED * f.n:
                 continue
             if self.lacks_more(f) or self.lacks_law(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
                 continue
             spent = self.fitter.runs
-            for linear in (f.linear, None):
+            for linear in (f.linear, None) if known is None else ():
                 for _ in range(UNFOLDS):
                     last = self.pool.get(f.key, f)
                     if self._late() or last.chi2 < UNEXPLAINED * last.n:
@@ -538,14 +563,15 @@ class Search(Judge):
                     if not now.ok or now.chi2 > 0.9 * last.chi2:
                         break
                     linear = now.linear
-            for seed in range(UNFOLDS):
+            for seed in range(known or 0, most):
                 last = self.pool.get(f.key, f)
-                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._late():
+                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._late() or self.lacks_law(last):
                     break
                 free = self.fitter.let_go(last, seed) if self._let_go < LET_GO else None
                 if free is None:
                     break
                 self._let_go += 1
+                self.unfolded[f.key] = seed + 1
                 self.keep(free)
                 if abs(math.log(free.chi2 / last.chi2)) < SAME:
                     break

@@ -132,6 +132,36 @@ def test_a_led_model_that_leaves_more_than_noise_is_not_let_go(fitter):
     assert fitter.runs - before < 1500
 
 
+def test_a_few_steps_down_from_a_led_model_come_nearer_at_a_fraction_of_the_cost(robot, fitter):
+    start = effect_class("static_friction")(torque_Nm=0.05, peak=3.9)
+    far = {p.name: 1.06 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"}
+    plain = fitter.fit(fitter.hypothesis((start,), far), iterations=25)
+    before = fitter.runs
+    landed = fitter.landed(plain)
+    assert landed.chi2 < 0.6 * plain.chi2
+    assert abs(landed.effects[0].peak - STICTION["peak"]) < 0.6 * abs(plain.effects[0].peak - STICTION["peak"])
+    assert fitter.runs - before < 1000
+    wrong = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=10)
+    assert fitter.landed(wrong) is None, "led, it leaves more than noise"
+
+
+def test_a_race_lands_what_sticks_and_comes_near_its_winner(robot, fitter):
+    """A static friction whose fit ended a quarter off was beaten by another law of it, with an exponent that meant nothing."""
+    search = Search(fitter, SearchOptions())
+    far = {p.name: 1.06 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"}
+    sticks = effect_class("static_friction")(torque_Nm=0.05, peak=3.9)
+    plain = fitter.fit(fitter.hypothesis((sticks,), far), iterations=25)
+    winner = dataclasses.replace(plain, fit=dataclasses.replace(plain.fit, cost=0.8 * plain.chi2))
+    for costs, lands in (((winner,), True), ((dataclasses.replace(plain, fit=dataclasses.replace(plain.fit, cost=0.1)),), False)):
+        search.pool, search._landed = {plain.key: plain}, set()
+        search._land([plain, *costs])
+        assert (search.pool[plain.key].chi2 < 0.6 * plain.chi2) is lands
+    led_ones = dataclasses.replace(SearchOptions(), free=False)
+    other = Search(fitter, led_ones, pool={plain.key: plain})
+    other._land([plain])
+    assert other.pool[plain.key] is plain, "led models have no such minima"
+
+
 def test_the_same_fit_each_time(fitter):
     start = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.0),)), iterations=5)
     first, second = (fitter.led(start, LEAD, 3, spread=4, keep=2) for _ in range(2))
