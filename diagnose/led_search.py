@@ -7,13 +7,11 @@ that the right one of a pair may be fitted ever so badly until the other is ther
 from __future__ import annotations
 
 import dataclasses
-import math
-from functools import partial
 
 from diagnose.fitted import UNEXPLAINED, Fitted
 from diagnose.fitter import CLOSELY, WRONG
-from diagnose.hypothesis import make
 from diagnose.judge import LACKS
+from diagnose.minima import begun_anew
 from diagnose.moves import folded, formed, ground
 from diagnose.search import Search
 
@@ -24,7 +22,6 @@ LITTLE = 0.7  # of the chi-square of a round before: a round that leaves more le
 PART = 0.65  # of what the diagnosis may still take
 WIDTH = 6  # rivals of a round
 NEAR = 10.0 * LACKS  # times the noise variance below which an effect is refined
-AGAIN = 8  # starts of a structure that are fitted once more
 ALIKE, MOST = 2.0, 3  # times the least chi-square of a led structure up to which others are let go as well, and how many
 
 
@@ -69,7 +66,8 @@ def _search(search: Search) -> list[Fitted]:
             other.refine(best)
             best = other._guided(_least(other))
         if WRONG < best.chi2 / best.n < NEAR and not led.spent:
-            best = _restarted(other, best)
+            other.keep(begun_anew(led, best, [e for e in best.effects if type(e).rough]))
+            best = other.pool[best.key]
         if best.chi2 > LITTLE * before.chi2:
             break
         for effect in best.effects if best.chi2 > WRONG * best.n else ():
@@ -87,23 +85,6 @@ def _search(search: Search) -> list[Fitted]:
 def _least(search: Search) -> Fitted:
     """The best structure of a pool."""
     return min(search.pool.values(), key=search.criterion)
-
-
-def _restarted(search: Search, f: Fitted) -> Fitted:
-    """The best fit of a structure from every start of its effects that stick or strike, beside its own and nominal parameters."""
-    fitter, starts = search.fitter, []
-    for effect in f.effects:
-        cls, rest = type(effect), tuple(e for e in f.effects if e.key != effect.key)
-        for values in cls.starts(fitter.scales_for(cls, effect.place)) if cls.rough else ():
-            again = (*rest, make(cls.id, effect.place, values))
-            starts += [fitter.hypothesis(again, linear) for linear in (f.linear, None)]
-    costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
-    order = sorted(range(len(starts)), key=lambda i: costs[i])[:AGAIN]
-    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, rival=True) for i in order])
-    best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=f)
-    if best.chi2 < f.chi2:
-        search.keep(fitter.fit(best.hypothesis, best.fit.x, iterations=12))
-    return search.pool.get(f.key, f)
 
 
 def _spread(search: Search, f: Fitted) -> Fitted:

@@ -6,7 +6,6 @@ What pays is for `diagnose.judge` to say: by the criterion, and on held-out data
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,9 +18,10 @@ from diagnose.candidates import Screened, candidates, conflicts, left_over, rela
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import FAR, ROUGHLY, SAME
 from diagnose.hypothesis import make
-from diagnose.judge import LACKS, Judge
+from diagnose.judge import LACKS
 from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
+from diagnose.minima import MISFIT, NEARBY, RIVAL, Minima
 from diagnose.moves import (
     Entrant,
     folded,
@@ -42,20 +42,10 @@ from mjsim.effects import Effect, effect_class
 __all__ = ["ALIKE_C", "Search"]
 T = TypeVar("T")
 
-MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
-RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
-LITTLE = 0.02  # the same of an effect that explains next to nothing
-WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
-LET_GO = 3  # times at most that a led model is let go in a search
-UNFOLDS = 3  # times in a row, while it gains
-STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
-BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
 INEXACT = 0.5  # of what is left without an effect: an inexact law of it leaves no more
 CREEPS = 2  # effects in a row that explain little of much, after which the library holds nothing that is missing
 BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
 # leaves more than noise, as little but with a colour, and noise alone
-NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
-LONG = 4.0  # times a run of the nominal model with friction, which a run of such a rival may take to be fitted by led models
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
@@ -65,14 +55,13 @@ ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are
 
 
 @dataclass
-class Search(Judge):
+class Search(Minima):
     """State of a search: everything fitted so far, by structure."""
 
     progress: Progress = field(default_factory=Progress)
     failed: dict[str, str] = field(default_factory=dict)
     screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
     retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)
-    unfolded: dict[tuple[str, ...], int] = field(default_factory=dict)  # and how often each was let go
     tested: int = 0
     effective_of: Callable[[Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
@@ -81,49 +70,17 @@ class Search(Judge):
     only_beside: Mapping[str, str] = field(default_factory=dict)  # an effect that may only stand beside another, and that one
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.candidates = candidates(self.fitter, self.options.only)
-        self._began = time.monotonic()
-        self._runs = self.fitter.runs
         self._unguided: Fitted | None = None
-        self._let_go = 0
-        self._landed: set[tuple[object, ...]] = set()
         self._without: set[tuple[object, ...]] = set()
         self._last_look: tuple[object, Look] | None = None
-
-    def _spent(self) -> bool:
-        """Whether what this stretch of the search may take (the same on every machine), or the whole diagnosis, is used up."""
-        return self._left() < 0 or self._late()
-
-    def _left(self) -> float:
-        """How many simulations may still be taken."""
-        return min(self.options.runs - (self.fitter.runs - self._runs), self.fitter.most_runs - self.fitter.runs)
-
-    def _late(self) -> bool:
-        """Whether what the whole diagnosis may take is used up."""
-        return self.fitter.spent or time.monotonic() - self._began > self.options.seconds
 
     def nominal(self) -> Fitted:
         """The refitted nominal model: the rival to beat."""
         if () not in self.pool:
             self.pool[()] = self._elsewhere(self.fitter.fit(self.fitter.hypothesis(())))
         return self.pool[()]
-
-    def _elsewhere(self, f: Fitted) -> Fitted:
-        """The nominal structure begun about its nominal parameters as well, where it leaves much: it may have another minimum.
-
-        An effect that only leads out of a wrong one is no missing physics.
-        """
-        if not f.ok or not self.fitter.noise_known or self.fitter.misfit(f) < MISFIT:
-            return f
-        rng = np.random.default_rng(0)
-        nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
-        factors = np.exp(ABOUT * rng.standard_normal((STARTS, len(nominal))))
-        starts = [dict(zip(nominal, list(nominal.values()) * row, strict=True)) for row in factors]
-        begin = [partial(self.fitter.fit, self.fitter.hypothesis((), s), iterations=8, rival=True) for s in starts]
-        fits = [g for g in self.fitter.map(begin) if g.ok]
-        best = min(fits, key=lambda g: g.chi2, default=f)
-        best = self.fitter.fit(best.hypothesis, best.fit.x) if best is not f else f
-        return best if best.ok and best.chi2 < BETTER * f.chi2 else f
 
     def know(self, f: Fitted) -> None:
         """Fit a structure that was found by other weights, from there: it is a rival whatever the screen says."""
@@ -279,40 +236,6 @@ class Search(Judge):
             self.keep(f)
         self._land(running)
         return [self.pool.get(f.key, f) for f in running]
-
-    def _land(self, running: Sequence[Fitted]) -> None:
-        """Rivals that stick or strike, near the best of them, once more by way of led models, where that leaves more than noise.
-
-        A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance.
-        """
-        best = min((f.chi2 for f in running), default=math.inf)
-        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
-            return
-        for f in running:
-            f = self.pool.get(f.key, f)
-            near = f.rough and f.chi2 < NEARBY * best and self.fitter.misfit(f) > UNEXPLAINED
-            if not near or self._spent() or self.fitter.length(f.hypothesis, f.fit.x) > LONG:
-                continue
-            asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
-            if asked not in self._landed:
-                self._landed.add(asked)
-                landed = self.fitter.landed(f)
-                if landed is not None:
-                    self.keep(landed)
-
-    def _smoothed(self, f: Fitted) -> Fitted:
-        """The winner of a race, once more by wide secants where its cost is rough: they see past the steps.
-
-        A body that sticks or strikes does so a sample sooner or later as a parameter moves, and the error jumps.
-        """
-        rough = f.fit.status is Status.STALLED or f.rough
-        if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n:
-            return f
-        for step in WIDE:
-            wide = self.fitter.fit(f.hypothesis, f.fit.x, iterations=8, step=step, tolerance=1e-4)
-            if wide.ok and wide.chi2 < f.chi2:
-                f = wide
-        return f
 
     def _done(self, task: Callable[[], T]) -> T:
         """The outcome of a rival's fit, counted."""
@@ -536,55 +459,6 @@ class Search(Judge):
             led_by, self.led_by = self.led_by, None
             led_by()
         return self._best(current)
-
-    def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:
-        """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.
-
-        Not those that a led model shows to lack something else, nor those that stay behind the one ``beside`` when both are led.
-        ``most``: how often one may be let go.
-        """
-        for f in structures if self.options.free and not self._late() else ():
-            known = self.unfolded.get(f.key)
-            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or (known or 0) >= most or not folded(f):
-                continue
-            self.unfolded[f.key] = UNFOLDS
-            if not self._late() and self.shake(f).chi2 < UNEXPLAINED * f.n:
-                continue
-            if self.lacks_more(f) or self.lacks_law(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
-                continue
-            spent = self.fitter.runs
-            for linear in (f.linear, None) if known is None else ():
-                for _ in range(UNFOLDS):
-                    last = self.pool.get(f.key, f)
-                    if self._late() or last.chi2 < UNEXPLAINED * last.n:
-                        break
-                    now = self.fitter.unfolded(last, linear)
-                    self.keep(now)
-                    if not now.ok or now.chi2 > 0.9 * last.chi2:
-                        break
-                    linear = now.linear
-            for seed in range(known or 0, most):
-                last = self.pool.get(f.key, f)
-                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._late() or self.lacks_law(last):
-                    break
-                free = self.fitter.let_go(last, seed) if self._let_go < LET_GO else None
-                if free is None:
-                    break
-                self._let_go += 1
-                self.unfolded[f.key] = seed + 1
-                self.keep(free)
-                if abs(math.log(free.chi2 / last.chi2)) < SAME:
-                    break
-            self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
-
-    def _smooths(self, current: Fitted, f: Fitted) -> bool:
-        """Whether a structure adds to one that was unfolded what explains little of what is left, or next to nothing.
-
-        Little is enough where what is added has no folds of its own.
-        """
-        added = [type(e) for e in f.effects if e.key not in current.key]
-        least = LITTLE if any(cls.multistart > 1 or cls.rough for cls in added) else RIVAL
-        return current.key in self.unfolded and set(current.key) < set(f.key) and math.log(current.chi2 / f.chi2) < least
 
     def _larger(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data: where to go on from when none pays."""

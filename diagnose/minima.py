@@ -1,0 +1,178 @@
+"""Lower minima of structures that have been fitted: a free run has many, and a fit ends in the one next to where it began.
+
+Where bodies stick or strike there is one for each order of their events; and refitted numbers bend to what is missing, so that
+what is found later begins from there.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from diagnose.fitted import UNEXPLAINED, Fitted
+from diagnose.fitter import SAME, Fitter
+from diagnose.hypothesis import make
+from diagnose.judge import Judge
+from diagnose.least_squares import Status
+from diagnose.moves import folded
+from mjsim.effects import Effect
+
+__all__ = ["MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
+
+MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
+RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
+LITTLE = 0.02  # the same of an effect that explains next to nothing
+WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a rough cost
+LET_GO = 3  # times at most that a led model is let go in a search
+UNFOLDS = 3  # times in a row, while it gains
+STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
+BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
+NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
+LONG = 4.0  # times a run of the nominal model with friction, which a run of such a rival may take to be fitted by led models
+AGAIN = 8  # starts of a structure that are fitted once more
+
+
+def begun_anew(fitter: Fitter, f: Fitted, chosen: Sequence[Effect]) -> Fitted:
+    """The best fit of a structure from every start of the effects ``chosen``, beside its own and the nominal parameters."""
+    starts = []
+    for effect in chosen:
+        cls, rest = type(effect), tuple(e for e in f.effects if e.key != effect.key)
+        own = {k: v for k, v in f.own.items() if k[0] != effect.key}
+        for values in cls.starts(fitter.scales_for(cls, effect.place)):
+            again = (*rest, make(cls.id, effect.place, values))
+            starts += [fitter.hypothesis(again, linear, own) for linear in (f.linear, None)]
+    costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
+    order = sorted(range(len(starts)), key=lambda i: costs[i])[:AGAIN]
+    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, rival=True) for i in order])
+    best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=f)
+    return fitter.fit(best.hypothesis, best.fit.x, iterations=12) if best.chi2 < f.chi2 else f
+
+
+@dataclass
+class Minima(Judge):
+    """Everything fitted so far, and how to come to a lower minimum of it; within what a search may take."""
+
+    unfolded: dict[tuple[str, ...], int] = field(default_factory=dict)  # and how often each was let go
+
+    def __post_init__(self) -> None:
+        self._began = time.monotonic()
+        self._runs = self.fitter.runs
+        self._let_go = 0
+        self._landed: set[tuple[object, ...]] = set()
+
+    def _spent(self) -> bool:
+        """Whether what this stretch of the search may take (the same on every machine), or the whole diagnosis, is used up."""
+        return self._left() < 0 or self._late()
+
+    def _left(self) -> float:
+        """How many simulations may still be taken."""
+        return min(self.options.runs - (self.fitter.runs - self._runs), self.fitter.most_runs - self.fitter.runs)
+
+    def _late(self) -> bool:
+        """Whether what the whole diagnosis may take is used up."""
+        return self.fitter.spent or time.monotonic() - self._began > self.options.seconds
+
+    def _elsewhere(self, f: Fitted) -> Fitted:
+        """The nominal structure begun about its nominal parameters as well, where it leaves much: it may have another minimum.
+
+        An effect that only leads out of a wrong one is no missing physics.
+        """
+        if not f.ok or not self.fitter.noise_known or self.fitter.misfit(f) < MISFIT:
+            return f
+        rng = np.random.default_rng(0)
+        nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
+        factors = np.exp(ABOUT * rng.standard_normal((STARTS, len(nominal))))
+        starts = [dict(zip(nominal, list(nominal.values()) * row, strict=True)) for row in factors]
+        begin = [partial(self.fitter.fit, self.fitter.hypothesis((), s), iterations=8, rival=True) for s in starts]
+        fits = [g for g in self.fitter.map(begin) if g.ok]
+        best = min(fits, key=lambda g: g.chi2, default=f)
+        best = self.fitter.fit(best.hypothesis, best.fit.x) if best is not f else f
+        return best if best.ok and best.chi2 < BETTER * f.chi2 else f
+
+    def _smoothed(self, f: Fitted) -> Fitted:
+        """The winner of a race, once more by wide secants where its cost is rough: they see past the steps.
+
+        A body that sticks or strikes does so a sample sooner or later as a parameter moves, and the error jumps.
+        """
+        rough = f.fit.status is Status.STALLED or f.rough
+        if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n:
+            return f
+        for step in WIDE:
+            wide = self.fitter.fit(f.hypothesis, f.fit.x, iterations=8, step=step, tolerance=1e-4)
+            if wide.ok and wide.chi2 < f.chi2:
+                f = wide
+        return f
+
+    def _land(self, running: Sequence[Fitted]) -> None:
+        """Rivals that stick or strike, near the best of them, once more by way of led models, where that leaves more than noise.
+
+        A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance.
+        """
+        best = min((f.chi2 for f in running), default=math.inf)
+        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
+            return
+        for f in running:
+            f = self.pool.get(f.key, f)
+            near = f.rough and f.chi2 < NEARBY * best and self.fitter.misfit(f) > UNEXPLAINED
+            if not near or self._spent() or self.fitter.length(f.hypothesis, f.fit.x) > LONG:
+                continue
+            asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
+            if asked not in self._landed:
+                self._landed.add(asked)
+                landed = self.fitter.landed(f)
+                if landed is not None:
+                    self.keep(landed)
+
+    def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:
+        """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.
+
+        Not those that a led model shows to lack something else, nor those that stay behind the one ``beside`` when both are led.
+        ``most``: how often one may be let go.
+        """
+        for f in structures if self.options.free and not self._late() else ():
+            known = self.unfolded.get(f.key)
+            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or (known or 0) >= most or not folded(f):
+                continue
+            self.unfolded[f.key] = UNFOLDS
+            if not self._late() and self.shake(f).chi2 < UNEXPLAINED * f.n:
+                continue
+            if self.lacks_more(f) or self.lacks_law(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
+                continue
+            spent = self.fitter.runs
+            for linear in (f.linear, None) if known is None else ():
+                for _ in range(UNFOLDS):
+                    last = self.pool.get(f.key, f)
+                    if self._late() or last.chi2 < UNEXPLAINED * last.n:
+                        break
+                    now = self.fitter.unfolded(last, linear)
+                    self.keep(now)
+                    if not now.ok or now.chi2 > 0.9 * last.chi2:
+                        break
+                    linear = now.linear
+            for seed in range(known or 0, most):
+                last = self.pool.get(f.key, f)
+                if last.chi2 < UNEXPLAINED * last.n or not last.rough or self._late() or self.lacks_law(last):
+                    break
+                free = self.fitter.let_go(last, seed) if self._let_go < LET_GO else None
+                if free is None:
+                    break
+                self._let_go += 1
+                self.unfolded[f.key] = seed + 1
+                self.keep(free)
+                if abs(math.log(free.chi2 / last.chi2)) < SAME:
+                    break
+            self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
+
+    def _smooths(self, current: Fitted, f: Fitted) -> bool:
+        """Whether a structure adds to one that was unfolded what explains little of what is left, or next to nothing.
+
+        Little is enough where what is added has no folds of its own.
+        """
+        added = [type(e) for e in f.effects if e.key not in current.key]
+        least = LITTLE if any(cls.multistart > 1 or cls.rough for cls in added) else RIVAL
+        return current.key in self.unfolded and set(current.key) < set(f.key) and math.log(current.chi2 / f.chi2) < least
