@@ -34,6 +34,7 @@ STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread
 BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
 NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
 LONG = 4.0  # times a run of the nominal model with friction, which a run of such a rival may take to be fitted by led models
+SHORT = 2.0  # the same, to be shaken
 AGAIN = 8  # starts of a structure that are fitted once more
 
 
@@ -109,17 +110,19 @@ class Minima(Judge):
         return f
 
     def _land(self, running: Sequence[Fitted]) -> None:
-        """Rivals that stick or strike, near the best of them, once more by way of led models, where that leaves more than noise.
+        """Rivals that stick or strike, near the best, once more by way of led models; not what is first and leaves noise alone.
 
-        A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance.
+        A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance. One
+        that is soon run is shaken as well.
         """
-        best = min((f.chi2 for f in running), default=math.inf)
         if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
             return
-        for f in running:
-            f = self.pool.get(f.key, f)
-            near = f.rough and f.chi2 < NEARBY * best and self.fitter.misfit(f) > UNEXPLAINED
-            if not near or self._spent() or self.fitter.length(f.hypothesis, f.fit.x) > LONG:
+        for f in (*running, *running):  # one that was first may not be when the others have landed
+            f, best = self.pool.get(f.key, f), min((self.pool.get(g.key, g) for g in running), key=lambda g: g.chi2)
+            behind = self.criterion(f) - self.criterion(best) > self.options.entry or self.fitter.misfit(f) > UNEXPLAINED
+            near = f.rough and f.chi2 < NEARBY * best.chi2 and behind
+            length = self.fitter.length(f.hypothesis, f.fit.x) if near else math.inf
+            if length > LONG or self._spent():
                 continue
             asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
             if asked not in self._landed:
@@ -127,6 +130,8 @@ class Minima(Judge):
                 landed = self.fitter.landed(f)
                 if landed is not None:
                     self.keep(landed)
+                if length < SHORT:
+                    self.shake(self.pool.get(f.key, f))
 
     def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.
