@@ -459,7 +459,9 @@ def _only_astray(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -
     def judged(before: float | None, after: float | None) -> bool:
         if before is None or after is None:
             return False
-        return after - 1.0 < options.missed and before - 1.0 > POWER * options.missed
+        # the noise that leads a model shakes it as well: what is left is little, or little of what there was
+        little = after - 1.0 < options.missed or _closed(before - 1.0, after - 1.0) >= options.closed
+        return little and before - 1.0 > POWER * options.missed
 
     samples = fitter.foretold(best)
     if samples is not None and judged(fitter.error_on(base, samples), fitter.error_on(best, samples)):

@@ -22,7 +22,7 @@ from diagnose.least_squares import Status
 from diagnose.moves import folded
 from mjsim.effects import Effect
 
-__all__ = ["MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
+__all__ = ["LONG", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
 
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart

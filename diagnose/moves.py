@@ -17,6 +17,7 @@ from mjsim.effects import Effect, effect_class
 
 __all__ = [
     "Entrant",
+    "at_limits",
     "folded",
     "formed",
     "ground",
@@ -54,6 +55,12 @@ def ground(f: Fitted, pool: Mapping[tuple[str, ...], Fitted]) -> Fitted:
             if simple is not None and simple.chi2 < NEARLY * f.chi2:
                 return ground(simple, pool)
     return f
+
+
+def at_limits(f: Fitted) -> list[tuple[Effect, ...]]:
+    """The effects of a structure with one of them as what it comes to at an edge of its numbers, at those numbers."""
+    pairs = [(tuple(e for e in f.effects if e.key != effect.key), limit) for effect in f.effects for limit in effect.limits()]
+    return [(*others, limit) for others, limit in pairs if not conflicts(Candidate(limit.id, limit.place), others)]
 
 
 def taken_apart(fitter: Fitter, offered: Sequence[Candidate], effect: Effect, others: tuple[Effect, ...]) -> list[Entrant]:

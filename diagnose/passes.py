@@ -166,9 +166,11 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
             return False
         missed = motion_error(fitter, f)
-        if missed is None or missed < options.missed or f.effects or missed > TAKEN:
+        if missed is None or missed < options.missed or f.effects:
             return missed is not None and missed < options.missed
-        settled = _settled_from_nominal(fitter, f)
+        if noise_only(fitter.pooled(f), unknown=False):  # or the excitation leaves parameters open, which noise has settled
+            return True
+        settled = _settled_from_nominal(fitter, f) if missed <= TAKEN else None
         return settled is not None and noise_only(settled, unknown=False)
 
     known = fitter.noise_known

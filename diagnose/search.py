@@ -21,9 +21,10 @@ from diagnose.hypothesis import make
 from diagnose.judge import LACKS
 from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
-from diagnose.minima import MISFIT, NEARBY, RIVAL, Minima
+from diagnose.minima import LONG, MISFIT, NEARBY, RIVAL, Minima
 from diagnose.moves import (
     Entrant,
+    at_limits,
     folded,
     formed,
     ground,
@@ -49,6 +50,7 @@ BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to whi
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
+SLOW = 100  # the same of one that is slow to run, in its own runs, at least
 FORMS, CRAWLS = 30, 0.01  # iterations of a simpler form, and what each must gain while all could not bring it near
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
@@ -120,6 +122,7 @@ class Search(Minima):
         """
         if self._spent():
             return []
+        self._limit(base)
         entrants: list[Entrant] = []
         material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         for effect in base.effects:
@@ -145,6 +148,20 @@ class Search(Minima):
                 entrants += other_orders(self.fitter, effect, others, material=material)
             entrants += self._new(base, taken_apart(self.fitter, self.candidates, effect, others) if material else [])
         return self._race(base, entrants)
+
+    def _limit(self, base: Fitted) -> None:
+        """Fit what the effects of a structure come to at an edge of their numbers, from those numbers; the pool keeps it.
+
+        A law of more numbers that stands there is the one of fewer, which may have ended in another minimum by itself.
+        """
+        offered = {c.key for c in self.candidates}
+        for effects in at_limits(base):
+            if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or self._late():
+                continue
+            begun = self.fitter.fit(self.fitter.hypothesis(effects, base.linear, base.own), iterations=20, rival=True)
+            self.keep(begun)
+            if begun.ok and begun.chi2 < NEARBY * base.chi2:
+                self.shake(self.pool[begun.key])
 
     def swap(self, base: Fitted) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` gives way to one that did as much as it beside a simpler structure.
@@ -198,6 +215,7 @@ class Search(Minima):
         spent, ground = self._spent(), self._look(base)
         if not spent:
             ground.ready([s.candidate.id for _, s in entrants if far or effect_class(s.candidate.id).family in CURVED])
+        entrants = self._within_reach(base, entrants)
         begin = [partial(self._done, partial(ground.enter, p, s, far)) for p, s in entrants]
         firsts: list[Fitted | None] = []
         portion = len(begin) if self._left() > ENTRANT * len(begin) else PORTION
@@ -236,6 +254,16 @@ class Search(Minima):
             self.keep(f)
         self._land(running)
         return [self.pool.get(f.key, f) for f in running]
+
+    def _within_reach(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
+        """Those that what may still be taken allows a first look at: laws of stiff bristles take forty times as long."""
+
+        def length(others: tuple[Effect, ...], effect: Effect) -> float:
+            h = self.fitter.hypothesis((*others, effect), base.linear, base.own)
+            return self.fitter.length(h, h.start)
+
+        lengths = [length(others, s.effect) for others, s in entrants]
+        return [e for e, n in zip(entrants, lengths, strict=True) if n <= LONG or SLOW * n < self._left()]
 
     def _done(self, task: Callable[[], T]) -> T:
         """The outcome of a rival's fit, counted."""
@@ -521,6 +549,7 @@ class Search(Minima):
         """Fit, from the best structure, what may do as much as one of its effects in its place; the pool keeps them."""
         if not self.fitter.noise_known or self._spent():
             return
+        self._limit(best)
         fits = []
         for others, s in imitators(self.fitter, best, effect, self.candidates):
             known = self.pool.get(tuple(sorted([*(e.key for e in others), s.candidate.key])))

@@ -223,6 +223,10 @@ class Effect(abc.ABC):
         """The one effect whose `parts()` these are, in any order; None where they are not."""
         return None
 
+    def limits(self) -> tuple[Effect, ...]:
+        """Other effects of fewer numbers, not among those that it refines, which it comes to at an edge of its own; () for none."""
+        return ()
+
     def native(self, editor: MjcfEditor) -> str | None:
         """Write the effect into an MJCF by its own elements.
 

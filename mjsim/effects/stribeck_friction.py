@@ -57,6 +57,15 @@ class StribeckFriction(Effect):
         p = (self.torque_Nm, self.extra_static_torque_Nm, self.stribeck_velocity_rad_s)
         return (Friction(need_body(chain, self.place), level, p),)
 
+    def limits(self) -> tuple[Effect, ...]:
+        """Static friction, as the speed over which the extra level fades goes to zero."""
+        from mjsim.effects.static_friction import StaticFriction
+
+        if self.torque_Nm <= 0.0:
+            return ()
+        peak = 1.0 + self.extra_static_torque_Nm / self.torque_Nm
+        return (StaticFriction(place=self.place, torque_Nm=self.torque_Nm, peak=peak),)
+
     def native(self, editor: MjcfEditor) -> str | None:
         """MJCF's own elements, or what plain MuJoCo lacks."""
         editor.friction(need_body(editor.chain, self.place), self.torque_Nm)

@@ -129,6 +129,23 @@ def test_parts_make_the_same_motion(robot):
         assert np.std(one - other) < 1e-3 * np.std(one)
 
 
+def test_limits_are_where_a_law_goes(robot):
+    """As the speed over which it fades goes to zero Stribeck friction is static friction, and no sooner."""
+    torque = chirp(2.0, DT, 0.5, 0.5, 20.0)
+    level = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.05}
+    for width, near in ((1e-4, True), (1.0, False)):
+        law = effect_class("stribeck_friction")(**level, stribeck_velocity_rad_s=width)
+        (limit,) = law.limits()
+        assert len(limit.values) < len(law.values)
+        assert limit.id not in type(law).refines
+        one, other = (simulate(robot + e, torque, DT).velocity for e in (law, limit))
+        assert bool(np.std(one - other) < 0.01 * np.std(one)) is near
+    assert (
+        effect_class("stribeck_friction")(torque_Nm=0.0, extra_static_torque_Nm=1.0, stribeck_velocity_rad_s=1.0).limits() == ()
+    )
+    assert effect_class("coulomb_friction")(torque_Nm=0.1).limits() == ()
+
+
 def test_parts_that_nothing_tells_from_one_effect_are_named_by_it(robot):
     """An offset that entered first and friction beside it are asymmetric friction; nothing else is put together."""
     asymmetric = effect_class("asymmetric_friction")(torque_Nm=0.1, asymmetry_Nm=0.05)

@@ -43,3 +43,15 @@ def test_noise_of_two_sensors_is_no_motion(velocity, angle):
         _shared(_errors(np.zeros(N), NOISES[velocity](rng), NOISES[angle](rng)), window) for _ in range(20) for window in WINDOWS
     ]
     assert found == [0.0] * len(found)
+
+
+def test_what_does_not_count_is_no_noise():
+    """An error of the encoder that some stretches bear out was taken out of all: no motion was seen beside what that left."""
+    t = DT * np.arange(N)
+    rng = np.random.default_rng(3)
+    ((error, angle_error, counts, dt),) = _errors(0.3 * np.sin(40 * t), rng.standard_normal(N), rng.standard_normal(N))
+    counts[N // 2 :] = False
+    clean = [_shared([(error, angle_error, counts, dt)], window) for window in WINDOWS]
+    wild = np.where(np.arange(N - 1) < N // 2 + 200, error, 1e4 * rng.standard_normal(N - 1))
+    assert [_shared([(wild, angle_error, counts, dt)], window) for window in WINDOWS] == clean
+    assert min(clean) > 1.0

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
 from robot_axis import effect
 
+from diagnose import passes
 from diagnose.experiment import held_rows, prepare
 from diagnose.fitter import Fitter
 from diagnose.flow import Options, diagnose
+from diagnose.progress import Progress
 from diagnose.result import Verdict
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
@@ -136,3 +139,19 @@ def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
     result = diagnose(robot, [first], [other], Options(jobs=1))
     assert result.verdict in (Verdict.PARAMETERS_ONLY, Verdict.NO_MISMATCH)
     assert not result.findings
+
+
+def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot, fed_back, monkeypatch):
+    """A null whose plain fit missed motion by eleven times the noise was searched on plain errors until the budget was spent."""
+    first, other = fed_back
+    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
+    pooled = fitter.pooled
+    monkeypatch.setattr(fitter, "pooled", lambda f: dataclasses.replace(pooled(f), n=-1))
+    monkeypatch.setattr(passes, "motion_error", lambda _, f: 0.0 if f.n == -1 else 11.0)
+    searched_by = []
+    monkeypatch.setattr(passes.Search, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
+    _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
+    assert whitened
+    assert 1 not in searched_by, "nothing is sought on plain errors"
+    assert not best.effects
+    fitter.close()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from robot_axis import effect
 from scipy.stats import wilcoxon
 
+from diagnose.candidates import Candidate, Screened
 from diagnose.compare import Comparison, compare, signed_rank
 from diagnose.experiment import prepare
 from diagnose.fitted import Fitted, HeldOut
@@ -19,7 +20,7 @@ from diagnose.fitter import FAR, PRIOR, Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.judge import PUT_RIGHT
 from diagnose.least_squares import Status
-from diagnose.moves import ground, named, promising, with_other_laws
+from diagnose.moves import at_limits, ground, named, promising, with_other_laws
 from diagnose.search import PORTION, Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
@@ -465,12 +466,37 @@ def test_near_the_end_of_what_may_be_simulated_rivals_are_begun_a_few_at_a_time(
     fitter = fitter_of(pair(coulomb(0.3)))
     search = Search(fitter, SearchOptions())
     base = search.nominal()
-    ranked = [(base.effects, s) for s in search._look(base).screen(search.candidates)[: 3 * PORTION]]
+    ranked = [(base.effects, s) for s in search._look(base).screen(search.candidates)]
+    slow = effect("presliding_friction", torque_Nm=0.1, stiffness_Nm_rad=2e3)
+    stiff = (base.effects, Screened(Candidate(slow.id, slow.place), slow, 1e3, (slow,)))
     fitter.most_runs = fitter.runs + 1
+    ranked = search._within_reach(base, [stiff, *ranked])[: 3 * PORTION]
+    assert stiff not in ranked, "what is slow to run is not begun at all"
+    assert len(ranked) == 3 * PORTION
     assert len(search._race(base, ranked)) == PORTION
     assert search._race(base, ranked) == []
     fitter.most_runs = math.inf
     assert len(search._race(base, ranked)) == 3 * PORTION
+    assert stiff in search._within_reach(base, [stiff])
+
+
+def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
+    """Static friction that ended in another minimum lost to Stribeck friction which faded over a speed far below the noise."""
+    sticks = effect("static_friction", torque_Nm=0.1, peak=1.8)
+    fitter = fitter_of(pair(sticks))
+    search = Search(fitter, SearchOptions())
+    level = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 0.003}
+    base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **level)]), iterations=3)
+    assert [e.key for (e,) in at_limits(base)] == [sticks.key]
+    search._limit(base)
+    assert search.pool[(sticks.key,)].chi2 < 1.01 * base.chi2
+    (found,) = search.pool[(sticks.key,)].effects
+    assert found.torque_Nm == pytest.approx(0.1, rel=0.05)
+    assert found.peak == pytest.approx(1.8, rel=0.05)
+    search.pool.clear()
+    search.candidates = tuple(c for c in search.candidates if c.id != sticks.id)
+    search._limit(base)
+    assert not search.pool, "not offered"
 
 
 def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, pair):
