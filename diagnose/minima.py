@@ -22,7 +22,7 @@ from diagnose.least_squares import Status
 from diagnose.moves import folded
 from mjsim.effects import Effect
 
-__all__ = ["LONG", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
+__all__ = ["LITTLE", "LONG", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
 
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
@@ -115,23 +115,29 @@ class Minima(Judge):
         A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance. One
         that is soon run is shaken as well.
         """
-        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
+        if not self.fitter.noise_known:
             return
         for f in (*running, *running):  # one that was first may not be when the others have landed
             f, best = self.pool.get(f.key, f), min((self.pool.get(g.key, g) for g in running), key=lambda g: g.chi2)
             behind = self.criterion(f) - self.criterion(best) > self.options.entry or self.fitter.misfit(f) > UNEXPLAINED
             near = f.rough and f.chi2 < NEARBY * best.chi2 and behind
-            length = self.fitter.length(f.hypothesis, f.fit.x) if near else math.inf
-            if length > LONG or self._spent():
-                continue
-            asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
-            if asked not in self._landed:
-                self._landed.add(asked)
-                landed = self.fitter.landed(f)
-                if landed is not None:
-                    self.keep(landed)
-                if length < SHORT:
-                    self.shake(self.pool.get(f.key, f))
+            if near and not self._spent():
+                self._brought_down(f)
+
+    def _brought_down(self, f: Fitted) -> None:
+        """Land a structure that sticks or strikes, and shake it, where its runs are short enough: once, from where it is."""
+        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
+            return
+        length = self.fitter.length(f.hypothesis, f.fit.x)
+        asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
+        if asked in self._landed or length > LONG:
+            return
+        self._landed.add(asked)
+        landed = self.fitter.landed(f)
+        if landed is not None:
+            self.keep(landed)
+        if length < SHORT:
+            self.shake(self.pool.get(f.key, f))
 
     def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.

@@ -21,7 +21,7 @@ from diagnose.hypothesis import make
 from diagnose.judge import LACKS
 from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
-from diagnose.minima import LONG, MISFIT, NEARBY, RIVAL, Minima
+from diagnose.minima import LITTLE, LONG, MISFIT, NEARBY, RIVAL, Minima
 from diagnose.moves import (
     Entrant,
     at_limits,
@@ -160,8 +160,8 @@ class Search(Minima):
                 continue
             begun = self.fitter.fit(self.fitter.hypothesis(effects, base.linear, base.own), iterations=20, rival=True)
             self.keep(begun)
-            if begun.ok and begun.chi2 < NEARBY * base.chi2:
-                self.shake(self.pool[begun.key])
+            if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
+                self._brought_down(begun)
 
     def swap(self, base: Fitted) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` gives way to one that did as much as it beside a simpler structure.
@@ -315,13 +315,15 @@ class Search(Minima):
             best = self._led_first(current, best)
             self.refine(best)
             refined = self._best(current)
-            if refined.key != best.key:  # by another law, before it is unfolded at length by a wrong one
+            if refined.key != best.key and math.log(best.chi2 / refined.chi2) > LITTLE:  # before it is unfolded by a wrong law
                 self.refine(refined)
             self.swap(self._best(current))
             best = self._best(current)
             if best.key != current.key:
                 best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
-            self._unfold([best], most=1)  # more of it only once nothing can be added
+            simple = ground(best, self.pool) if self.fitter.noise_known else best
+            if self.fitter.length(simple.hypothesis, simple.fit.x) <= LONG:  # else, or more, once nothing can be added
+                self._unfold([simple], most=1)
             self.shake(self.pool.get(best.key, best))
             best = self._best(self.pool.get(current.key, current))
             self.progress.end_round()
@@ -441,7 +443,8 @@ class Search(Minima):
         if self.fitter.guide == 1.0:
             self._unguided = self.pool[()]
         self.fitter.guide = guide
-        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2), key=self.criterion)
+        near = [f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2]
+        near = sorted((f for f in near if self.fitter.length(f.hypothesis, f.fit.x) <= LONG), key=self.criterion)
         near = near[: 0 if self._late() else self.options.width]
         again = {f.key: f for f in (self.pool[()], current, *near)}
         self.pool.clear()
