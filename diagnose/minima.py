@@ -78,6 +78,10 @@ class Minima(Judge):
         """Whether what the whole diagnosis may take is used up."""
         return self.fitter.spent or time.monotonic() - self._began > self.options.seconds
 
+    def _slow(self, f: Fitted) -> bool:
+        """Whether a run of a structure takes so long that it is fitted no more often than it must."""
+        return self.fitter.length(f.hypothesis, f.fit.x) > LONG
+
     def _elsewhere(self, f: Fitted) -> Fitted:
         """The nominal structure begun about its nominal parameters as well, where it leaves much: it may have another minimum.
 
@@ -128,15 +132,14 @@ class Minima(Judge):
         """Land a structure that sticks or strikes, and shake it, where its runs are short enough: once, from where it is."""
         if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
             return
-        length = self.fitter.length(f.hypothesis, f.fit.x)
         asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
-        if asked in self._landed or length > LONG:
+        if asked in self._landed or self._slow(f):
             return
         self._landed.add(asked)
         landed = self.fitter.landed(f)
         if landed is not None:
             self.keep(landed)
-        if length < SHORT:
+        if self.fitter.length(f.hypothesis, f.fit.x) < SHORT:
             self.shake(self.pool.get(f.key, f))
 
     def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:

@@ -156,8 +156,10 @@ class Search(Minima):
         """
         offered = {c.key for c in self.candidates}
         for effects in at_limits(base):
-            if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or self._late():
+            mark = (base.key, (*key_of(effects), repr(base.chi2)))
+            if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or mark in self.retried or self._late():
                 continue
+            self.retried.add(mark)
             begun = self.fitter.fit(self.fitter.hypothesis(effects, base.linear, base.own), iterations=20, rival=True)
             self.keep(begun)
             if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
@@ -211,11 +213,11 @@ class Search(Minima):
         """
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
+        entrants = self._within_reach(base, entrants)
         self.progress.rivals(len(entrants))
         spent, ground = self._spent(), self._look(base)
         if not spent:
             ground.ready([s.candidate.id for _, s in entrants if far or effect_class(s.candidate.id).family in CURVED])
-        entrants = self._within_reach(base, entrants)
         begin = [partial(self._done, partial(ground.enter, p, s, far)) for p, s in entrants]
         firsts: list[Fitted | None] = []
         portion = len(begin) if self._left() > ENTRANT * len(begin) else PORTION
@@ -256,14 +258,20 @@ class Search(Minima):
         return [self.pool.get(f.key, f) for f in running]
 
     def _within_reach(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
-        """Those that what may still be taken allows a first look at: laws of stiff bristles take forty times as long."""
+        """Those that what may still be taken allows a first look at: laws of stiff bristles take forty times as long.
 
-        def length(others: tuple[Effect, ...], effect: Effect) -> float:
-            h = self.fitter.hypothesis((*others, effect), base.linear, base.own)
-            return self.fitter.length(h, h.start)
-
-        lengths = [length(others, s.effect) for others, s in entrants]
-        return [e for e, n in zip(entrants, lengths, strict=True) if n <= LONG or SLOW * n < self._left()]
+        The others are listed as not fitted, until they are.
+        """
+        out = []
+        for others, s in entrants:
+            h = self.fitter.hypothesis((*others, s.effect), base.linear, base.own)
+            length = self.fitter.length(h, h.start)
+            if length <= LONG or SLOW * length < self._left():
+                out.append((others, s))
+                self.failed.pop(s.candidate.key, None)
+            else:
+                self.failed[s.candidate.key] = "too slow to run for what was left of the simulations (--effort allows more)"
+        return out
 
     def _done(self, task: Callable[[], T]) -> T:
         """The outcome of a rival's fit, counted."""
@@ -322,7 +330,7 @@ class Search(Minima):
             if best.key != current.key:
                 best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
             simple = ground(best, self.pool) if self.fitter.noise_known else best
-            if self.fitter.length(simple.hypothesis, simple.fit.x) <= LONG:  # else, or more, once nothing can be added
+            if not self._slow(simple):  # else, or more, once nothing can be added
                 self._unfold([simple], most=1)
             self.shake(self.pool.get(best.key, best))
             best = self._best(self.pool.get(current.key, current))
@@ -443,8 +451,7 @@ class Search(Minima):
         if self.fitter.guide == 1.0:
             self._unguided = self.pool[()]
         self.fitter.guide = guide
-        near = [f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2]
-        near = sorted((f for f in near if self.fitter.length(f.hypothesis, f.fit.x) <= LONG), key=self.criterion)
+        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2 and not self._slow(f)), key=self.criterion)
         near = near[: 0 if self._late() else self.options.width]
         again = {f.key: f for f in (self.pool[()], current, *near)}
         self.pool.clear()

@@ -472,12 +472,14 @@ def test_near_the_end_of_what_may_be_simulated_rivals_are_begun_a_few_at_a_time(
     fitter.most_runs = fitter.runs + 1
     ranked = search._within_reach(base, [stiff, *ranked])[: 3 * PORTION]
     assert stiff not in ranked, "what is slow to run is not begun at all"
+    assert "too slow" in search.failed[slow.key], "and not dropped in silence"
     assert len(ranked) == 3 * PORTION
     assert len(search._race(base, ranked)) == PORTION
     assert search._race(base, ranked) == []
     fitter.most_runs = math.inf
     assert len(search._race(base, ranked)) == 3 * PORTION
     assert stiff in search._within_reach(base, [stiff])
+    assert slow.key not in search.failed
 
 
 def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
@@ -494,6 +496,7 @@ def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
     assert found.torque_Nm == pytest.approx(0.1, rel=0.05)
     assert found.peak == pytest.approx(1.8, rel=0.05)
     search.pool.clear()
+    search.retried.clear()
     search.candidates = tuple(c for c in search.candidates if c.id != sticks.id)
     search._limit(base)
     assert not search.pool, "not offered"
