@@ -114,7 +114,7 @@ def _false_alarm(d: Diagnosis) -> str:
     if not a:
         return ""
     return (
-        f"In {number(a['alarms'])} of {number(a['recordings'])} simulated recordings with nothing missing, physics was named "
+        f"In {a['alarms']:.0f} of {a['recordings']:.0f} simulated recordings with nothing missing, physics was named "
         f"all the same: {percent(a['share'])} (95 % interval {percent(a['low'])} to {percent(a['high'])})."
     )
 

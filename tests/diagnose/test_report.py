@@ -267,6 +267,10 @@ def test_says_what_where_how_sure(page: str, diagnosis: Diagnosis) -> None:
     assert "nan" not in text.lower().split()
 
 
+def test_recordings_are_counted_in_whole_numbers(page: str) -> None:
+    assert "In 1 of 100 simulated recordings" in page
+
+
 def test_small_and_quick(diagnosis: Diagnosis, tmp_path: Path, page: str) -> None:
     start = time.perf_counter()
     write_report(diagnosis, tmp_path / "report.html", corrected_diff=DIFF, truth=TRUTH)
