@@ -322,7 +322,7 @@ def _sensitivity(laws: Laws, torque: np.ndarray) -> float:
     return rms(free_run(laws, torque).velocity - free_run(laws, torque * (1 + 1e-6)).velocity)
 
 
-STILL = 3.0  # noise rms: a held-out velocity below it, where friction holds the axis, is recorded again with another drive
+STILL = 3.0  # noise rms: an axis below that speed is held still by friction; its case is drawn again, or the held-out drive is
 
 SIMPLER = {"coulomb_m": "coulomb_friction", "offset_m": "torque_offset", "act_delay": "time_delay"}
 
@@ -342,8 +342,13 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
         raise InputError("level", f"{level!r} is not known", f"one of {', '.join(LEVELS)}")
     if first is not None and first not in effects_of(level):
         raise InputError(f"level {level}", f"{first!r} cannot be concealed", f"one of {', '.join(effects_of(level))}")
-    found = LEVELS[level](rng, first)
-    estimation = record(found.laws, found.experiment, found.measurement, rng)
+    for _ in range(20):
+        found = LEVELS[level](rng, first)
+        estimation = record(found.laws, found.experiment, found.measurement, rng)
+        if rms(estimation.velocity_true) > STILL * found.measurement.floor:
+            break
+    else:
+        raise InputError(f"level {level}", "no case moves", todo="try another seed")
     for _ in range(20):
         second = _held_out(rng, found.experiment)
         try:
