@@ -27,7 +27,7 @@ from diagnose.search_options import SearchOptions
 from diagnose.whiten import lags_of, whitening_filter, worth_of_errors
 from mjsim.effects import effect_class
 
-__all__ = ["LACKS", "LEAD", "Judge"]
+__all__ = ["LACKS", "LEAD", "LONG", "SHAKEN", "Judge"]
 
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
@@ -42,6 +42,8 @@ LACKS = 4.0  # times the noise variance left by a closely led model, which no wr
 STAYS = 0.5  # part of what is left beside noise that stays when a model is led, and is then none of other moments
 NEXT = 0.01  # of what one structure leaves above noise, that is next to nothing of it in another
 PUT_RIGHT = 56.0  # rate [1/s] at which a led model is put right before the next event
+LONG = 4.0  # times a run of the nominal model with friction, above which a structure is slow to run
+SHORT = 2.0  # the same, up to which one is shaken wherever it has landed
 SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
 LAW = (0.01, 0.02)  # part of what another law of an effect changed that the better law may still miss: of all, and besides of
 # what is no more than the noise variance
@@ -77,6 +79,8 @@ class Judge:
     _least: dict[tuple[str, ...], float] = field(default_factory=dict, init=False)  # whatever has left the pool
     _shaken: set[tuple[object, ...]] = field(default_factory=set, init=False)
     _begun_beside: dict[tuple[object, ...], Fitted] = field(default_factory=dict, init=False)
+    _landed: set[tuple[object, ...]] = field(default_factory=set, init=False)
+    _without: set[tuple[object, ...]] = field(default_factory=set, init=False)  # structures begun at a richer one's numbers
 
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
@@ -323,17 +327,45 @@ class Judge:
         effects = tuple(e for e in richer.effects if e.key in poorer.key)
         return self.fitter.fit(self.fitter.hypothesis(effects, richer.linear, richer.own), iterations=iterations)
 
+    def _left_out(self, key: Key, richer: Fitted) -> tuple[object, ...]:
+        """That a structure was begun at the numbers of a richer one."""
+        return key, richer.key, round(math.log(richer.chi2), 2)
+
+    def _slow(self, f: Fitted) -> bool:
+        """Whether a run of a structure takes so long that it is fitted no more often than it must."""
+        return self.fitter.length(f.hypothesis, f.fit.x) > LONG
+
+    def _brought_down(self, f: Fitted) -> None:
+        """Land a structure that sticks or strikes, and shake it, where its runs are short enough: once, from where it is."""
+        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
+            return
+        asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
+        if asked in self._landed or self._slow(f):
+            return
+        self._landed.add(asked)
+        landed = self.fitter.landed(f)
+        if landed is not None:
+            self.keep(landed)
+        if self.fitter.length(f.hypothesis, f.fit.x) < SHORT:
+            self.shake(self.pool.get(f.key, f))
+
     def _beside(self, before: Fitted, after: Fitted) -> Fitted:
         """A structure in which bodies stick or strike, begun where a richer one has led; itself where that is no better.
 
-        Of its minima it may have missed the one to which the richer one has come by another way.
+        Of its minima it may have missed the one to which the richer one has come by another way. One that leaves little more than
+        noise is landed as well: a minute gain may be that of an event a sample sooner.
         """
         if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
             return before
+        if before.chi2 < SHAKEN * before.n:
+            self._brought_down(before)
+            landed = self.pool.get(before.key, before)
+            if landed.chi2 < before.chi2 - 1.0:
+                return landed
         asked = (before.key, before.chi2, after.key, after.chi2)
         if asked not in self._begun_beside:
-            begun = self._begun_at(after, before, 20)
-            self._begun_beside[asked] = min((self.shake(f) for f in (begun, before) if f.ok), key=lambda f: f.chi2)
+            begun = [] if self._left_out(before.key, after) in self._without else [self._begun_at(after, before, 20)]
+            self._begun_beside[asked] = min((self.shake(f) for f in (*begun, before) if f.ok), key=lambda f: f.chi2)
         lower = self._begun_beside[asked]
         self.keep(lower)
         return lower if lower.chi2 < before.chi2 - 1.0 else before
@@ -351,8 +383,7 @@ class Judge:
             return True
         asked = next((a for a in self._leads if _alike(a, before, after)), (before.key, before.chi2, after.key, after.chi2))
         if asked not in self._leads:
-            richer = self.fitter.led(after, LEAD, 15, spread=8, keep=2)
-            own = self.fitter.led(before, LEAD, 15, spread=8, keep=2)
+            richer, own = (self.fitter.led(f, LEAD, 15, spread=0 if self._slow(f) else 8, keep=2) for f in (after, before))
             begun = self._begun_at(after, before, 0)
             poorer = [f for f in (own, self.fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
             if richer is None or not poorer:

@@ -22,7 +22,7 @@ from diagnose.least_squares import Status
 from diagnose.moves import folded
 from mjsim.effects import Effect
 
-__all__ = ["LITTLE", "LONG", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
+__all__ = ["LITTLE", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
 
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
@@ -33,8 +33,6 @@ UNFOLDS = 3  # times in a row, while it gains
 STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
 BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
 NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
-LONG = 4.0  # times a run of the nominal model with friction, which a run of such a rival may take to be fitted by led models
-SHORT = 2.0  # the same, to be shaken
 AGAIN = 8  # starts of a structure that are fitted once more
 
 
@@ -64,7 +62,6 @@ class Minima(Judge):
         self._began = time.monotonic()
         self._runs = self.fitter.runs
         self._let_go = 0
-        self._landed: set[tuple[object, ...]] = set()
 
     def _spent(self) -> bool:
         """Whether what this stretch of the search may take (the same on every machine), or the whole diagnosis, is used up."""
@@ -77,10 +74,6 @@ class Minima(Judge):
     def _late(self) -> bool:
         """Whether what the whole diagnosis may take is used up."""
         return self.fitter.spent or time.monotonic() - self._began > self.options.seconds
-
-    def _slow(self, f: Fitted) -> bool:
-        """Whether a run of a structure takes so long that it is fitted no more often than it must."""
-        return self.fitter.length(f.hypothesis, f.fit.x) > LONG
 
     def _elsewhere(self, f: Fitted) -> Fitted:
         """The nominal structure begun about its nominal parameters as well, where it leaves much: it may have another minimum.
@@ -105,7 +98,7 @@ class Minima(Judge):
         A body that sticks or strikes does so a sample sooner or later as a parameter moves, and the error jumps.
         """
         rough = f.fit.status is Status.STALLED or f.rough
-        if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n:
+        if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n or self._slow(f):
             return f
         for step in WIDE:
             wide = self.fitter.fit(f.hypothesis, f.fit.x, iterations=8, step=step, tolerance=1e-4)
@@ -127,20 +120,6 @@ class Minima(Judge):
             near = f.rough and f.chi2 < NEARBY * best.chi2 and behind
             if near and not self._spent():
                 self._brought_down(f)
-
-    def _brought_down(self, f: Fitted) -> None:
-        """Land a structure that sticks or strikes, and shake it, where its runs are short enough: once, from where it is."""
-        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
-            return
-        asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
-        if asked in self._landed or self._slow(f):
-            return
-        self._landed.add(asked)
-        landed = self.fitter.landed(f)
-        if landed is not None:
-            self.keep(landed)
-        if self.fitter.length(f.hypothesis, f.fit.x) < SHORT:
-            self.shake(self.pool.get(f.key, f))
 
     def _unfold(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = UNFOLDS) -> None:
         """Structures once more over stretches of growing length, where they leave more than noise and their error is folded.

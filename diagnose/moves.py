@@ -28,6 +28,7 @@ __all__ = [
     "promising",
     "put_together",
     "refines",
+    "simpler_at",
     "taken_apart",
     "with_other_laws",
 ]
@@ -61,6 +62,20 @@ def at_limits(f: Fitted) -> list[tuple[Effect, ...]]:
     """The effects of a structure with one of them as what it comes to at an edge of its numbers, at those numbers."""
     pairs = [(tuple(e for e in f.effects if e.key != effect.key), limit) for effect in f.effects for limit in effect.limits()]
     return [(*others, limit) for others, limit in pairs if not conflicts(Candidate(limit.id, limit.place), others)]
+
+
+def simpler_at(f: Fitted) -> list[tuple[Effect, ...]]:
+    """The effects of a structure with one of them as a law that it refines, at those of its numbers that are that law's."""
+    out = []
+    for effect in f.effects:
+        others = tuple(e for e in f.effects if e.key != effect.key)
+        for name in type(effect).refines:
+            cls = effect_class(name)
+            names = [spec.name for spec in cls.specs()]
+            own = [effect.values[k] for k in names if k in effect.values]
+            if len(own) == len(names) and effect.place in cls.places and not conflicts(Candidate(name, effect.place), others):
+                out.append((*others, make(name, effect.place, dict(zip(names, own, strict=True)))))
+    return out
 
 
 def taken_apart(fitter: Fitter, offered: Sequence[Candidate], effect: Effect, others: tuple[Effect, ...]) -> list[Entrant]:

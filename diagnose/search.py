@@ -18,10 +18,10 @@ from diagnose.candidates import Screened, candidates, conflicts, left_over, rela
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import FAR, ROUGHLY, SAME
 from diagnose.hypothesis import make
-from diagnose.judge import LACKS
+from diagnose.judge import LACKS, LONG, SHAKEN
 from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
-from diagnose.minima import LITTLE, LONG, MISFIT, NEARBY, RIVAL, Minima
+from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL, Minima
 from diagnose.moves import (
     Entrant,
     at_limits,
@@ -33,6 +33,7 @@ from diagnose.moves import (
     other_orders,
     promising,
     refines,
+    simpler_at,
     taken_apart,
     with_other_laws,
 )
@@ -51,7 +52,8 @@ HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which 
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
 SLOW = 100  # the same of one that is slow to run, in its own runs, at least
-FORMS, CRAWLS = 30, 0.01  # iterations of a simpler form, and what each must gain while all could not bring it near
+FORMS, CRAWLS = 30, 0.01  # iterations of a simpler or poorer structure, and what each must gain while all could not bring it near
+WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weight of the prior, and of one that is slow to run
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 
@@ -75,7 +77,6 @@ class Search(Minima):
         super().__post_init__()
         self.candidates = candidates(self.fitter, self.options.only)
         self._unguided: Fitted | None = None
-        self._without: set[tuple[object, ...]] = set()
         self._last_look: tuple[object, Look] | None = None
 
     def nominal(self) -> Fitted:
@@ -92,6 +93,9 @@ class Search(Minima):
         """Fit the most promising structures with one effect more than ``base``; all are kept in the pool."""
         if self._spent():
             return []
+        if base.rough and base.chi2 < SHAKEN * base.n:  # a minute error may be that of an event a sample too late
+            self._brought_down(base)
+            base = self.pool.get(base.key, base)
         # another law of an effect is tried in its place, where that leaves something material: of one that stands in the
         # structure by `refine`, of one that the nominal axis has here
         material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
@@ -147,20 +151,29 @@ class Search(Minima):
                 self.retried.add(mark)
                 entrants += other_orders(self.fitter, effect, others, material=material)
             entrants += self._new(base, taken_apart(self.fitter, self.candidates, effect, others) if material else [])
-        return self._race(base, entrants)
+        grown = self._race(base, entrants)
+        if grown and self._slow(first := min(grown, key=self.criterion)):
+            self._limit(first)
+        return grown
 
     def _limit(self, base: Fitted) -> None:
         """Fit what the effects of a structure come to at an edge of their numbers, from those numbers; the pool keeps it.
 
-        A law of more numbers that stands there is the one of fewer, which may have ended in another minimum by itself.
+        A law of more numbers that stands there is the one of fewer, which may have ended in another minimum by itself. So may the
+        law that one which is slow to run refines: stiff bristles hardly give, and all that follows would wait for their runs.
         """
         offered = {c.key for c in self.candidates}
-        for effects in at_limits(base):
+        begin = partial(self.fitter.hypothesis, linear=base.linear, own=base.own)
+        quick = [
+            effects for effects in (simpler_at(base) if self._slow(base) else ())
+            if self.fitter.length(h := begin(effects), h.start) <= LONG
+        ]  # fmt: skip
+        for effects in [*at_limits(base), *quick]:
             mark = (base.key, (*key_of(effects), repr(base.chi2)))
             if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or mark in self.retried or self._late():
                 continue
             self.retried.add(mark)
-            begun = self.fitter.fit(self.fitter.hypothesis(effects, base.linear, base.own), iterations=20, rival=True)
+            begun = self.fitter.fit(begin(effects), iterations=20, rival=True)
             self.keep(begun)
             if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
                 self._brought_down(begun)
@@ -475,8 +488,9 @@ class Search(Minima):
         A rival's sensitivities are known, unless its cost is rough.
         """
         if last or f.rough:
-            return self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1e-6 if last else 1.0 / f.n)
-        fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=12, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
+            most = SHORTER if self._slow(f) else WEIGHED
+            return self.fitter.fit(f.hypothesis, f.fit.x, iterations=most, tolerance=1e-6 if last else 1.0 / f.n)
+        fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=WEIGHED, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
         return fit.to_go_on()
 
     def _led_first(self, current: Fitted, best: Fitted) -> Fitted:
@@ -540,7 +554,7 @@ class Search(Minima):
         """
         rest = tuple(e for e in current.effects if e.key != effect.key)
         known = self.pool.get(key_of(rest))
-        asked = (key_of(rest), current.key, round(math.log(current.chi2), 2))
+        asked = self._left_out(key_of(rest), current)
         if known is not None and asked in self._without:
             return known
         self._without.add(asked)
@@ -549,10 +563,11 @@ class Search(Minima):
             (r,) = self.fitter.run([self.fitter.at_start(h)])
             if r is None or float(r @ r) > 2.0 * known.chi2:  # else it may be a wrong minimum, which the effect has left
                 return known
-        begun = self.fitter.fit(h, iterations=30, rival=True)
+        on = partial(self.fitter.fit, iterations=FORMS, rival=True, slow=self._near(current) if h.rough else (math.inf, 0.0))
+        begun = on(h)
         self.keep(begun)
         if known is not None and known.fit.status is not Status.CONVERGED:
-            self.keep(self.fitter.fit(known.hypothesis, known.fit.x, iterations=30, rival=True))
+            self.keep(on(known.hypothesis, known.fit.x))
         return self.pool.get(key_of(rest), begun)
 
     def imitated(self, best: Fitted, effect: Effect) -> None:
@@ -586,6 +601,13 @@ class Search(Minima):
                     break
         return current
 
+    def _near(self, current: Fitted) -> tuple[float, float]:
+        """How long a poorer structure is fitted on: as long as it may still come near. The cost of what sticks falls for ever.
+
+        Among led models it is ground to build on.
+        """
+        return (math.exp(FORMS * CRAWLS) * current.chi2, CRAWLS) if self.options.free else (math.inf, 0.0)
+
     def _simpler(self, current: Fitted, effect: Effect) -> list[Callable[[], Fitted]]:
         """Fits of a structure with each simpler form of one of its effects in place of it."""
         rest = tuple(e for e in current.effects if e.key != effect.key)
@@ -595,9 +617,7 @@ class Search(Minima):
             values = dict(cls.starts(self.fitter.scales_for(cls, effect.place))[0])
             values.update({k: v for k, v in effect.values.items() if k in values})
             h = self.fitter.hypothesis((*rest, make(name, effect.place, values)), current.linear, current.own)
-            # as long as it may still come near: the cost of what sticks falls for ever; among led models it is ground to build on
-            slow = (math.exp(FORMS * CRAWLS) * current.chi2, CRAWLS) if self.options.free else (math.inf, 0.0)
-            simple = self.fitter.fit(h, iterations=FORMS, rival=True, slow=slow)
+            simple = self.fitter.fit(h, iterations=FORMS, rival=True, slow=self._near(current))
             self.keep(simple)
             bare = self.pool.get(key_of(rest))
             behind = simple.ok and math.log(simple.chi2 / current.chi2) > SAME

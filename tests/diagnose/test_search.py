@@ -20,7 +20,7 @@ from diagnose.fitter import FAR, PRIOR, Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.judge import PUT_RIGHT
 from diagnose.least_squares import Status
-from diagnose.moves import at_limits, ground, named, promising, with_other_laws
+from diagnose.moves import at_limits, ground, named, promising, simpler_at, with_other_laws
 from diagnose.search import PORTION, Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
@@ -500,6 +500,44 @@ def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
     search.candidates = tuple(c for c in search.candidates if c.id != sticks.id)
     search._limit(base)
     assert not search.pool, "not offered"
+
+
+def test_what_is_slow_to_run_is_tried_as_the_law_that_it_refines_from_its_own_numbers(fitter_of, pair):
+    """Bristles too stiff to give had led out of a wrong minimum, and all that followed had waited for their runs."""
+    fitter = fitter_of(pair(coulomb(0.1)))
+    search = Search(fitter, SearchOptions())
+    stiff = effect("presliding_friction", torque_Nm=0.1, stiffness_Nm_rad=2e3)
+    base = fitter.fit(fitter.hypothesis([stiff]), iterations=0)
+    assert search._slow(base)
+    assert [e.key for (e,) in simpler_at(base)] == ["coulomb_friction@motor"]
+    search.keep(fitter.fit(fitter.hypothesis([coulomb(0.9)]), iterations=0))
+    search._limit(base)
+    found = search.pool[("coulomb_friction@motor",)]
+    assert found.chi2 < 1.01 * base.chi2
+    assert found.effects[0].torque_Nm == pytest.approx(0.1, rel=0.01)
+    soft = fitter.fit(fitter.hypothesis([effect("presliding_friction", torque_Nm=0.1, stiffness_Nm_rad=2.0)]), iterations=0)
+    assert not search._slow(soft)
+    runs = fitter.runs
+    search._limit(soft)
+    assert fitter.runs == runs, "what is soon run is left as it is"
+
+
+def test_a_structure_that_was_fitted_without_an_effect_is_not_begun_there_again(fitter_of, pair):
+    sticks = effect("static_friction", torque_Nm=0.3, peak=1.3)
+    fitter = fitter_of(pair(sticks))
+    search = Search(fitter, SearchOptions())
+    richer = fitter.fit(fitter.hypothesis([sticks, effect("torque_offset", torque_Nm=0.01)]))
+    offset = next(e for e in richer.effects if e.id == "torque_offset")
+    rest = search.without(richer, offset)
+    assert rest.rough
+    begun = []
+    search._begun_at = lambda *asked: begun.append(asked) or rest
+    search._beside(rest, richer)
+    assert not begun
+    search._without.clear()
+    search._begun_beside.clear()
+    search._beside(rest, richer)
+    assert len(begun) == 1
 
 
 def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, pair):
