@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.experiment import Experiment, hold_out_blocks
+from diagnose.experiment import Experiment, hold_out_blocks, measured_velocity
 from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut
 from diagnose.hypothesis import Hypothesis
 from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, residual_and_jacobian
@@ -325,12 +325,11 @@ class Fitter:
         if self.view.channel != "velocity":
             return 1.0
         r = self.experiments[0].recording
-        speed = float(np.max(np.abs(np.diff(r.angle)))) / r.dt if r.angle is not None else 0.0
         try:
             system = assemble(h.axis(x, 0))
         except (NotApplicableError, ValueError):
             return 1.0
-        return max(1.0, system.substeps(r.dt, speed) / self._steps) * (1.0 if system.affine else RK4)
+        return max(1.0, system.mean_steps(r.dt, measured_velocity(r)) / self._steps) * (1.0 if system.affine else RK4)
 
     def lengths(self, fits: Sequence[Fitted]) -> list[float]:
         """How long an iteration takes from each of some fits: by its numbers and the steps of a run."""

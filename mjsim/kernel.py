@@ -27,6 +27,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from mjsim.effects.law import N_LOCAL
+from mjsim.system import SLIDES, TURNS
 
 __all__ = ["KIND_BODY", "KIND_COUPLING", "KIND_FRICTION", "KIND_INERTIA", "KIND_TWIST", "drive", "integrate"]
 
@@ -34,6 +35,7 @@ KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION = 0, 1, 2, 3, 
 GATED, UNGATED, NO_PULL = 0, 1, 2
 SLOTS = 61  # modes whose propagators are kept at a time
 MAX_EVENTS = 64  # per sample; past that the step is taken as it is (chatter)
+STEADY = 0.01  # relative change of how far a sliding bristle is bent, past which a step is cut after all
 
 
 @intrinsic
@@ -408,12 +410,14 @@ def _cubic_root(g0, s0, g1, s1, h):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def integrate(
-    bodies, f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, affine, x0, s0, angle, locked, t0, out
-):
+    bodies, f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, parts, affine, x0, s0, angle, locked,
+    t0, out
+):  # fmt: skip
     """Free run. u (N) torque held over each sample; out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
 
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
-    torque ahead of the first sample; tau > 0 lags it. ``affine``: the equations are affine in every mode. angle (N): measured
+    torque ahead of the first sample; tau > 0 lags it. A sample has ``n_sub`` steps; one in which a bristle at a body may turn, or
+    act as a spring, is cut into ``parts``. ``affine``: the equations are affine in every mode. angle (N): measured
     angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample, work): 0 done, 1 diverged at that
     sample; what it took, in products of a step: a step by RK4 is four.
     """
@@ -460,8 +464,9 @@ def integrate(
     subs = np.ones(2, np.int64)
     steps = np.zeros(2)
     for seg in range(2):
-        subs[seg] = max(1, int(np.ceil(n_sub * spans[seg] / dt - 1e-9)))
+        subs[seg] = max(1, int(np.ceil(n_sub * spans[seg] / dt - 1e-9))) * parts
         steps[seg] = spans[seg] / subs[seg]
+    last_u = before
     # the propagators by mode, a direct-mapped store; looked up in two places, each written out: as a function, inlined or not,
     # counting the references of its arrays made a step of the linear axis seven times as slow
     size = 2 * n + 3
@@ -541,8 +546,25 @@ def integrate(
                 continue
             kk = k - shift - 1 if seg == 0 else k - shift
             uk = u[kk] if kk >= 0 else before
-            for _sub in range(subs[seg]):
+            sub = 0
+            while sub < subs[seg]:
                 left = steps[seg]
+                whole = 0.0
+                if parts > 1 and sub % parts == 0:
+                    whole = parts * left
+                    for e in range(el.shape[0]):
+                        if el[e, 0] == KIND_BODY and el[e, 4] >= 0:
+                            i = el[e, 1]
+                            change = abs(wk[10, i])  # at the end of the step before, and by the torque that is new
+                            if i == 0 and sub == 0:
+                                change += abs(gain * (uk - last_u)) / f[0, 0]
+                            if wk[15, el[e, 4]] * whole < SLIDES or abs(x[1, i]) < TURNS * whole * change:
+                                whole = 0.0
+                if whole > 0.0:
+                    left = whole
+                    sub += parts
+                else:
+                    sub += 1
                 if affine:
                     code = 0
                     for i in range(n):
@@ -656,6 +678,20 @@ def integrate(
                 while left > 0.0:
                     work += 4
                     _step_here(bodies, f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
+                    if whole > 0.0:
+                        slides = True
+                        for e in range(el.shape[0]):
+                            if el[e, 0] == KIND_BODY and el[e, 4] >= 0:
+                                i = el[e, 1]
+                                si = el[e, 4]
+                                # how far it is bent while it slides, at both ends
+                                bent, end = wk[2, si] / wk[12, si], wk[11, si] / wk[15, si]
+                                slides = slides and x[1, i] * xn[1, i] > 0.0 and abs(end - bent) < STEADY * abs(end)
+                        whole = 0.0
+                        if not slides:  # it has turned all the same, or bends as its speed changes: once more, in parts
+                            sub -= parts - 1
+                            left = steps[seg]
+                            continue
                     if first:
                         first = False
                         for j in range(n - 1):
@@ -782,6 +818,7 @@ def integrate(
                                 _rates(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
                                 mode[1, j] = 1 if w[12, j] > 0 else -1
                         _settle(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+            last_u = uk
     # used to the end, so that what the views look at is there to the end
     own_x[0, 0] = own_w[0, 0] = own_z[0] = own_wk[0, 0] = 0.0
     own_mode[0, 0] = 0

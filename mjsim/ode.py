@@ -212,12 +212,12 @@ def _run(
     speed = 0.0
     if s.spatial > 0:
         speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
-    n_sub = substeps or s.substeps(dt, speed, step)
-    if n_sub > most_substeps:
-        raise DivergedError(f"the model is too stiff: it needs {n_sub} steps a sample, {most_substeps} are allowed")
+    n_sub, parts = (substeps, 1) if substeps else s.steps(dt, speed, step)
+    if n_sub * parts > most_substeps:
+        raise DivergedError(f"the model is too stiff: it needs {n_sub * parts} steps a sample, {most_substeps} are allowed")
     status, at, work = kernel.integrate(
         (0,) * n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
-        float(before), s.input_lag, n_sub, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
+        float(before), s.input_lag, n_sub, parts, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     count_work(work)
     if status:

@@ -13,9 +13,11 @@ from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import DIRECTION, N_LOCAL, RATE, STATE, Law
 
-__all__ = ["MOST_STEPS", "STEP", "System", "assemble", "split_chain"]
+__all__ = ["MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "split_chain"]
 
 STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
+SLIDES = 4.0  # times a bristle settles within a step, past which it only slides: the spring that it is at rest is not there
+TURNS = 2.0  # times the change of a velocity in a step, below which the velocity may pass zero in it
 MOST_STEPS = 64  # of the accuracy rule in a sample
 
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
@@ -39,6 +41,8 @@ class System:
     output_lag: float
     output_delay: float
     omega: float
+    sliding: float
+    yields: float
     spatial: float
     affine: bool
 
@@ -55,6 +59,22 @@ class System:
         if self.input_lag > 0:
             w = max(w, (1.0 if self.affine else 0.15) / self.input_lag)
         return max(1, min(MOST_STEPS, math.ceil(dt * w / target - 1e-9)))
+
+    def steps(self, dt: float, max_speed: float, target: float = STEP) -> tuple[int, int]:
+        """Steps per sample while the bristles at bodies slide, and into how many parts one is cut while they hold."""
+        if self.sliding == self.omega:
+            return self.substeps(dt, max_speed, target), 1
+        most = self.substeps(dt, max_speed, target)
+        n = dataclasses.replace(self, omega=self.sliding).substeps(dt, max_speed, target)
+        return n, math.ceil(most / n)
+
+    def mean_steps(self, dt: float, velocity: np.ndarray) -> float:
+        """Steps per sample, in the mean, as far as a measured velocity (N,) of body 0 tells."""
+        n, parts = self.steps(dt, float(np.max(np.abs(velocity))) if self.spatial else 0.0)
+        if parts == 1:
+            return float(n)
+        h, change = dt / n, np.abs(np.gradient(velocity)) / n
+        return n + n * (parts - 1) * float(np.mean(np.abs(velocity) < np.maximum(TURNS * change, SLIDES * self.yields / h)))
 
     def resolved(self, dt: float) -> System:
         """Itself, where no step of a sample dt [s] resolves its lag with the lag as a delay: the two differ by its square."""
@@ -88,6 +108,14 @@ def _slope(law: Law, p: tuple[float, ...], local: int, step: float) -> float:
     return (torque[0] - torque[1]) / (2.0 * step)
 
 
+def _yields(law: Law, p: tuple[float, ...]) -> float:
+    """How far a bristle goes along before it slides, at high speed; infinite where it never does."""
+    z, out = [0.0] * N_LOCAL, [0.0] * 3
+    z[RATE] = 1e3
+    law(z, p, out)
+    return z[RATE] / out[2] if out[2] > 0.0 else math.inf
+
+
 def assemble(axis: Axis) -> System:
     """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
     ports = [port for effect in axis.effects for port in effect.ports(axis.chain)]
@@ -104,8 +132,9 @@ def assemble(axis: Axis) -> System:
     rows: list[tuple[int, int, int, int, int]] = []
     values: list[float] = []
     n_states = 0
-    stiff, damping = np.zeros(n), np.zeros(n)  # extra stiffness and damping seen by each body, for the choice of step
-    spatial = 0.0
+    # extra stiffness and damping seen by each body, for the choice of step; stiffness of bristles at it apart
+    stiff, damping, bristles = np.zeros(n), np.zeros(n), np.zeros(n)
+    spatial = yields = 0.0
     friction = np.zeros(n, np.bool_)
     for port in sorted((p for p in ports if type(p) in _KIND), key=lambda p: _KIND[type(p)]):
         assert isinstance(port, P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction)
@@ -116,7 +145,8 @@ def assemble(axis: Axis) -> System:
             n_states += 1
             k = abs(_slope(port.law, port.p, STATE, 1.0))  # before it yields
             if isinstance(port, P.BodyTorque):
-                stiff[site] += k
+                bristles[site] += k
+                yields = max(yields, _yields(port.law, port.p))
             else:
                 stiff[site] += k * f[2, site] ** 2
                 stiff[site + 1] += k
@@ -146,7 +176,9 @@ def assemble(axis: Axis) -> System:
         output_maps=tuple(p for p in ports if isinstance(p, P.OutputMap)),
         output_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.OutputLag))),
         output_delay=float(sum(p.delay for p in ports if isinstance(p, P.OutputDelay))),
-        omega=_fastest(f, stiff, damping),
+        omega=_fastest(f, stiff + bristles, damping),
+        sliding=_fastest(f, stiff, damping),
+        yields=yields,
         spatial=spatial,
         affine=_affine(ports, axis.backlash_law),
     )
