@@ -330,6 +330,10 @@ class Search(Minima):
                     break  # nothing can be added to the best structure: its rivals are not built on either
                 if grown and self.solved(state, min(grown, key=lambda f: f.chi2)):
                     break  # nor where something that was added leaves noise alone
+                if state is beam[0] and current.effects and self._best(current).key == current.key:
+                    self.refine(current, forms=True)  # it may be its law that is wrong, though it explains little
+                    if self._best(current).key != current.key:
+                        break
             best = self._best(current)
             if best.key != current.key and self._settled(best):
                 return self._alone(best)
