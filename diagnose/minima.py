@@ -17,7 +17,7 @@ import numpy as np
 from diagnose.fitted import UNEXPLAINED, Fitted
 from diagnose.fitter import SAME, Fitter
 from diagnose.hypothesis import make
-from diagnose.judge import Judge
+from diagnose.judge import SHAKEN, Judge
 from diagnose.least_squares import Status
 from diagnose.moves import folded
 from mjsim.effects import Effect
@@ -106,15 +106,17 @@ class Minima(Judge):
                 f = wide
         return f
 
-    def _land(self, running: Sequence[Fitted]) -> None:
+    def _land(self, running: Sequence[Fitted], base: Fitted) -> None:
         """Rivals that stick or strike, near the best, once more by way of led models; not what is first and leaves noise alone.
 
         A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance. One
-        that is soon run is shaken as well.
+        that is soon run is shaken as well. Those in which nothing does that has not landed with their base are left as they are.
         """
         if not self.fitter.noise_known:
             return
-        for f in (*running, *running):  # one that was first may not be when the others have landed
+        there = base.key if base.chi2 < SHAKEN * base.n else ()
+        new = [f for f in running if any(type(e).rough and e.key not in there for e in f.effects)]
+        for f in (*new, *new):  # one that was first may not be when the others have landed
             f, best = self.pool.get(f.key, f), min((self.pool.get(g.key, g) for g in running), key=lambda g: g.chi2)
             behind = self.criterion(f) - self.criterion(best) > self.options.entry or self.fitter.misfit(f) > UNEXPLAINED
             near = f.rough and f.chi2 < NEARBY * best.chi2 and behind

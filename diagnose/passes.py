@@ -181,7 +181,9 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if settled is None or not noise_only(settled, unknown=False):
             return search, best, False
         best = settled
-    for turn in range(MOST_FILTERS if not fitter.spent else 0):  # a search that could not look would find nothing
+    for turn in range(MOST_FILTERS):
+        if fitter.spent:  # a search that could not look would find nothing
+            break
         filter_ = _whitening(fitter, search, best)
         if alike(filter_, fitter.whitening / fitter.whitening[0]):
             break

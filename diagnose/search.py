@@ -267,7 +267,7 @@ class Search(Minima):
         running[:1] = [self._smoothed(f) for f in running[:1]]
         for f in running:
             self.keep(f)
-        self._land(running)
+        self._land(running, base)
         return [self.pool.get(f.key, f) for f in running]
 
     def _within_reach(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
