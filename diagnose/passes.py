@@ -188,10 +188,13 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if alike(filter_, fitter.whitening / fitter.whitening[0]):
             break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
-        fitter.whitening = _scaled(fitter, best, filter_)
-        before = search
+        filter_before, fitter.whitening = fitter.whitening, _scaled(fitter, best, filter_)
+        before, found = search, best
         search, best = _search(fitter, options, progress, began, known=best if turn else None)
         search.tested += before.tested
+        if fitter.spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
+            fitter.whitening = filter_before
+            return before, found, len(filter_before) > 1
     return (*_less_coloured(fitter, options, progress, began, search, best), len(fitter.whitening) > 1)
 
 

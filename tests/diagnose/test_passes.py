@@ -155,3 +155,25 @@ def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot
     assert 1 not in searched_by, "nothing is sought on plain errors"
     assert not best.effects
     fitter.close()
+
+
+@pytest.mark.parametrize("spent", [True, False])
+def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkeypatch, spent):
+    """The whitened search of two effects was left the simulations for one, and the answer was that one."""
+    search = search_of(*pair(effect("coulomb_friction", torque_Nm=0.3)))
+    fitter, offset = search.fitter, effect("torque_offset", torque_Nm=0.01)
+    both = fitter.fit(fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.3), offset)))
+    one = fitter.fit(fitter.hypothesis((both.effects[0],)))
+    answers = [both, one, one]
+
+    def answer(*asked, **known):
+        if len(answers) == 2 and spent:
+            fitter.most_runs = fitter.runs - 1
+        return search, answers.pop(0)
+
+    monkeypatch.setattr(passes, "_search", answer)
+    monkeypatch.setattr(passes, "_whitening", lambda *asked: np.array([1.0, -0.1 * len(answers)]))
+    _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
+    assert found is (both if spent else one)
+    assert whitened is not spent
+    assert len(fitter.whitening) == (1 if spent else 2)
