@@ -12,12 +12,17 @@ class InputError(ValueError):
     """
 
     def __init__(self, where: object, found: str, expected: str = "", todo: str = "") -> None:
+        self._told = (str(where), found, expected, todo)
         parts = [f"{where}: {found}"]
         if expected:
             parts.append(f"expected {expected}")
         if todo:
             parts.append(todo)
         super().__init__("; ".join(parts).replace("\n", " "))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+        """How it comes from a process that others wait for: it would end there, and all of them."""
+        return type(self), self._told
 
 
 class CheckError(RuntimeError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjsim.errors import InputError
 from mjsim.models import shipped_model
 from simgap import cli
 
@@ -265,3 +267,9 @@ def test_the_process_itself(tmp_path):
     words = [sys.executable, "-m", "simgap", "diagnose", "log.csv", "--model", MODEL, "--out", "report"]
     ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     check(Outcome(ended.returncode, ended.stdout, ended.stderr), "log.csv", "row 42", left=tmp_path / "report")
+
+
+def test_a_process_that_meets_bad_input_says_so_to_the_one_that_waits_for_it() -> None:
+    """Else it ends there, and what is told is that a pool was broken."""
+    error = InputError(Path("log.csv"), "no rows", "some", "record again")
+    assert str(pickle.loads(pickle.dumps(error))) == str(error) == "log.csv: no rows; expected some; record again"

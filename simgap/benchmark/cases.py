@@ -327,6 +327,19 @@ STILL = 3.0  # noise rms: an axis below that speed is held still by friction; it
 SIMPLER = {"coulomb_m": "coulomb_friction", "offset_m": "torque_offset", "act_delay": "time_delay"}
 
 
+def _second(found: _Found, rng: np.random.Generator) -> tuple[Experiment, Motion] | None:
+    """The held-out experiment of a case and its recording; None where none of 20 is stable and moves."""
+    for _ in range(20):
+        experiment = _held_out(rng, found.experiment)
+        try:
+            motion = record(found.laws, experiment, found.measurement, rng)
+        except InputError:
+            continue
+        if rms(motion.velocity_true) > STILL * found.measurement.floor:
+            return experiment, motion
+    return None
+
+
 def make_case(level: str, rng: np.random.Generator, first: str | None = None) -> Case:
     """Draw a case of a level, with the effect ``first`` where it can have the size asked for; else another is drawn.
 
@@ -345,20 +358,12 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
     for _ in range(20):
         found = LEVELS[level](rng, first)
         estimation = record(found.laws, found.experiment, found.measurement, rng)
-        if rms(estimation.velocity_true) > STILL * found.measurement.floor:
+        second = _second(found, rng) if rms(estimation.velocity_true) > STILL * found.measurement.floor else None
+        if second is not None:
             break
     else:
-        raise InputError(f"level {level}", "no case moves", todo="try another seed")
-    for _ in range(20):
-        second = _held_out(rng, found.experiment)
-        try:
-            held_out = record(found.laws, second, found.measurement, rng)
-        except InputError:
-            continue
-        if rms(held_out.velocity_true) > STILL * found.measurement.floor:
-            break
-    else:
-        raise InputError(f"level {level}", "no held-out experiment is stable and moves", todo="try another seed")
+        raise InputError(f"level {level}", "no case is stable and moves in both recordings", todo="try another seed")
+    experiment, held_out = second
     names = [e.effect for e in found.entries]
     m = found.measurement
     repeat = m.repeat_amplitude * m.repeat_cycles * rms(estimation.velocity_true) / np.sqrt(2) / m.velocity_noise
@@ -385,8 +390,8 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
         "measurement": {**asdict(m), "poles": [[p.real, p.imag] for p in m.poles]},
         "closed_loop": found.experiment.closed,
         "excitation": found.experiment.excitation,
-        "held_out_excitation": second.excitation,
-        "settings": {"estimation": found.experiment.settings, "held_out": second.settings},
+        "held_out_excitation": experiment.excitation,
+        "settings": {"estimation": found.experiment.settings, "held_out": experiment.settings},
         "linear_parameters": {n: getattr(found.laws, n) for n in LINEAR},
     }
     return Case(level, estimation, held_out, truth)
