@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.view import MotionView
-from diagnose.whiten import effective_share, levinson, whitening_filter
+from diagnose.whiten import autoregression, effective_share, lagged_products, levinson, whitening_filter
 
 
 @settings(max_examples=40, deadline=None)
@@ -25,6 +25,37 @@ def test_levinson_solves_the_yule_walker_equations(order, seed):
     np.testing.assert_allclose(a, expected, atol=1e-9)
     assert variance[-1] == pytest.approx(r[0] + expected[1:] @ r[1:])
     assert np.all(np.diff(variance) <= 1e-12 * r[0])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 12), st.integers(0, 10**6))
+def test_an_autoregression_is_least_squares_over_the_samples_that_have_a_past(order, seed):
+    x = np.cumsum(np.random.default_rng(seed).standard_normal(300)) + 5.0
+    a, left = autoregression(lagged_products(x, order), order)
+    past = np.stack([x[order - k : len(x) - k] for k in range(1, order + 1)], axis=1)
+    expected, *_ = np.linalg.lstsq(past, -x[order:], rcond=None)
+    np.testing.assert_allclose(a[1:], expected, atol=1e-5)
+    assert left[-1] == pytest.approx(float(np.sum((x[order:] + past @ expected) ** 2)), rel=1e-6)
+    assert np.all(np.diff(left) <= 1e-9 * left[0])
+
+
+def test_noise_far_larger_than_its_innovations_is_whitened_by_its_own_poles(record, robot):
+    """By its autocorrelation, which takes it for nought beyond its ends, it had a third coefficient of 0.1."""
+    innovations = np.random.default_rng(5).standard_normal(8000)
+    poles = np.poly([0.922 + 0.061j, 0.922 - 0.061j]).real
+    noise = 0.004 * lfilter([1.0], poles, innovations)[-6000:]
+    fitter, f = fitted(record, robot, noise)
+    found = whitening_filter(fitter, f)
+    assert len(found) == 3
+    np.testing.assert_allclose(found, poles, atol=0.02)
+    # with rows that were not measured: those stretches alone
+    counts = np.ones(6000, bool)
+    counts[np.random.default_rng(6).integers(0, 6000, 20)] = False
+    fitter, f = fitted(record, robot, noise)
+    fitter._counts = dict.fromkeys(fitter._counts, counts)
+    np.testing.assert_allclose(whitening_filter(fitter, f)[:3], poles, atol=0.05)
+    counts[::30] = False  # no stretch is long enough
+    assert whitening_filter(fitter, f) is not None
 
 
 def fitted(record, robot, noise):
