@@ -357,15 +357,13 @@ class Judge:
         """
         if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
             return before
-        if before.chi2 < SHAKEN * before.n:
-            self._brought_down(before)
-            landed = self.pool.get(before.key, before)
-            if landed.chi2 < before.chi2 - 1.0:
-                return landed
         asked = (before.key, before.chi2, after.key, after.chi2)
         if asked not in self._begun_beside:
+            if before.chi2 < SHAKEN * before.n:
+                self._brought_down(before)
             begun = [] if self._left_out(before.key, after) in self._without else [self._begun_at(after, before, 20)]
-            self._begun_beside[asked] = min((self.shake(f) for f in (*begun, before) if f.ok), key=lambda f: f.chi2)
+            landed = min(before, self.pool.get(before.key, before), key=lambda f: f.chi2)
+            self._begun_beside[asked] = min((self.shake(f) for f in (*begun, landed) if f.ok), key=lambda f: f.chi2)
         lower = self._begun_beside[asked]
         self.keep(lower)
         return lower if lower.chi2 < before.chi2 - 1.0 else before

@@ -155,11 +155,15 @@ def test_a_race_lands_what_sticks_and_comes_near_its_winner(robot, fitter):
     for share, lands in ((0.8, True), (0.1, False)):
         winner = dataclasses.replace(other, fit=dataclasses.replace(other.fit, cost=share * plain.chi2))
         search.pool, search._landed = {f.key: f for f in (plain, winner)}, set()
-        search._land([winner, plain])
+        search._land([winner, plain], other)
         assert (search.pool[plain.key].chi2 < 0.6 * plain.chi2) is lands
+    near = dataclasses.replace(plain, fit=dataclasses.replace(plain.fit, cost=1.5 * plain.n))
+    search.pool, search._landed = {f.key: f for f in (plain, other)}, set()
+    search._land([other, plain], near)
+    assert search.pool[plain.key] is plain, "it has landed with the base to which nothing that sticks was added"
     led_ones = dataclasses.replace(SearchOptions(), free=False)
     other = Search(fitter, led_ones, pool={plain.key: plain})
-    other._land([plain])
+    other._land([plain], plain)
     assert other.pool[plain.key] is plain, "led models have no such minima"
 
 
@@ -308,5 +312,5 @@ def test_what_is_behind_is_shaken_where_a_run_of_it_is_short(robot, fitter, monk
         dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c * f.n)) for f, c in ((like, 0.90), (sticks, 0.98))
     )
     search.pool = {f.key: f for f in (first, second)}
-    search._land([second, first])
+    search._land([second, first], dataclasses.replace(first, hypothesis=fitter.hypothesis(())))
     assert shaken == [sticks.key], "the first leaves noise alone"
