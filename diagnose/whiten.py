@@ -11,6 +11,7 @@ import numpy as np
 
 from diagnose.fitted import Fitted
 from diagnose.fitter import PRIOR, Fitter
+from diagnose.least_squares import Status
 
 __all__ = [
     "alike", "autoregression", "effective_share", "guide_of", "innovation", "lagged_products", "lags_of", "levinson",
@@ -207,7 +208,7 @@ def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray,
             new = whitening_filter(fitter, current)
             if not current.ok or new is None:
                 break
-            settled = alike(new, now, 2e-3)
+            settled = alike(new, now, 2e-3) and current.fit.status is not Status.BUDGET
             now = new
             if settled:
                 break
