@@ -92,7 +92,7 @@ def test_coloured_noise_is_whitened(record, robot):
 def test_a_filter_is_not_settled_before_the_fit_behind_it_is(record, robot, monkeypatch):
     """One that stayed as it was ended the turns while its fit was still on its way: a null under feedback was `unexplained`."""
     noise = lfilter([1.0], [1.0, -0.85], 0.05 * np.random.default_rng(2).standard_normal(6000))
-    fitter, f = fitted(record, robot, noise)
+    fitter, _ = fitted(record, robot, noise)
     begin = fitter.fit(fitter.hypothesis((), {p.name: 1.3 * p.value for p in robot.chain.linear_parameters()}), iterations=0)
     fit, few = fitter.fit, []
 
