@@ -339,14 +339,15 @@ class Judge:
         """Land a structure that sticks or strikes, and shake it, where its runs are short enough: once, from where it is."""
         if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
             return
+        length = self.fitter.length(f.hypothesis, f.fit.x)
         asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
-        if asked in self._landed or self._slow(f):
+        if asked in self._landed or length > LONG:
             return
         self._landed.add(asked)
         landed = self.fitter.landed(f)
         if landed is not None:
             self.keep(landed)
-        if self.fitter.length(f.hypothesis, f.fit.x) < SHORT:
+        if length < SHORT:
             self.shake(self.pool.get(f.key, f))
 
     def _beside(self, before: Fitted, after: Fitted) -> Fitted:

@@ -114,8 +114,9 @@ class Minima(Judge):
         """
         if not self.fitter.noise_known:
             return
-        there = base.key if base.chi2 < SHAKEN * base.n else ()
-        new = [f for f in running if any(type(e).rough and e.key not in there for e in f.effects)]
+        new = list(running)
+        if base.rough and base.chi2 < SHAKEN * base.n:
+            new = [f for f in running if any(type(e).rough and e.key not in base.key for e in f.effects)]
         for f in (*new, *new):  # one that was first may not be when the others have landed
             f, best = self.pool.get(f.key, f), min((self.pool.get(g.key, g) for g in running), key=lambda g: g.chi2)
             behind = self.criterion(f) - self.criterion(best) > self.options.entry or self.fitter.misfit(f) > UNEXPLAINED

@@ -271,7 +271,7 @@ class Search(Minima):
         return [self.pool.get(f.key, f) for f in running]
 
     def _within_reach(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
-        """Those that what may still be taken allows a first look at: laws of stiff bristles take forty times as long.
+        """Those that what may still be taken allows a first look at: a law of stiff bristles that hold takes many times as long.
 
         The others are listed as not fitted, until they are.
         """
