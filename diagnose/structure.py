@@ -157,7 +157,9 @@ def motion_error(
         if solved is None:
             return None
         y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
-        error, angle_error = speed - np.diff(y.angle) / r.dt, r.angle - y.angle
+        # between samples by the errors' mean: the mean of the velocities themselves errs where they bend
+        missed = r.velocity - y.velocity
+        error, angle_error = 0.5 * (missed[1:] + missed[:-1]), r.angle - y.angle
         if fitter.nominal.chain.motion is Motion.HINGE:
             cyclic = _encoder_error(error, r.angle, experiment.counts, r.dt)
             error, angle_error = error - np.diff(cyclic) / r.dt, angle_error - cyclic

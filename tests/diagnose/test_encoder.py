@@ -106,6 +106,12 @@ def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch)
     assert found[1] > 0.7 * before[1]
 
 
+def test_fast_motion_of_a_right_model_is_no_missed_motion(robot, record):
+    """The mean of two samples' velocities is not that of the time between: the difference passed for an error of the encoder."""
+    fitter, base, _ = fits(robot, record(seconds=10, amplitude=4.0, top=45.0, noise=0.03), ripple(1e-3))
+    assert motion_error(fitter, base) == 0.0
+
+
 @pytest.fixture
 def refitted(robot):
     """``refitted(recording)``: a fitter, and the nominal model refitted to a recording that is held out as well."""
