@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+import scipy.signal
 from robot_axis import effect
 
 from diagnose.candidates import candidates, conflicts, screen
@@ -336,6 +337,17 @@ def test_what_the_angle_says_of_an_offset(pair, record):
     assert excluded_by_angle([prepare(off)]) == {"torque_offset": "sensor_offset"}
     assert excluded_by_angle([prepare(sound), prepare(off)]) == {}
     assert excluded_by_angle([prepare(dataclasses.replace(off, angle=None))]) == {}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_slow_noise_of_the_velocity_is_no_offset(record, seed):
+    """Its mean was judged as that of white noise: in every second recording the sensor seemed to have an offset."""
+    noise = scipy.signal.lfilter([1.0], [1.0, -0.95], 0.02 * np.random.default_rng(seed).standard_normal(20_000))
+    quiet = record(noise=0.0, seconds=10.0)
+    noisy = dataclasses.replace(quiet, velocity=quiet.velocity + noise)
+    assert excluded_by_angle([prepare(noisy)]) == {"sensor_offset": ""}
+    drifting = dataclasses.replace(noisy, velocity=noisy.velocity + 0.2)
+    assert excluded_by_angle([prepare(drifting)]) == {"torque_offset": "sensor_offset"}
 
 
 def test_what_only_the_held_out_recording_exercises_is_sought_in_all(robot, record):
