@@ -34,7 +34,7 @@ __all__ = ["searched"]
 
 MOST_FILTERS = 2  # whitened searches
 REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
-TAKEN = 4.0  # times the noise's mean square: noise taken for response lowers a fit's error: its rms is at most twice the noise's
+TAKEN = 4.0  # times the noise's mean square: noise taken for response lowers the fitted error: rms at most twice the noise's
 SWUNG = 3  # orders of a varying inertia
 OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
@@ -136,15 +136,25 @@ def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
     return nominal[0]
 
 
-def _settled_from_nominal(fitter: Fitter, base: Fitted) -> Fitted | None:
-    """The nominal structure settled with its own filter, begun where its nominal parameters hold it; None where it is white."""
+def _settled_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitted], bool]) -> Fitted | None:
+    """The nominal structure settled with its own filter, where it leaves noise alone; None where it does not, or is white.
+
+    Begun where its nominal parameters hold it. What the estimation recordings leave open is asked of all recordings together.
+    """
     fitter.guide = guide_of(fitter, base)
     try:
         held = fitter.fit(fitter.hypothesis(()))
     finally:
         fitter.guide = 1.0
     settled = settle(fitter, held)
-    return None if settled is None else settled[1]
+    if settled is None or noise_only(settled[1]):
+        return None if settled is None else settled[1]
+    kept, fitter.whitening = fitter.whitening, settled[0]
+    try:
+        pooled = fitter.pooled(settled[1])
+    finally:
+        fitter.whitening = kept
+    return settled[1] if noise_only(pooled) else None
 
 
 def searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
@@ -161,6 +171,8 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         missed = motion_error(fitter, f)
         return unknown if missed is None else missed < options.missed
 
+    surely = partial(noise_only, unknown=False)
+
     def settled_by(f: Fitted) -> bool:
         # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
         if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
@@ -168,17 +180,17 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         missed = motion_error(fitter, f)
         if missed is None or missed < options.missed or f.effects:
             return missed is not None and missed < options.missed
-        if noise_only(fitter.pooled(f), unknown=False):  # or the excitation leaves parameters open, which noise has settled
+        if surely(fitter.pooled(f)):  # or the excitation leaves parameters open, which noise has settled
             return True
-        settled = _settled_from_nominal(fitter, f) if missed <= TAKEN else None
-        return settled is not None and noise_only(settled, unknown=False)
+        fitted_to = motion_error(fitter, f, on=fitter.experiments)
+        return fitted_to is not None and fitted_to <= TAKEN and _settled_from_nominal(fitter, f, surely) is not None
 
     known = fitter.noise_known
     search, best = _search(fitter, options, progress, began, settled_by if known else None)
     if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
         # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
-        settled = _settled_from_nominal(fitter, search.nominal()) if known else None
-        if settled is None or not noise_only(settled, unknown=False):
+        settled = _settled_from_nominal(fitter, search.nominal(), surely) if known else None
+        if settled is None:
             return search, best, False
         best = settled
     for turn in range(MOST_FILTERS):
