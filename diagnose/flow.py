@@ -38,6 +38,7 @@ from diagnose.second_encoder import judge_second_encoder
 from diagnose.structure import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.torque_map import fit_map
 from diagnose.view import ForceView, MotionView, View, clean_band, growth_when_held
+from diagnose.whiten import noise_rms
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 from mjsim.errors import InputError
@@ -296,7 +297,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
         nominal_parameters={p.name: p.value for p in fitter.nominal.chain.linear_parameters()},
         nominal_effects=tuple(_carried(fitter, best, e) for e in best.hypothesis.carried),
         fit=fits,
-        noise_floor=experiment.sigma if fitter.noise_known else float("nan"),
+        noise_floor=noise_rms(fitter, experiment) if fitter.noise_known else float("nan"),
         gap_closed=gap,
         rivals=_rivals(search, best),
         failed=dict(search.failed),
@@ -421,7 +422,7 @@ def _is_unexplained(
     clear = structure.p_value < options.structure_p and structure.share > options.structure_share
     if not search.fitter.noise_known:
         return clear and predicted > options.left * before.rms**2
-    variance = search.fitter.experiments[0].sigma ** 2
+    variance = noise_rms(search.fitter, search.fitter.experiments[0]) ** 2
     mismatch, left = before.rms**2 / variance - 1.0, after.rms**2 / variance - 1.0
     if clear and _closed(mismatch, predicted / variance) < options.closed:
         return True
@@ -482,7 +483,7 @@ def _held(fitter: Fitter, best: Fitted) -> tuple[int, float]:
         solved = fitter.own_values(best.hypothesis, best, experiment) if rows.any() and fitter.noise_known else None
         e = fitter.error(solved[0], experiment, solved[1]) if solved is not None else None
         if e is not None:
-            most = max(most, float(np.sum(e[rows] ** 2)) / len(e) / fitter.sigma(experiment) ** 2)
+            most = max(most, float(np.sum(e[rows] ** 2)) / len(e) / noise_rms(fitter, experiment) ** 2)
     return count, most
 
 
@@ -552,7 +553,7 @@ def _figures(fitter: Fitter, search: Search, base: Fitted, best: Fitted) -> tupl
     tasks = (given, partial(of, base), partial(of, best))
     fits = dict(zip(names, fitter.map(tasks), strict=True))
     before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
-    floor = float(np.mean([e.sigma for e in fitter.held_out])) if fitter.noise_known else 0.0
+    floor = float(np.mean([noise_rms(fitter, e) for e in fitter.held_out])) if fitter.noise_known else 0.0
     gap = (before - after) / (before - floor) if before > floor * 1.0001 else math.nan
     return fits, gap if best.effects else math.nan
 
@@ -601,7 +602,8 @@ def _traces(fitter: Fitter, base: Fitted, best: Fitted, mapped: Fitted | None = 
             out.append(
                 Traces(experiment.recording.source, role, refitted.time, refitted.measured, given.predicted if given else None,
                        refitted.predicted, corrected.predicted, fitter.counted(experiment),
-                       experiment.sigma if fitter.noise_known else math.nan, more[0].predicted if more and more[0] else None)
+                       noise_rms(fitter, experiment) if fitter.noise_known else math.nan,
+                       more[0].predicted if more and more[0] else None)
             )  # fmt: skip
     return tuple(out)
 

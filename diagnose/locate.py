@@ -20,6 +20,7 @@ from diagnose.fitted import Fitted
 from diagnose.fitter import Fitter
 from diagnose.orders import torque_to_velocity
 from diagnose.result import Mismatch, Place, Share, StateShare
+from diagnose.whiten import noise_psd, noise_rms
 from mjsim.axis import Axis
 from mjsim.signals import coherence, freqz, welch
 
@@ -65,7 +66,7 @@ def disturbance(fitter: Fitter, on: Played, body: int = 0) -> np.ndarray:
     pad = 2 * n
     spectrum = np.fft.rfft(e - 0.0, pad)
     g = freqz(b, a, 2 * np.pi * np.arange(len(spectrum)) / pad)
-    noise = experiment.sigma**2
+    noise = noise_rms(fitter, experiment) ** 2
     power = max(float(np.mean(e**2)) - noise, 1e-3 * noise)
     gain = float(np.mean(np.abs(g[: max(2, len(g) // 20)]) ** 2))
     ridge = gain * noise / power * 0.05 + 1e-9 * gain
@@ -162,10 +163,10 @@ def _located(fitter: Fitter, on: Played) -> Mismatch:
     counted = fitter.counted(experiment)
     every = fitter.view.decimate
     dt = experiment.recording.dt * every
-    noise = experiment.sigma**2 if fitter.noise_known else 0.0
+    noise = noise_rms(fitter, experiment) ** 2 if fitter.noise_known else 0.0
     energy = float(np.mean(e[counted] ** 2))
     above = max(0.0, 1.0 - noise / energy) if energy > 0 else 0.0
-    spectrum, linear = _spectrum(fitter, experiment, e, dt, noise)
+    spectrum, linear = _spectrum(fitter, experiment, e, dt)
     of_states, of_places = _state_shares(fitter, on, counted, states(fitter, on))
     return Mismatch(
         time=_time_shares(experiment.recording.time[::every][: len(e)], e, counted, noise),
@@ -194,7 +195,7 @@ def _time_shares(time: np.ndarray, e: np.ndarray, counted: np.ndarray, noise: fl
 
 
 def _spectrum(
-    fitter: Fitter, experiment: Experiment, e: np.ndarray, dt: float, noise: float
+    fitter: Fitter, experiment: Experiment, e: np.ndarray, dt: float
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
     """(frequency, residual, noise and output psd), and the share of the residual coherent with the input."""
     every = fitter.view.decimate
@@ -206,7 +207,7 @@ def _spectrum(
     c = coherence(u, e, segment)
     count = 2 * len(e) / segment - 1
     c = np.maximum(0.0, (c - 1 / count) / (1 - 1 / count))
-    pn = np.full_like(f, noise * 2 * dt)
+    pn = noise_psd(fitter, experiment, 2 * np.pi * f * dt) * 2 * dt if fitter.noise_known else np.zeros_like(f)
     excess = np.maximum(pe - pn, 0)
     total = float(np.sum(excess))
     return (f, pe, pn, py), float(np.sum(excess * c) / total) if total > 0 else 0.0

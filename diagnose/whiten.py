@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from diagnose.experiment import Experiment
 from diagnose.fitted import Fitted
 from diagnose.fitter import PRIOR, Fitter
 from diagnose.least_squares import Status
+from mjsim.signals import freqz
 
 __all__ = [
     "alike", "autoregression", "effective_share", "guide_of", "innovation", "lagged_products", "lags_of", "levinson",
-    "offset_share", "settle", "whitening_filter", "worth", "worth_of_errors",
+    "noise_psd", "noise_rms", "offset_share", "settle", "whitening_filter", "worth", "worth_of_errors",
 ]  # fmt: skip
 
+GRID = 2**14  # frequencies over which a noise is summed: finer than any resonance that a filter of its lags can have
 GUIDE = 0.2  # relative standard deviation of the nominal linear parameters where they guide a search
 
 
@@ -215,3 +218,19 @@ def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray,
     finally:
         fitter.whitening = kept
     return now, current
+
+
+def noise_psd(fitter: Fitter, experiment: Experiment, angles: np.ndarray) -> np.ndarray:
+    """Power of the noise in the judged channel at frequencies (k,) [rad/sample], coloured as the filter of the search has it.
+
+    As squares per sample: its mean over all angles is the mean square of the noise.
+    """
+    return np.asarray((fitter.sigma(experiment) / np.abs(freqz(fitter.whitening, np.ones(1), angles))) ** 2)
+
+
+def noise_rms(fitter: Fitter, experiment: Experiment) -> float:
+    """Rms of the noise in the judged channel: that of white noise is what errors are weighed by, of coloured noise it is more."""
+    if len(fitter.whitening) == 1:
+        return fitter.sigma(experiment)
+    angles = (np.arange(GRID) + 0.5) * np.pi / GRID  # which makes no difference between a pole and its image in the unit circle
+    return float(np.sqrt(np.mean(noise_psd(fitter, experiment, angles))))

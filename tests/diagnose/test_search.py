@@ -206,6 +206,11 @@ def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair)
         first, other = (coloured(r, offset) for r in pair())
         result = diagnose(robot, [first], [other], Options(jobs=1, effects=few))
         assert [f.effect for f in result.findings] == expected
+        # the floor is that of the noise there is, and what is left is no mismatch
+        assert result.noise_floor == pytest.approx(np.hypot(0.05, 0.05 / np.sqrt(1 - 0.81)), rel=0.1)
+        assert result.fit["corrected"].held_out_rms < 1.1 * result.noise_floor
+        if not offset:
+            assert result.mismatch.above_noise < 0.1
     first, other = (dataclasses.replace(coloured(r, 0.0), angle=None) for r in pair())
     blind = diagnose(robot, [first], [other], Options(jobs=1, effects=("coulomb_friction", "actuator_lag")))
     assert not blind.findings

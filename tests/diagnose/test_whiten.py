@@ -13,7 +13,16 @@ from diagnose.experiment import prepare
 from diagnose.fitter import Fitter
 from diagnose.least_squares import Status
 from diagnose.view import MotionView
-from diagnose.whiten import autoregression, effective_share, lagged_products, levinson, settle, whitening_filter
+from diagnose.whiten import (
+    autoregression,
+    effective_share,
+    innovation,
+    lagged_products,
+    levinson,
+    noise_rms,
+    settle,
+    whitening_filter,
+)
 
 
 @settings(max_examples=40, deadline=None)
@@ -85,6 +94,10 @@ def test_coloured_noise_is_whitened(record, robot):
     white = lfilter(filter_, [1.0], coloured)[20:]
     rho = np.array([white[:-k] @ white[k:] for k in range(1, 20)]) / (white @ white)
     assert np.max(np.abs(rho)) < 4 / np.sqrt(len(white))
+    assert noise_rms(fitter, fitter.experiments[0]) == fitter.sigma(fitter.experiments[0])
+    fitter.whitening = filter_ / innovation(fitter, f, filter_)
+    assert noise_rms(fitter, fitter.experiments[0]) == pytest.approx(0.05 / np.sqrt(1 - 0.64), rel=0.05)
+    fitter.whitening = np.ones(1)
     # sum of .8^(2k) is 1.78: one sample in 4.6 counts
     assert effective_share(fitter, f) == pytest.approx(1 / (1 + 2 * 0.64 / 0.36), rel=0.15)
 
