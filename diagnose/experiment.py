@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from diagnose.noise import coloured_noise_level, white_noise_level
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
@@ -19,7 +20,6 @@ __all__ = [
     "measured_velocity",
     "plain_step",
     "prepare",
-    "white_noise_level",
     "whole_step",
     "without_derived_velocity",
 ]
@@ -80,38 +80,6 @@ def without_derived_velocity(recording: Recording) -> Recording:
     if any(np.sqrt(np.mean((a - b) ** 2)) < DERIVED * noise for a, b in made):
         return dataclasses.replace(recording, velocity=None)
     return recording
-
-
-FASTEST = 0.85  # of the Nyquist frequency: what is faster tells the noise
-SLOWLY = 0.5  # part of the level by differences, below which that is taken: far below what white noise gives for 700 samples
-
-
-def white_noise_level(y: np.ndarray) -> float:
-    """Noise rms of a smooth signal: from its sixth differences, robust against the few samples at which it is not smooth.
-
-    The sixth difference of white noise of rms s has rms s sqrt(924); that of a band-limited signal is smaller by (w dt)^6, which
-    is not small where the sampling is slow. There the density of its fastest part tells, if that is clearly less.
-    Source: J. von Neumann et al., Ann. Math. Stat. 12 (1941) 153, for higher differences.
-    """
-    d = np.diff(y, 6) / np.sqrt(924.0)
-    if len(d) == 0:
-        return 0.0
-    smooth = float(1.4826 * np.median(np.abs(d - np.median(d))))
-    fastest = _fastest_level(y)
-    return fastest if fastest < SLOWLY * smooth else smooth
-
-
-def _fastest_level(y: np.ndarray) -> float:
-    """Noise rms of a signal by the median density of the fastest part of its spectrum; inf where that is a few lines only.
-
-    A line or an event there raises few of the lines. The window keeps what leaks in from the rest below 1e-9 of its power.
-    """
-    n = len(y)
-    if n * (1.0 - FASTEST) < 100:
-        return np.inf
-    window = np.blackman(n) ** 2
-    power = np.abs(np.fft.rfft((y - np.mean(y)) * window)) ** 2 / np.sum(window**2)
-    return float(np.sqrt(np.median(power[int(FASTEST * len(power)) : -1]) / np.log(2.0)))
 
 
 def plain_step(v: np.ndarray) -> float:
@@ -187,7 +155,12 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     _need_one_motion(recording)
     moving = _starts_in_motion(v, noise, spread)
     before = float(recording.torque[0]) if moving else 0.0
-    counts = ~held_rows(recording) & (True if counts is None else counts)
+    held = held_rows(recording)
+    if recording.velocity is not None and recording.angle is not None and not held.any():
+        q = recording.angle
+        angle_noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0))
+        noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
+    counts = ~held & (True if counts is None else counts)
     return Experiment(recording, counts, max(noise, 1e-6 * spread), moving, before)
 
 

@@ -118,8 +118,8 @@ def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:
             )  # fmt: skip
 
 
-def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
-    """The filter of the residual ([1] where it is white).
+def _whitening(fitter: Fitter, search: Search, best: Fitted) -> tuple[np.ndarray, bool]:
+    """The filter of the residual ([1] where it is white), and whether it is that of a structure that earns its own.
 
     That of the refitted nominal model unless the best structure earns its own.
     A structure that was found on plain errors may have taken the noise for physics, under feedback above all, and its filter then
@@ -127,13 +127,13 @@ def _whitening(fitter: Fitter, search: Search, best: Fitted) -> np.ndarray:
     """
     settled = settle(fitter, best)
     if settled is None:
-        return np.ones(1)
+        return np.ones(1), False
     if not best.effects:
-        return settled[0]
+        return settled[0], False
     nominal = settle(fitter, search.nominal())
     if nominal is None or search.criterion(nominal[1]) - search.criterion(settled[1]) > search.options.entry:
-        return settled[0]
-    return nominal[0]
+        return settled[0], True
+    return nominal[0], False
 
 
 def _settled_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitted], bool]) -> Fitted | None:
@@ -196,13 +196,13 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     for turn in range(MOST_FILTERS):
         if fitter.spent:  # a search that could not look would find nothing
             break
-        filter_ = _whitening(fitter, search, best)
+        filter_, earned = _whitening(fitter, search, best)
         if alike(filter_, fitter.whitening / fitter.whitening[0]):
             break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         filter_before, fitter.whitening = fitter.whitening, _scaled(fitter, best, filter_)
         before, found = search, best
-        search, best = _search(fitter, options, progress, began, known=best if turn else None)
+        search, best = _search(fitter, options, progress, began, known=best if turn or earned else None)
         search.tested += before.tested
         if fitter.spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
             fitter.whitening = filter_before

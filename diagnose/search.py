@@ -51,6 +51,7 @@ BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to whi
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
+SHORT, TWO = 0.3, 2  # of the gain in C that the screen promised, below which a rival is short of it; starts beside the screen's
 SLOW = 100  # the same of one that is slow to run, in its own runs, at least
 FORMS, CRAWLS = 30, 0.01  # iterations of a simpler or poorer structure, and what each must gain while all could not bring it near
 WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weight of the prior, and of one that is slow to run
@@ -117,7 +118,30 @@ class Search(Minima):
         # nor is that of another law in the place of one that the nominal axis has
         folds = [s for s in ranked if visible and effect_class(s.candidate.id).multistart > 1 and s not in tried]
         tried += [s for s in folds if replaced(base, s.candidate) is not None]
-        return self._race(base, [(base.effects, s) for s in tried], floor)
+        grown = self._race(base, [(base.effects, s) for s in tried], floor)
+        short = self._short_of_promise(base, ranked[0]) if ranked and visible and not self._spent() else None
+        return grown if short is None else [short, *(f for f in grown if f.key != short.key)]
+
+    def _short_of_promise(self, base: Fitted, s: Screened) -> Fitted | None:
+        """The rival that the screen has first, fitted from the nominal parameters, where it stayed far short of what it promised.
+
+        The first iterations of a race tell little where the base's parameters have gone to stand in for it: what stiffens much is
+        another spring. None where it did not stay short, or comes to no more.
+        """
+        cls = effect_class(s.candidate.id)
+        known = self.pool.get(tuple(sorted([*base.key, s.candidate.key])))
+        left = max(base.chi2 - s.gain, 0.01 * base.chi2)
+        if cls.rough or known is None or self.gain(base, known) > SHORT * base.n * math.log(base.chi2 / left):
+            return None
+        values = cls.starts(self.fitter.scales_for(cls, s.candidate.place))
+        starts = [*(make(cls.id, s.candidate.place, v) for v in values[:TWO]), s.effect]
+        begun = [self.fitter.hypothesis((*base.effects, e)) for e in starts]
+        fits = self.fitter.map([partial(self.fitter.fit, h, iterations=20, rival=True) for h in begun])
+        best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+        if best is None or best.chi2 >= known.chi2:
+            return None
+        self.keep(best)
+        return best
 
     def refine(self, base: Fitted, *, forms: bool = False) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` is replaced by one that refines it.

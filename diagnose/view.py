@@ -18,7 +18,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from diagnose.experiment import Experiment, measured_velocity, white_noise_level
+from diagnose.experiment import Experiment, measured_velocity
+from diagnose.noise import white_noise_level
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap

@@ -59,4 +59,4 @@ class HardeningStiffness(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"coefficient_Nm_rad3": c * scales.stiffness / scales.deflection**2} for c in (0.05, -0.02)]
+        return [{"coefficient_Nm_rad3": c * scales.stiffness / scales.deflection**2} for c in (0.05, 0.5, -0.02)]

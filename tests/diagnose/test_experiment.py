@@ -14,10 +14,10 @@ from diagnose.experiment import (
     hold_out_blocks,
     measured_velocity,
     prepare,
-    white_noise_level,
     without_derived_velocity,
 )
 from diagnose.flow import Options, diagnose
+from diagnose.noise import white_noise_level
 from diagnose.result import Verdict
 from mjsim.errors import InputError
 from mjsim.recording import Recording

@@ -199,7 +199,7 @@ def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkey
         return search, answers.pop(0)
 
     monkeypatch.setattr(passes, "_search", answer)
-    monkeypatch.setattr(passes, "_whitening", lambda *asked: np.array([1.0, -0.1 * len(answers)]))
+    monkeypatch.setattr(passes, "_whitening", lambda *asked: (np.array([1.0, -0.1 * len(answers)]), False))
     _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
     assert found is (both if spent else one)
     assert whitened is not spent
