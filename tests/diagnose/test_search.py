@@ -555,3 +555,21 @@ def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, pair):
     near = fitter.fit(start, iterations=30, rival=True, slow=(1e9 * all_the_way.chi2, 0.1))
     assert near.chi2 == all_the_way.chi2
     assert behind.fit.iterations < all_the_way.fit.iterations
+
+
+def test_what_the_screen_has_first_is_fitted_from_the_nominal_parameters_where_it_fell_short(fitter_of, pair):
+    """A spring that stiffens much lost its race: the refitted nominal parameters had gone to stand in for it."""
+    spring = effect("hardening_stiffness", place="arm", coefficient_Nm_rad3=1e10)
+    fitter = fitter_of(pair(spring))
+    search = Search(fitter, SearchOptions())
+    base = search.nominal()
+    begun = fitter.fit(fitter.hypothesis([spring.with_values({"coefficient_Nm_rad3": 1e3})], base.linear), iterations=0)
+    search.keep(begun)
+    far = spring.with_values({"coefficient_Nm_rad3": 3e10})
+    promised = Screened(Candidate(spring.id, spring.place), far, base.chi2 - base.n, (far,))
+    found = search._short_of_promise(base, promised)
+    assert begun.chi2 > 2 * base.n > 1.5 * found.chi2
+    assert search.pool[found.key] is found
+    assert search._short_of_promise(base, promised) is None, "it keeps what it promised"
+    search.pool[found.key] = begun
+    assert search._short_of_promise(base, dataclasses.replace(promised, gain=1.0)) is None, "or was promised little"
