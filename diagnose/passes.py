@@ -178,12 +178,15 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
             return False
         missed = motion_error(fitter, f)
-        if missed is None or missed < options.missed or f.effects:
-            return missed is not None and missed < options.missed
+        if missed is None or missed < options.missed:
+            return missed is not None
+        fitted_to = motion_error(fitter, f, on=fitter.experiments)
+        if f.effects and (fitted_to is None or fitted_to >= options.missed):
+            return False
         if surely(fitter.pooled(f)):  # or the excitation leaves parameters open, which noise has settled
             return True
-        fitted_to = motion_error(fitter, f, on=fitter.experiments)
-        return fitted_to is not None and fitted_to <= TAKEN and _settled_from_nominal(fitter, f, surely) is not None
+        may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TAKEN
+        return may_be_noise and _settled_from_nominal(fitter, f, surely) is not None
 
     known = fitter.noise_known
     search, best = _search(fitter, options, progress, began, settled_by if known else None)
