@@ -34,6 +34,7 @@ SIZE: dict[str, tuple[float, float]] = {
     "two_effects": (0.6, 80.0),
     "out_of_library": (0.5, 80.0),
     "faint": (0.012, 0.25),
+    "coloured": (1.0, 80.0),
 }
 SPREAD = 0.06  # relative half-width of the linear parameters about Table 2
 TRIES = 240
@@ -111,6 +112,12 @@ def _any_noise(rng: np.random.Generator) -> Measurement:
     return base
 
 
+def _not_white(rng: np.random.Generator) -> Measurement:
+    while (measurement := _any_noise(rng)).kind == "white":
+        continue
+    return measurement
+
+
 def _dress(laws: Laws, chosen: tuple[Entry, ...], rng: np.random.Generator, peak: float) -> tuple[Laws, list[dict]]:
     parameters = []
     for entry in chosen:
@@ -131,6 +138,7 @@ def _search(
     hide: Callable[[Laws, tuple[Entry, ...], np.ndarray, float], Laws] | None = None,
     under_noise: bool = False,
     quiet: float = 0.0,
+    measured: Callable[[np.random.Generator], Measurement] = _usual,
 ) -> _Found:
     """Draw until every effect has the size that the level asks for; ``first`` is given up after 2 ``TURN`` tries.
 
@@ -141,7 +149,7 @@ def _search(
     for attempt in range(TRIES):
         if attempt % TURN == TURN - 1:
             chosen = _choose(rng, pool, count, first if attempt < 2 * TURN else None)
-        measurement = _usual(rng)
+        measurement = measured(rng)
         try:
             laws = _axis(rng)
             experiment = _experiment(rng, chosen, closed)
@@ -250,6 +258,7 @@ _POOLS: dict[str, tuple[Entry, ...]] = {
     "other_law": OTHER_LAWS,
     "out_of_library": OUTSIDE,
     "faint": _SMOOTH,
+    "coloured": CATALOGUE,
 }
 
 
@@ -272,6 +281,11 @@ def _under_noise(rng: np.random.Generator, first: str | None) -> _Found:
 
 def _faint(rng: np.random.Generator, first: str | None) -> _Found:
     return _search("faint", rng, _SMOOTH, first, under_noise=True, quiet=0.3)
+
+
+def _coloured(rng: np.random.Generator, first: str | None) -> _Found:
+    """As plain, beside noise that is not white, a third of it under feedback."""
+    return _search("coloured", rng, CATALOGUE, first, closed=bool(rng.random() < 0.33), measured=_not_white)
 
 
 def _behind_refit(rng: np.random.Generator, first: str | None) -> _Found:
@@ -312,6 +326,7 @@ LEVELS: dict[str, Callable[[np.random.Generator, str | None], _Found]] = {
     "nothing": _nothing,
     "parameters_only": _parameters_only,
     "faint": _faint,
+    "coloured": _coloured,
 }
 
 VERDICT = {"nothing": "no_mismatch", "parameters_only": "parameters_only", "out_of_library": "unexplained"}

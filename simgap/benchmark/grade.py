@@ -21,11 +21,11 @@ __all__ = ["BUDGETS", "GRADES", "HIDDEN", "Bar", "Status", "bars", "fraction", "
 GRADES: dict[str, dict[str, int]] = {
     "quick": {
         "plain": 6, "under_noise": 3, "behind_refit": 2, "behind_feedback": 2, "two_effects": 2, "other_law": 2,
-        "out_of_library": 2, "nothing": 3, "parameters_only": 2, "faint": 1,
+        "out_of_library": 2, "nothing": 3, "parameters_only": 2, "faint": 1, "coloured": 2,
     },
     "full": {
         "plain": 99, "under_noise": 48, "behind_refit": 40, "behind_feedback": 40, "two_effects": 40, "other_law": 20,
-        "out_of_library": 45, "nothing": 90, "parameters_only": 90, "faint": 200,
+        "out_of_library": 45, "nothing": 90, "parameters_only": 90, "faint": 200, "coloured": 20,
     },
 }  # fmt: skip
 

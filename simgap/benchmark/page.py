@@ -24,6 +24,7 @@ LEVEL_NAMES = {
     "nothing": "Nothing missing",
     "parameters_only": "Parameters only",
     "faint": "Faint",
+    "coloured": "Beside noise that is not white",
 }
 
 
