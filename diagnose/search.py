@@ -51,7 +51,7 @@ BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to whi
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
-PROMISED, TWO = 0.3, 2  # of the gain in C that the screen promised, below which a rival is short of it; further starts of it
+PROMISED, MORE = 0.3, 2  # of the gain in C that the screen promised, below which a rival is short of it; further starts of it
 SLOW = 100  # the same of one that is slow to run, in its own runs, at least
 FORMS, CRAWLS = 30, 0.01  # iterations of a simpler or poorer structure, and what each must gain while all could not bring it near
 WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weight of the prior, and of one that is slow to run
@@ -136,7 +136,7 @@ class Search(Minima):
         if cls.rough or known is None or self.gain(base, known) > PROMISED * base.n * math.log(base.chi2 / left):
             return None
         values = cls.starts(self.fitter.scales_for(cls, s.candidate.place))
-        starts = [*(make(cls.id, s.candidate.place, v) for v in values[:TWO]), s.effect]
+        starts = [*(make(cls.id, s.candidate.place, v) for v in values[:MORE]), s.effect]
         begun = [self.fitter.hypothesis((*base.effects, e)) for e in starts]
         fits = self.fitter.map([partial(self.fitter.fit, h, iterations=20, rival=True) for h in begun])
         best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
