@@ -368,7 +368,8 @@ class Search(Minima):
             refined = self._best(current)
             if refined.key != best.key and math.log(best.chi2 / refined.chi2) > LITTLE:  # before it is unfolded by a wrong law
                 self.refine(refined)
-            self.swap(self._best(current))
+            best = self._led_first(current, self._best(current))
+            self.swap(best)
             best = self._best(current)
             if best.key != current.key:
                 best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior

@@ -54,6 +54,8 @@ def refit(
             columns.append((up - y) / 1e-3)
         A = np.stack(columns, 1)
         H, g = A.T @ A, A.T @ (target - y)
+        if not H.any():
+            break  # friction holds the axis: none of them moves it
         before = error
         for _ in range(5):
             x = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12 * H.max()), g)

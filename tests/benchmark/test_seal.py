@@ -67,6 +67,15 @@ def test_a_refit_finds_other_linear_parameters() -> None:
     assert found.laws.kg == pytest.approx(1.42e5, rel=1e-3)
 
 
+def test_where_friction_holds_the_axis_nothing_is_refitted() -> None:
+    u = draw_experiment("multisine", np.random.default_rng(2), 0.5, 1.0).torque
+    held = Laws(coulomb_m=0.1 + float(np.max(np.abs(u))))
+    y = np.full(len(u), 0.01)
+    found = refit(held, u, y, LINEAR, {})
+    assert found.laws == held
+    assert found.left == pytest.approx(0.01)
+
+
 def test_noise_has_its_rms_and_colour() -> None:
     rng = np.random.default_rng(1)
     white, angle, drop = Measurement(0.05, 1e-4).noise(20000, rng)

@@ -63,6 +63,21 @@ def test_a_pair_of_which_one_sticks_is_found_among_led_models(search):
     assert before < search.fitter.runs < before + 15_000
 
 
+def test_what_sticks_is_asked_what_it_lacks_though_it_comes_near_only_as_another_law(search, monkeypatch):
+    """Friction of another law had won the race; what sticks was not near the best until it was tried in its place."""
+    laws = effect_class("coulomb_friction")(torque_Nm=0.05), effect_class("static_friction")(**STICTION)
+    first, sticking = (search.fitter.fit(search.fitter.hypothesis([law]), iterations=3) for law in laws)
+    monkeypatch.setattr(Search, "expand", lambda self, base: self.keep(first) or [first])
+    monkeypatch.setattr(Search, "refine", lambda self, base, *, forms=False: self.keep(sticking) or [sticking])
+    asked = []
+    monkeypatch.setattr(Search, "_led_first", lambda self, current, best: asked.append({*self.pool}) or best)
+    monkeypatch.setattr(Search, "swap", lambda self, base: asked.append("swap") or [])
+    search.run()
+    assert sticking.key not in asked[0]
+    assert sticking.key in asked[1], "once more, before anything gives way to it"
+    assert asked[2] == "swap"
+
+
 def test_no_structure_is_made_up_where_led_models_lack_what_none_has(search):
     """Of effects that cannot explain it none is fitted to a free run."""
     search.candidates = tuple(c for c in search.candidates if c.id == "hysteresis")
