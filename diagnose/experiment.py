@@ -45,6 +45,12 @@ class Experiment:
     correction: np.ndarray | None = None
     kept: dict[tuple[object, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
+    def first(self, share: float) -> Experiment:
+        """The first part of it."""
+        n = max(200, math.ceil(share * len(self.recording)))
+        correction = None if self.correction is None else self.correction[:n]
+        return dataclasses.replace(self, recording=self.recording.slice(0, n), counts=self.counts[:n], correction=correction)
+
 
 def measured_velocity(recording: Recording) -> np.ndarray:
     """The velocity channel, or the central difference of the angle where there is none [rad/s | m/s]."""

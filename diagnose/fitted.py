@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -86,6 +87,18 @@ class Fitted:
     def to_go_on(self) -> Fitted:
         """The same, to be gone on with: it ended by a loose tolerance, or on sensitivities that secants brought up to date."""
         return dataclasses.replace(self, fit=dataclasses.replace(self.fit, status=Status.BUDGET)) if self.ok else self
+
+    def drawn(self, widths: np.ndarray, seed: int) -> list[np.ndarray]:
+        """Points (p,) about the fit, so many standard errors wide by its covariance; the same for a seed."""
+        J = self.fit.J
+        if len(widths) == 0 or not J.any():
+            return []
+        scale = np.linalg.norm(J, axis=0) + 1e-300
+        _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
+        root = (vt.T / np.maximum(s, 1e-5 * s[0])) * math.sqrt(self.chi2 / self.n)
+        lower, upper = self.hypothesis.bounds
+        rng = np.random.default_rng(seed)
+        return [np.clip(self.fit.x + width * (root @ rng.standard_normal(len(s))) / scale, lower, upper) for width in widths]
 
     def standard_errors(self, noise_known: bool = True) -> np.ndarray:
         """Standard errors [SI] of the vector's numbers (p,), from the Gauss-Newton Hessian and the residual variance.

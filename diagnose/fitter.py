@@ -42,24 +42,12 @@ CLOSELY = 300.0  # rate [1/s] at which structures are compared that a free run m
 WRONG = 2.0  # chi-square over n of a led model, at first: something else is missing than such moments; later: they are lost
 LOST = 1.2  # times the least cost under a lead, or noise: an event was lost as the lead gave way, and other points are drawn
 DRAWS = 3  # sets of them at most
+ANEW, ANEWS, LEVELS_OFF = 5, 3, 1e-3  # iterations by secants, how often they are begun anew, and the relative gain that ends it
 SHAKES, PATIENCE = 12, 3  # sets of points about a fit at most, and how many in a row may lead nowhere
 SAME = 0.002  # difference in the logarithm of chi-square of one minimum: a fit that comes back to it has no better one near
 SLOWLY = 0.01  # relative gain of an iteration below which a fit to all recordings, that leaves as much, has converged
 RK4 = 3.5  # times as long as one product a step takes that laws make nonlinear
 PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
-
-
-def _drawn(fitted: Fitted, widths: np.ndarray, seed: int) -> list[np.ndarray]:
-    """Points (p,) about a fit, so many standard errors wide by its covariance; the same for a seed."""
-    J = fitted.fit.J
-    if len(widths) == 0 or not J.any():
-        return []
-    scale = np.linalg.norm(J, axis=0) + 1e-300
-    _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
-    root = (vt.T / np.maximum(s, 1e-5 * s[0])) * math.sqrt(fitted.chi2 / fitted.n)
-    lower, upper = fitted.hypothesis.bounds
-    rng = np.random.default_rng(seed)
-    return [np.clip(fitted.fit.x + width * (root @ rng.standard_normal(len(s))) / scale, lower, upper) for width in widths]
 
 
 def _with_own(model: Axis, like: Axis) -> Axis:
@@ -69,12 +57,6 @@ def _with_own(model: Axis, like: Axis) -> Axis:
         for a, b in zip(model.effects, like.effects, strict=True)
     )
     return dataclasses.replace(model, effects=effects)
-
-
-def _first(experiment: Experiment, share: float) -> Experiment:
-    """The first part of an experiment."""
-    n = max(200, math.ceil(share * len(experiment.recording)))
-    return dataclasses.replace(experiment, recording=experiment.recording.slice(0, n), counts=experiment.counts[:n])
 
 
 @dataclass
@@ -102,6 +84,7 @@ class Fitter:
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
         self._pooled: dict[tuple[object, ...], tuple[float, Fitted]] = {}
+        self._led: dict[tuple[object, ...], Fitted | None] = {}
         self._clear: dict[tuple[int, int], np.ndarray] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
@@ -317,6 +300,16 @@ class Fitter:
         self.took(work)
         return Fitted(h, fit, n)
 
+    def by_secants(self, h: Hypothesis, *, slow: tuple[float, float]) -> Fitted:
+        """Fit one hypothesis by secants, begun anew every few iterations: past the steps of a rough cost, and in few runs."""
+        best = self.fit(h, iterations=ANEW, secant=True, slow=slow)
+        for _ in range(ANEWS):
+            now = self.fit(h, best.fit.x, iterations=ANEW, secant=True, slow=slow)
+            best, last = (now if now.chi2 < best.chi2 else best), best
+            if not best.ok or best.chi2 > last.chi2 * (1.0 - LEVELS_OFF):
+                break
+        return best
+
     def length(self, h: Hypothesis, x: np.ndarray) -> float:
         """How long a run of a hypothesis takes, over one of the nominal model with friction, as far as that is known beforehand.
 
@@ -397,7 +390,7 @@ class Fitter:
         # one that leaves much of both need not be known to the last digit
         much = FAR * sum(int(np.sum(self.counted(e))) for e in everything) if self.noise_known else math.inf
         h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
-        joint = wider.fit(h, iterations=15, rival=True, slow=(much, SLOWLY))
+        joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, SLOWLY))
         if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not self.spent:
             # a free run that strikes or sticks goes astray on a recording that the parameters were not fitted to
             again = wider.unfolded(joint, fitted.linear)
@@ -447,20 +440,26 @@ class Fitter:
         """The same structure fitted to a model that the measured velocity leads, by its own inertia times ``rate`` [1/s].
 
         ``spread``: begun also from so many points drawn about it by its covariance, ever wider; the best ``keep`` go on. None
-        where a lag of the sensor leaves no room for so high a rate.
+        where a lag of the sensor leaves no room for so high a rate. Known without a spread, it is not fitted again.
         """
         if not isinstance(self.view, MotionView) or rate > most_led(fitted.axis):
             return None
+        asked = (rate, iterations, fitted.key, fitted.chi2, self.guide, self.whitening.tobytes())
+        if not spread and asked in self._led:
+            return self._led[asked]
         part = self.leading(rate)
         h, x = fitted.hypothesis, fitted.fit.x
-        starts = [x, *_drawn(fitted, np.geomspace(1.0, 30.0, spread), seed)]
+        starts = [x, *fitted.drawn(np.geomspace(1.0, 30.0, spread), seed)]
         answers = self.run([partial(part.residual(h), s) for s in starts])
         costs = [math.inf if r is None else float(r @ r) for r in answers]
         order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
         chosen = order if 0 in order else [*order[:-1], 0]
         fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
         self.took(part.work)
-        return min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+        best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+        if not spread:
+            self._led[asked] = best
+        return best
 
     def foretold(self, fitted: Fitted, count: int = 6, seed: int = 0) -> list[np.ndarray] | None:
         """Which held-out samples (N,), for each recording, a model foretells in spite of what it does not know of its parameters.
@@ -473,7 +472,7 @@ class Fitter:
         h = fitted.hypothesis
         if not fitted.rough:
             return None
-        models = [h.axis(x, 0) for x in _drawn(fitted, np.ones(count), seed)]
+        models = [h.axis(x, 0) for x in fitted.drawn(np.ones(count), seed)]
         out = []
         for experiment in self.held_out:
             solved = self.own_values(h, fitted, experiment)
@@ -568,11 +567,11 @@ class Fitter:
         for turn in range(SHAKES):
             if self.spent:
                 break
-            points = _drawn(fitted, np.geomspace(0.3, 30.0, 24), turn)
+            points = fitted.drawn(np.geomspace(0.3, 30.0, 24), turn)
             answers = self.run([partial(self.residual(fitted.hypothesis), x) for x in points])
             costs = [math.inf if r is None else float(r @ r) for r in answers]
             chosen = sorted(range(len(points)), key=lambda i: costs[i])[:2]
-            begin = partial(self.fit, fitted.hypothesis, iterations=6, tolerance=1e-4)
+            begin = partial(self.fit, fitted.hypothesis, iterations=6, tolerance=1e-4, secant=True)
             fits = self.map([partial(begin, points[i]) for i in chosen if costs[i] < 2.0 * fitted.chi2])
             best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=fitted)
             idle = 0 if best.chi2 < fitted.chi2 - 1.0 else idle + 1
@@ -589,7 +588,7 @@ class Fitter:
         """
         effects, own = fitted.effects, fitted.own
         for share in UNFOLD:
-            part = self._beside(tuple(_first(e, share) for e in self.experiments), self.experiments, self.view)
+            part = self._beside(tuple(e.first(share) for e in self.experiments), self.experiments, self.view)
             found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)
             self.took(part.work)
             if not found.ok or self.spent:

@@ -74,7 +74,6 @@ class Judge:
     _encoder: dict[tuple[object, ...], bool] = field(default_factory=dict, init=False)
     _in_blocks: dict[tuple[object, ...], Comparison] = field(default_factory=dict, init=False)
     _leads: dict[tuple[Key, float, Key, float], float] = field(default_factory=dict, init=False)
-    _led_fits: dict[tuple[object, ...], Fitted | None] = field(default_factory=dict, init=False)
     _samples: dict[tuple[object, ...], list[np.ndarray] | None] = field(default_factory=dict, init=False)
     _least: dict[tuple[str, ...], float] = field(default_factory=dict, init=False)  # whatever has left the pool
     _shaken: set[tuple[object, ...]] = field(default_factory=set, init=False)
@@ -391,19 +390,10 @@ class Judge:
                 self._leads[asked] = self.gain(min(poorer, key=lambda f: f.chi2), richer)
         return self._leads[asked] < max(self.options.entry, FAIR * gain)
 
-    def _led(self, f: Fitted, rate: float) -> Fitted | None:
-        """A structure fitted to a model that is led at a rate [1/s], computed once; None where it cannot be led.
-
-        Led closely, what the motion was is nearly given, and the error is that of the torques: it has hardly any minima but one.
-        """
-        asked = (rate, f.key, f.chi2, self.fitter.guide, self.fitter.whitening.tobytes())
-        if asked not in self._led_fits:
-            self._led_fits[asked] = self.fitter.led(f, rate, 20)
-        return self._led_fits[asked]
-
     def lacks_more(self, f: Fitted) -> bool:
         """Whether a structure lacks something else than the moments at which bodies stick, or a turn of an oscillation."""
-        led = self._led(f, self._closely(f)) if self.fitter.noise_known else None
+        # led closely, what the motion was is nearly given, and the error is that of the torques: it has hardly any minima but one
+        led = self.fitter.led(f, self._closely(f), 20) if self.fitter.noise_known else None
         return led is not None and led.chi2 > LACKS * led.n
 
     def lacks_law(self, f: Fitted) -> bool:
@@ -414,7 +404,7 @@ class Judge:
         f = self.pool.get(f.key, f)
         if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
             return False
-        led = self._led(f, LEAD)
+        led = self.fitter.led(f, LEAD, 20)
         return led is not None and led.chi2 - led.n > STAYS * (f.chi2 - f.n)
 
     def sticks(self, f: Fitted) -> bool:
@@ -432,7 +422,7 @@ class Judge:
         if not self.fitter.noise_known:
             return False
         rate = self._closely(f, current)
-        mine, best = self.fitter.map([partial(self._led, g, rate) for g in (f, current)])
+        mine, best = self.fitter.map([partial(self.fitter.led, g, rate, 20) for g in (f, current)])
         return mine is not None and best is not None and self.gain(mine, best) > self.options.entry
 
     def _encoder_errs(self, before: Fitted, after: Fitted) -> bool:

@@ -314,3 +314,22 @@ def test_what_is_behind_is_shaken_where_a_run_of_it_is_short(robot, fitter, monk
     search.pool = {f.key: f for f in (first, second)}
     search._land([second, first], dataclasses.replace(first, hypothesis=fitter.hypothesis(())))
     assert shaken == [sticks.key], "the first leaves noise alone"
+
+
+def test_a_structure_is_led_once_from_where_it_is(fitter):
+    f = fitter.fit(fitter.hypothesis([effect_class("static_friction")(**STICTION)]), iterations=2)
+    led, before = fitter.led(f, 300.0, 3), fitter.work
+    assert fitter.led(f, 300.0, 3) is led
+    assert fitter.work == before
+    assert fitter.led(f, 100.0, 3) is not led
+    assert fitter.work > before
+
+
+def test_secants_bring_a_rough_cost_as_low_in_fewer_runs(fitter):
+    h = fitter.hypothesis([effect_class("static_friction")(torque_Nm=0.06, peak=4.0)])
+    spent = fitter.work
+    plain = fitter.fit(h, iterations=15)
+    spent, middle = fitter.work - spent, fitter.work
+    quick = fitter.by_secants(h, slow=(np.inf, 0.0))
+    assert quick.chi2 < 1.1 * plain.chi2
+    assert fitter.work - middle < 0.7 * spent

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -51,3 +53,14 @@ def test_a_gap_is_found_that_plain_fits_miss(screw):
     assert best.effects[0].gap_rad == pytest.approx(GAP, rel=0.05)
     assert best.linear["kg"] == pytest.approx(stiffness, rel=0.03)
     fitter.close()
+
+
+def test_a_stretch_of_an_experiment_is_corrected_as_it_was(screw):
+    _, recording, _ = screw
+    correction = np.linspace(0.0, 1.0, N)
+    whole = dataclasses.replace(prepare(recording), correction=correction)
+    part = whole.first(0.25)
+    assert len(part.recording) == len(part.counts) == len(part.correction) == N // 4
+    assert np.array_equal(part.correction, correction[: N // 4])
+    measured = MotionView().signals(screw[0], part, None).measured
+    assert np.allclose(measured, recording.velocity[: N // 4] + part.correction)
