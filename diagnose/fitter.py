@@ -300,9 +300,9 @@ class Fitter:
         self.took(work)
         return Fitted(h, fit, n)
 
-    def by_secants(self, h: Hypothesis, *, slow: tuple[float, float]) -> Fitted:
+    def by_secants(self, h: Hypothesis, x0: np.ndarray | None = None, *, slow: tuple[float, float] = (math.inf, 0.0)) -> Fitted:
         """Fit one hypothesis by secants, begun anew every few iterations: past the steps of a rough cost, and in few runs."""
-        best = self.fit(h, iterations=ANEW, secant=True, slow=slow)
+        best = self.fit(h, x0, iterations=ANEW, secant=True, slow=slow)
         for _ in range(ANEWS):
             now = self.fit(h, best.fit.x, iterations=ANEW, secant=True, slow=slow)
             best, last = (now if now.chi2 < best.chi2 else best), best
@@ -435,7 +435,15 @@ class Fitter:
         return self._beside(self.experiments, self.experiments, view, held_out)
 
     def led(
-        self, fitted: Fitted, rate: float, iterations: int = 10, *, spread: int = 0, keep: int = 1, seed: int = 0
+        self,
+        fitted: Fitted,
+        rate: float,
+        iterations: int = 10,
+        *,
+        spread: int = 0,
+        keep: int = 1,
+        seed: int = 0,
+        secant: bool = False,
     ) -> Fitted | None:
         """The same structure fitted to a model that the measured velocity leads, by its own inertia times ``rate`` [1/s].
 
@@ -444,7 +452,7 @@ class Fitter:
         """
         if not isinstance(self.view, MotionView) or rate > most_led(fitted.axis):
             return None
-        asked = (rate, iterations, fitted.key, fitted.chi2, self.guide, self.whitening.tobytes())
+        asked = (rate, iterations, secant, fitted.key, fitted.chi2, self.guide, self.whitening.tobytes())
         if not spread and asked in self._led:
             return self._led[asked]
         part = self.leading(rate)
@@ -454,7 +462,8 @@ class Fitter:
         costs = [math.inf if r is None else float(r @ r) for r in answers]
         order = sorted(range(len(starts)), key=lambda i: costs[i])[:keep]
         chosen = order if 0 in order else [*order[:-1], 0]
-        fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4) for i in chosen])
+        secant |= spread > 0
+        fits = self.map([partial(part.fit, h, starts[i], iterations=iterations, tolerance=1e-4, secant=secant) for i in chosen])
         self.took(part.work)
         best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
         if not spread:
@@ -551,11 +560,11 @@ class Fitter:
         """The same structure fitted to a led model, and on in few steps to a free run; None where it lacks something else."""
         now = fitted
         for k, rate in enumerate(r for r in LANDING if r <= most_led(fitted.axis)):
-            found = self.led(now, rate, 20)
+            found = self.led(now, rate, 20, secant=k > 0)  # from one rate to the next the sensitivities hardly change
             if found is None or self.spent or (not k and found.chi2 > WRONG * found.n):
                 return None
             now = found
-        return self.fit(now.hypothesis, now.fit.x, iterations=20)
+        return self.by_secants(now.hypothesis, now.fit.x)
 
     def shaken(self, fitted: Fitted) -> Fitted:
         """The same structure from points drawn about its fit, as long as one of them leads to a lower minimum.

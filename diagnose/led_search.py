@@ -19,7 +19,7 @@ __all__ = ["among_led"]
 
 ROUNDS = 2  # effects that are sought
 LITTLE = 0.7  # of the chi-square of a round before: a round that leaves more leads nowhere
-PART = 0.65  # of what the diagnosis may still take
+PART = 0.5  # of what the diagnosis may still take
 WIDTH = 6  # rivals of a round
 NEAR = 10.0 * LACKS  # times the noise variance below which an effect is refined
 ALIKE, MOST = 2.0, 3  # times the least chi-square of a led structure up to which others are let go as well, and how many

@@ -47,9 +47,9 @@ def begun_anew(fitter: Fitter, f: Fitted, chosen: Sequence[Effect]) -> Fitted:
             starts += [fitter.hypothesis(again, linear, own) for linear in (f.linear, None)]
     costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
     order = sorted(range(len(starts)), key=lambda i: costs[i])[:AGAIN]
-    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, rival=True) for i in order])
+    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, secant=True, rival=True) for i in order])
     best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=f)
-    return fitter.fit(best.hypothesis, best.fit.x, iterations=12) if best.chi2 < f.chi2 else f
+    return fitter.by_secants(best.hypothesis, best.fit.x) if best.chi2 < f.chi2 else f
 
 
 @dataclass

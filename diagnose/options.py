@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 __all__ = ["RUNS", "Options"]
 
-RUNS = 18_000  # simulations of all recordings that a diagnosis may take: about 25 s for 10 s at 2 kHz on two cores
+RUNS = 16_000  # simulations of all recordings that a diagnosis may take: some 20 s for 10 s at 2 kHz on two cores
 
 
 @dataclass(frozen=True)

@@ -286,7 +286,10 @@ class Search(Minima):
             further = partial(self.fitter.fit, iterations=iterations, rival=True)
             # its sensitivities where it is, if they are not those that secants brought up to date
             known = [f if ground.every > 1 and keep == FIRST and not f.rough else None for f in running]
-            longer = [partial(self._done, partial(further, running[k].hypothesis, running[k].fit.x, borrow=known[k])) for k in on]
+            longer = [
+                partial(self._done, partial(further, f.hypothesis, f.fit.x, borrow=known[k], secant=self._slow(f)))
+                for k in on for f in (running[k],)
+            ]  # fmt: skip
             lengths = self.fitter.lengths([running[k] for k in on])
             for rank, f in zip(on, self.fitter.map(longer, lengths), strict=True):
                 running[rank] = f
@@ -539,8 +542,9 @@ class Search(Minima):
                 return best
             self._unfold([least])
         else:
-            led_by, self.led_by = self.led_by, None
+            (led_by, self.led_by), spent = (self.led_by, None), self.fitter.runs
             led_by()
+            self._runs += (self.fitter.runs - spent) // 2  # at half the cost: what it has found is refined as well
         return self._best(current)
 
     def _larger(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
