@@ -119,7 +119,8 @@ class Search(Minima):
         folds = [s for s in ranked if visible and effect_class(s.candidate.id).multistart > 1 and s not in tried]
         tried += [s for s in folds if replaced(base, s.candidate) is not None]
         grown = self._race(base, [(base.effects, s) for s in tried], floor)
-        if not visible or not tried or tried[0] is not ranked[0] or self._spent():
+        # led, a model has hardly any minima but one, and its parameters are not led away
+        if not visible or not self.options.free or not tried or tried[0] is not ranked[0] or self._spent():
             return grown
         short = self._short_of_promise(base, tried[0])
         return grown if short is None else [short, *(f for f in grown if f.key != short.key)]

@@ -78,6 +78,16 @@ def test_what_sticks_is_asked_what_it_lacks_though_it_comes_near_only_as_another
     assert asked[2] == "swap"
 
 
+def test_led_models_are_not_begun_at_the_nominal_parameters_again(search, monkeypatch):
+    """They have hardly any minima but one: what is short of its promise is so from there as well, and costs half a search."""
+    asked = []
+    monkeypatch.setattr(Search, "_short_of_promise", lambda self, base, s: asked.append(self.options.free))
+    search.expand(search.nominal())
+    among_led(search)
+    assert True in asked
+    assert False not in asked
+
+
 def test_no_structure_is_made_up_where_led_models_lack_what_none_has(search):
     """Of effects that cannot explain it none is fitted to a free run."""
     search.candidates = tuple(c for c in search.candidates if c.id == "hysteresis")
