@@ -287,11 +287,11 @@ class Search(Minima):
             further = partial(self.fitter.fit, iterations=iterations, rival=True)
             # its sensitivities where it is, if they are not those that secants brought up to date
             known = [f if ground.every > 1 and keep == FIRST and not f.rough else None for f in running]
+            ahead = [(running[k], known[k]) for k in on]
             longer = [
-                partial(self._done, partial(further, f.hypothesis, f.fit.x, borrow=known[k], secant=self._slow(f)))
-                for k in on for f in (running[k],)
-            ]  # fmt: skip
-            lengths = self.fitter.lengths([running[k] for k in on])
+                partial(self._done, partial(further, f.hypothesis, f.fit.x, borrow=b, secant=self._slow(f))) for f, b in ahead
+            ]
+            lengths = self.fitter.lengths([f for f, _ in ahead])
             for rank, f in zip(on, self.fitter.map(longer, lengths), strict=True):
                 running[rank] = f
         running[:1] = [self._smoothed(f) for f in running[:1]]
