@@ -34,7 +34,7 @@ from diagnose.view import MotionView
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.recording import Recording
-from simgap.benchmark.arms.sysid import Parameter, Problem
+from simgap.benchmark.arms.sysid import ARM, Parameter, Problem
 from simgap.benchmark.experiment import chirp, multisine
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.measurement import Measurement
@@ -130,6 +130,8 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
+    if lacks := ARM.lacks():
+        parser.error(f"mujoco.sysid needs {', '.join(lacks)}, which are not installed: pip install -e '.[bench]'")
     results = []
     for coulomb, viscous in ((0.1, 0.045), (0.03, 0.03)):
         r = compare(coulomb, viscous, arguments.repeat)
