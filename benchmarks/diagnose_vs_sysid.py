@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     if lacks := ARM.lacks():
-        parser.error(f"mujoco.sysid needs {', '.join(lacks)}, which are not installed: pip install -e '.[bench]'")
+        parser.error(f"mujoco.sysid lacks {', '.join(lacks)}: pip install -e '.[bench]'")
     results = []
     for coulomb, viscous in ((0.1, 0.045), (0.03, 0.03)):
         r = compare(coulomb, viscous, arguments.repeat)
