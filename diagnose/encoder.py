@@ -98,8 +98,8 @@ def _beside(fitter: Fitter, fitted: Fitted) -> float | None:
 
 
 def whole_orders(angle: np.ndarray) -> list[float]:
-    """Whole orders of an encoder's turn that show in an angle (N,): of less than one and a half periods nothing tells."""
-    return [float(n) for n in range(1, 9) if n * float(np.ptp(angle)) > 3 * np.pi]
+    """Whole orders of an encoder's turn that show in an angle (N,): of less than one period nothing tells."""
+    return [float(n) for n in range(1, 9) if n * float(np.ptp(angle)) > 2 * np.pi]
 
 
 def _shown(fitter: Fitter, fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]] | None:
