@@ -197,17 +197,18 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
             return search, best, False
         best = settled
     for turn in range(MOST_FILTERS):
-        if fitter.spent:  # a search that could not look would find nothing
+        spent = fitter.spent
+        if spent and (turn or not best.effects):  # a search that could not look would find nothing
             break
         filter_, earned = _whitening(fitter, search, best)
-        if alike(filter_, fitter.whitening / fitter.whitening[0]):
+        if alike(filter_, fitter.whitening / fitter.whitening[0]) or (spent and earned):
             break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         filter_before, fitter.whitening = fitter.whitening, _scaled(fitter, best, filter_)
         before, found = search, best
         search, best = _search(fitter, options, progress, began, known=best if turn or earned else None)
         search.tested += before.tested
-        if fitter.spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
+        if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
             fitter.whitening = filter_before
             return before, found, len(filter_before) > 1
     return (*_less_coloured(fitter, options, progress, began, search, best), len(fitter.whitening) > 1)

@@ -154,14 +154,23 @@ def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material
     return autoregression(total, order)[0]
 
 
-def offset_share(fitter: Fitter, fitted: Fitted) -> float:
-    """Largest share of a residual's mean square, over the experiments, that its mean has."""
+def offset_share(fitter: Fitter, fitted: Fitted, blocks: int = 20, sure: float = 1e-4) -> float:
+    """Largest share of a residual's mean square, over the experiments, that its mean has; of means that stand out only.
+
+    The mean of coloured noise strays from nought as well: by the means of ``blocks`` of it, each long beside its memory, it must
+    be no chance (two-sided Student's t at ``sure``).
+    """
+    from scipy.special import stdtr
+
     shares = [0.0]
     for i, experiment in enumerate(fitter.experiments):
         e = fitter.error_of(fitted, i)
         if e is not None:
             e = e[fitter.counted(experiment)]
-            shares.append(float(np.mean(e) ** 2 / max(np.mean(e**2), 1e-300)))
+            means = np.array([float(np.mean(part)) for part in np.array_split(e, blocks)])
+            t = abs(float(np.mean(means))) / (float(np.std(means, ddof=1)) / np.sqrt(blocks) + 1e-300)
+            if 2.0 * float(stdtr(blocks - 1, -t)) < sure:
+                shares.append(float(np.mean(e) ** 2 / max(np.mean(e**2), 1e-300)))
     return max(shares)
 
 

@@ -21,7 +21,7 @@ from diagnose.structure import motion_error, remaining_structure
 from diagnose.view import MotionView
 from diagnose.whiten import settle
 from mjsim.recording import load
-from simgap.benchmark.experiment import speed_multisine
+from simgap.benchmark.experiment import speed_multisine, trapezoid
 from simgap.benchmark.laws import Laws
 from simgap.benchmark.measurement import Measurement
 from simgap.benchmark.plant import record as record_plant
@@ -204,3 +204,39 @@ def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkey
     assert found is (both if spent else one)
     assert whitened is not spent
     assert len(fitter.whitening) == (1 if spent else 2)
+
+
+def test_the_mean_of_coloured_noise_is_not_sought_as_an_offset(robot, tmp_path, monkeypatch):
+    """A null in a loop with noise of a long memory had a residual with a mean, was searched on plain errors, and got a delay."""
+    rng, measurement = np.random.default_rng(4), Measurement(velocity_noise=0.068, poles=(0.985,))
+    for k, (speed, kp, ki) in enumerate([(25.3, 0.0958, 0.2726), (27.0, 0.0479, 0.105)]):
+        motion = record_plant(Laws(), trapezoid(10.0, speed, kp, ki, True, rng), measurement, rng)
+        write_motion(tmp_path / f"{k}.csv", motion)
+    first, other = (load(tmp_path / f"{k}.csv") for k in range(2))
+    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
+    plain = fitter.error_of(fitter.fit(fitter.hypothesis(())), 0)
+    assert np.mean(plain) ** 2 > passes.OFFSET * np.mean(plain**2), "else there is nothing to show"
+    searched_by = []
+    monkeypatch.setattr(passes.Search, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
+    _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
+    assert whitened
+    assert 1 not in searched_by, "nothing is sought on plain errors"
+    assert not best.effects
+    fitter.close()
+
+
+@pytest.mark.parametrize("earned", [True, False])
+def test_what_is_found_with_the_last_simulation_must_earn_its_filter(search_of, pair, monkeypatch, earned):
+    """A delay that took coloured noise for response was named, since no simulation was left for the search on whitened errors."""
+    search = search_of(*pair(effect("coulomb_friction", torque_Nm=0.3)))
+    fitter = search.fitter
+    one = fitter.fit(fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.3),)))
+    none = fitter.fit(fitter.hypothesis(()))
+    answers = [one, none]
+    fitter.most_runs = 0
+    assert fitter.spent
+    monkeypatch.setattr(passes, "_search", lambda *asked, **known: (search, answers.pop(0)))
+    monkeypatch.setattr(passes, "_whitening", lambda *asked: (np.array([1.0, -0.5]), earned))
+    _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
+    assert found is (one if earned else none)
+    assert whitened is not earned

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,6 +22,7 @@ from diagnose.whiten import (
     lagged_products,
     levinson,
     noise_rms,
+    offset_share,
     settle,
     whitening_filter,
 )
@@ -118,3 +121,20 @@ def test_a_filter_is_not_settled_before_the_fit_behind_it_is(record, robot, monk
     assert len(few) > 2
     assert settled.fit.status is Status.CONVERGED or len(few) == 8
     np.testing.assert_allclose(filter_[1], -0.85, atol=0.03)
+
+
+def test_the_mean_of_coloured_noise_is_no_offset():
+    """One per cent of the mean square and more lies in the mean of noise whose memory is a hundred samples."""
+    rng = np.random.default_rng(3)
+    all_count = np.ones(20000, bool)
+    left = SimpleNamespace(experiments=(None,), counted=lambda _: all_count, error_of=lambda fitted, _: fitted)
+    shares, told, offsets = [], [], []
+    for _ in range(100):
+        e = lfilter([1.0], [1.0, -0.99], rng.standard_normal(22000))[2000:]
+        e /= np.sqrt(np.mean(e**2))
+        shares.append(np.mean(e) ** 2 / np.mean(e**2))
+        told.append(offset_share(left, e))
+        offsets.append(offset_share(left, e + 0.8))
+    assert np.mean(np.array(shares) > 0.01) > 0.2, "else there is nothing to show"
+    assert np.mean(np.array(told) > 0) <= 0.01
+    assert np.mean(np.array(offsets) > 0.2) > 0.95
