@@ -97,6 +97,21 @@ def test_a_clipped_velocity_is_refused(record):
         prepare(dataclasses.replace(r, velocity=np.clip(r.velocity, -top, top)))
 
 
+def test_a_coarse_velocity_that_is_held_is_not_taken_for_clipped():
+    """A held speed is one step of a coarse sensor, its greatest one for 6 % of the time; clipped to it, it is refused."""
+    t = np.arange(20000) / 2000
+    speed = 17.0 * np.interp(t, [0, 0.5, 2.5, 3.5, 5.5, 6, 8, 8.5, 10], [0, 0.5, 0.5, -0.6, -0.6, 0.83, 0.83, 0.2, 0.2])
+    speed += 0.14 * np.random.default_rng(0).standard_normal(len(t))
+    coarse = np.round(speed / 1.48) * 1.48
+    recording = Recording(t, np.sin(7 * t), coarse, None, 5e-4, source="log.csv")
+    at_top = np.abs(coarse) == np.abs(coarse).max()
+    assert np.mean(at_top[1:] & (np.diff(coarse) == 0)) > 0.06, "else there is nothing to show"
+    assert prepare(recording).counts.all()
+    fine = np.round(np.clip(speed, -9.0, 9.0) / 0.01) * 0.01
+    with pytest.raises(InputError, match="stands at its limit 9 "):
+        prepare(dataclasses.replace(recording, velocity=fine))
+
+
 def dropped(recording, every=200, rows=8):
     """The recording as a logger shows it that holds a row for some rows, now and then."""
     last = np.arange(len(recording))
