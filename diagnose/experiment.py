@@ -11,6 +11,7 @@ import numpy as np
 from diagnose.noise import coloured_noise_level, white_noise_level
 from mjsim.errors import InputError
 from mjsim.recording import Recording
+from mjsim.signals import limits
 
 __all__ = [
     "Experiment",
@@ -130,20 +131,6 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
     return held & moves[np.cumsum(~held) - 1]
 
 
-def _clipped(v: np.ndarray) -> float:
-    """Share of a signal (N,) that stands still at its greatest size; 0 where it stands at others past half of that as well.
-
-    A coarse sensor shows one value while the speed is held, and the greatest of them is no limit.
-    """
-    size, still = np.abs(v[:-1]), np.diff(v) == 0
-    at_top = size >= np.max(np.abs(v)) * (1 - 1e-9)
-    below = ~at_top & (size > 0.5 * np.max(np.abs(v)))
-    usual = float(np.mean(still[below])) if below.any() else 0.0
-    if at_top.any() and np.mean(still[at_top]) <= 2.0 * usual:
-        return 0.0
-    return float(np.mean(still & at_top))
-
-
 def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:
     """Check a recording and make it an experiment; rows that were held and not measured do not count.
 
@@ -162,12 +149,12 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
             recording.source, f"the motion (rms {spread:.3g}) does not rise above its noise (rms {noise:.3g})",
             "a moving axis", "excite it with more torque",
         )  # fmt: skip
-    share = _clipped(v)
-    if share > CLIPPED:
-        raise InputError(
-            recording.source, f"velocity stands at its limit {np.max(np.abs(v)):.4g} for {100 * share:.0f} % of the time",
-            "an unclipped signal", "raise the sensor's range or lower the excitation",
-        )  # fmt: skip
+    for limit in limits(v):
+        if limit.share > CLIPPED:
+            raise InputError(
+                recording.source, f"velocity stands at its limit {limit.value:.4g} for {100 * limit.share:.0f} % of the time",
+                "an unclipped signal", "raise the sensor's range or lower the excitation",
+            )  # fmt: skip
     if recording.velocity is None and recording.angle is not None:  # what central differences make of the angle's noise
         q = recording.angle
         noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)

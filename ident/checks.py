@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ident.data import IOData
 from ident.structure import Structure
 from mjsim.errors import InputError
+from mjsim.signals import limits
 
 __all__ = [
     "check_clipping",
@@ -31,8 +32,6 @@ LINE_FLOOR = 1e-7
 """Power relative to the largest line's above which a bin counts as excited; the window's sidelobes lie below 1e-9."""
 BINS_PER_LINE = 7
 """Bins above the floor under one sine."""
-FEW_LEVELS = 12
-"""A channel of fewer distinct values is a switching or coarsely quantised signal."""
 HELD_SAMPLES = 10
 """Equal samples in a row from which on a channel that never repeats is said to be held."""
 
@@ -98,36 +97,26 @@ def _channels(data: IOData) -> tuple[tuple[NDArray, str], ...]:
 def check_clipping(data: IOData, *, channels: str = "uy") -> None:
     """Raise InputError when a channel sits at its own largest or smallest value for runs of samples, as a clipped one does.
 
-    A signal of few levels (a binary input, a coarse quantiser) is not clipped, nor is one that rests at zero, nor an input that
-    dwells on other levels as long.
+    What `mjsim.signals.limits` tells, but for an input that dwells on other levels as long.
     ``channels``: which of u and y to look at.
     """
     for (x, what), name in zip(_channels(data), "uy", strict=True):
+        if name not in channels:
+            continue
         span = float(np.ptp(x))
-        if name not in channels or span == 0.0 or np.unique(x[:4096]).size < FEW_LEVELS:
-            continue  # constant is told elsewhere
         inside = (x < x.max() - 1e-12 * span) & (x > x.min() + 1e-12 * span)
-        for limit in (float(x.max()), float(x.min())):
-            at = np.abs(x - limit) <= 1e-12 * span
-            runs = np.flatnonzero(at[:-1] & at[1:] & np.r_[at[2:], False])
-            share = float(np.mean(at))
-            entries = np.flatnonzero(~at[:-1] & at[1:])
-            if runs.size <= 3 or share <= 0.005 or limit == 0.0 or entries.size == 0:
-                continue
-            if name == "u" and _longest_run(x, inside) >= share * x.size / (entries.size + 1):
+        for limit in limits(x):
+            if name == "u" and _longest_run(x, inside) >= limit.share * x.size / (limit.visits + 1):
                 continue  # it dwells on other levels as long: a staircase
-            # a quantised signal dwells on its top step too, but gets there by one step; a clipped one arrives at speed
-            step = float(np.min(np.diff(np.unique(x))))
-            if float(np.median(np.abs(x[entries + 1] - x[entries]))) > 1.5 * step:
-                raise InputError(
-                    data.source,
-                    f"{what} sits at its limit {limit:.6g} in {100 * share:.1f} % of the samples, "
-                    f"first at sample {runs[0] + 1} (clipped)",
-                    "a signal within its range",
-                    "record with less amplitude or a wider range"
-                    if name == "y"
-                    else "log what was applied after the limit; if this is it, say so (--clipping accept)",
-                )
+            raise InputError(
+                data.source,
+                f"{what} sits at its limit {limit.value:.6g} in {100 * limit.share:.1f} % of the samples, "
+                f"first at sample {limit.first + 1} (clipped)",
+                "a signal within its range",
+                "record with less amplitude or a wider range"
+                if name == "y"
+                else "log what was applied after the limit; if this is it, say so (--clipping accept)",
+            )
 
 
 def _longest_run(x: NDArray, where: NDArray) -> int:

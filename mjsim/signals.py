@@ -1,15 +1,19 @@
-"""Sampled signals: rational filters as compiled recursions, and power densities.
+"""Sampled signals: rational filters as compiled recursions, power densities, limits that they are clipped at.
 
 `scipy.signal` has them too, and takes longer to load than a short diagnosis to search (docs/decisions/dependencies.md).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["coherence", "filter_into", "freqz", "lfilter", "transforms", "weigh_into", "welch"]
+__all__ = ["Limit", "coherence", "filter_into", "freqz", "lfilter", "limits", "transforms", "weigh_into", "welch"]
+
+FEW_LEVELS = 12  # of a signal that is binary or coarsely quantised
 
 
 @njit(cache=True, nogil=True)
@@ -117,3 +121,36 @@ def coherence(u: ArrayLike, y: ArrayLike, length: int) -> NDArray:
     cross = np.mean(np.conj(U) * Y, axis=0)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(cross) ** 2 / (np.mean(np.abs(U) ** 2, axis=0) * np.mean(np.abs(Y) ** 2, axis=0)))
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A value that a signal is clipped at: share of its samples there, first of those that stay, how often it comes there."""
+
+    value: float
+    share: float
+    first: int
+    visits: int
+
+
+def limits(x: np.ndarray) -> list[Limit]:
+    """Where a signal (N,) stays at its own largest or smallest value for runs of samples, as a clipped one does.
+
+    A signal of few levels (binary, coarsely quantised) is not clipped, nor is one that rests at zero. One that is quantised
+    dwells on its top step too, but gets there by one step; a clipped one arrives at speed.
+    """
+    span = float(np.ptp(x))
+    if span == 0.0 or np.unique(x[:4096]).size < FEW_LEVELS:
+        return []
+    found = []
+    for value in (float(x.max()), float(x.min())):
+        at = np.abs(x - value) <= 1e-12 * span
+        runs = np.flatnonzero(at[:-1] & at[1:] & np.r_[at[2:], False])
+        share = float(np.mean(at))
+        entries = np.flatnonzero(~at[:-1] & at[1:])
+        if runs.size <= 3 or share <= 0.005 or value == 0.0 or entries.size == 0:
+            continue
+        step = float(np.min(np.diff(np.unique(x))))
+        if float(np.median(np.abs(x[entries + 1] - x[entries]))) > 1.5 * step:
+            found.append(Limit(value, share, int(runs[0]), int(entries.size)))
+    return found

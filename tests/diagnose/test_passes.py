@@ -152,13 +152,8 @@ def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
     assert not result.findings
 
 
-def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot, fed_back, monkeypatch):
-    """A null whose plain fit missed motion by eleven times the noise was searched on plain errors until the budget was spent."""
-    first, other = fed_back
-    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
-    pooled = fitter.pooled
-    monkeypatch.setattr(fitter, "pooled", lambda f: dataclasses.replace(pooled(f), n=-1))
-    monkeypatch.setattr(passes, "motion_error", lambda _, f, **on: 0.0 if f.n == -1 else 11.0)
+def is_sought_on_whitened_errors_only(fitter, monkeypatch):
+    """Search by a fitter, and find nothing."""
     searched_by = []
     monkeypatch.setattr(passes.Search, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
     _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
@@ -166,6 +161,16 @@ def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot
     assert 1 not in searched_by, "nothing is sought on plain errors"
     assert not best.effects
     fitter.close()
+
+
+def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot, fed_back, monkeypatch):
+    """A null whose plain fit missed motion by eleven times the noise was searched on plain errors until the budget was spent."""
+    first, other = fed_back
+    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
+    pooled = fitter.pooled
+    monkeypatch.setattr(fitter, "pooled", lambda f: dataclasses.replace(pooled(f), n=-1))
+    monkeypatch.setattr(passes, "motion_error", lambda _, f, **on: 0.0 if f.n == -1 else 11.0)
+    is_sought_on_whitened_errors_only(fitter, monkeypatch)
 
 
 def test_what_a_filter_leaves_open_all_recordings_may_settle(robot, looped):
@@ -207,7 +212,7 @@ def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkey
 
 
 def test_the_mean_of_coloured_noise_is_not_sought_as_an_offset(robot, tmp_path, monkeypatch):
-    """A null in a loop with noise of a long memory had a residual with a mean, was searched on plain errors, and got a delay."""
+    """A null in a loop with noise of a long memory had a residual with a mean, and was searched on plain errors."""
     rng, measurement = np.random.default_rng(4), Measurement(velocity_noise=0.068, poles=(0.985,))
     for k, (speed, kp, ki) in enumerate([(25.3, 0.0958, 0.2726), (27.0, 0.0479, 0.105)]):
         motion = record_plant(Laws(), trapezoid(10.0, speed, kp, ki, True, rng), measurement, rng)
@@ -216,13 +221,7 @@ def test_the_mean_of_coloured_noise_is_not_sought_as_an_offset(robot, tmp_path, 
     fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
     plain = fitter.error_of(fitter.fit(fitter.hypothesis(())), 0)
     assert np.mean(plain) ** 2 > passes.OFFSET * np.mean(plain**2), "else there is nothing to show"
-    searched_by = []
-    monkeypatch.setattr(passes.Search, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
-    _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
-    assert whitened
-    assert 1 not in searched_by, "nothing is sought on plain errors"
-    assert not best.effects
-    fitter.close()
+    is_sought_on_whitened_errors_only(fitter, monkeypatch)
 
 
 @pytest.mark.parametrize("earned", [True, False])
