@@ -7,7 +7,8 @@ of rows at a time, so that the N x n matrix never exists.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from mjsim.compiled import compiled
 
 __all__ = ["factor_lags", "is_stable", "least_squares", "solve_upper"]
 
@@ -15,7 +16,7 @@ BLOCK = 512
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def is_stable(poly, margin):
     """Whether all roots of the monic polynomial lie within radius 1 - margin (Schur-Cohn step-down test)."""
     n = poly.size - 1
@@ -37,7 +38,7 @@ def is_stable(poly, margin):
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def _fold(r, block, rows):
     """Householder update: r (p, p) upper becomes the factor of [r; block.T]; ``block`` (p, rows) is overwritten."""
     p = r.shape[0]
@@ -64,7 +65,7 @@ def _fold(r, block, rows):
                 z[t] -= d * x[t]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def factor_lags(signals, sign, first_lag, n_lags, target, start):
     """Triangular factor R (p+1, p+1) of the regression matrix [lagged signals, target], rows start .. N-1.
 
@@ -94,7 +95,7 @@ def factor_lags(signals, sign, first_lag, n_lags, target, start):
     return r
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def solve_upper(r, n, rhs, out):
     """Back substitution ``r[:n, :n] out = rhs``; a vanishing pivot gives a zero."""
     top = 0.0
@@ -107,7 +108,7 @@ def solve_upper(r, n, rhs, out):
         out[i] = s / r[i, i] if abs(r[i, i]) > 1e-14 * top else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def least_squares(r):
     """Coefficients and residual sum of squares of the regression behind a factor of ``factor_lags``."""
     p = r.shape[0] - 1

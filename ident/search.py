@@ -15,9 +15,9 @@ with delta the unit pulse at the first sample; I and K carry the initial conditi
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from ident.kernel import _fold, factor_lags, is_stable, solve_upper
+from mjsim.compiled import compiled
 from mjsim.signals import filter_into
 
 __all__ = ["MARGIN", "factor", "residual", "search"]
@@ -30,7 +30,7 @@ CURB = 1e-6
 """Moving an unconstrained coordinate of C or F by one is worth at least this relative loss: coordinates at the limit stay put."""
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _polynomials(theta, n):
     """A, B, C, D, F, I, K out of theta."""
     pos = 0
@@ -54,7 +54,7 @@ def _polynomials(theta, n):
     return a, b, c, d, f, i, k
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _add_free_response(coefficients, den, out):
     """out += (coefficients delta) / den, cut off once it has decayed."""
     m = coefficients.size
@@ -77,7 +77,7 @@ def _add_free_response(coefficients, den, out):
             break
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def residual(theta, n, nk, u, y, w, v, e, radius):
     """Fill w, v, e and return the sum of squares of e, or infinity when C or F is not stable."""
     a, b, c, d, f, i, k = _polynomials(theta, n)
@@ -97,7 +97,7 @@ def residual(theta, n, nk, u, y, w, v, e, radius):
     return s if np.isfinite(s) else np.inf
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def factor(theta, n, nk, u, y, w, v, e, signals, pulse):
     """Triangular factor (p+1, p+1) of [de/dtheta, e] at theta, whose w, v, e are given."""
     _, _, c, d, f, _, _ = _polynomials(theta, n)
@@ -124,7 +124,7 @@ def factor(theta, n, nk, u, y, w, v, e, signals, pulse):
     return factor_lags(signals, sign, first, n, e, 0)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _reduced(r, free):
     """The factor with only the columns of the free parameters (and e) kept."""
     p = r.shape[0] - 1
@@ -145,7 +145,7 @@ def _reduced(r, free):
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def to_reflection(poly, radius):
     """Unconstrained coordinates x, shape (order,), of a monic polynomial with its roots within ``radius``.
 
@@ -168,7 +168,7 @@ def to_reflection(poly, radius):
     return x
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def from_reflection(x, radius):
     """Inverse of ``to_reflection`` (step-up), with the Jacobian of the coefficients 1 .. order, shape (order, order)."""
     n = x.size
@@ -195,7 +195,7 @@ def from_reflection(x, radius):
     return a, jac[1:]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _place(n, which):
     pos = 0
     for s in range(which):
@@ -203,7 +203,7 @@ def _place(n, which):
     return pos
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def encode(theta, n, free, mapped, radius):
     """Coordinates of the search: theta itself, or with C and F in their unconstrained coordinates if ``mapped``."""
     x = theta.copy()
@@ -217,7 +217,7 @@ def encode(theta, n, free, mapped, radius):
     return x
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def decode(x, n, free, mapped, radius):
     """Inverse of ``encode``."""
     theta = x.copy()
@@ -230,7 +230,7 @@ def decode(x, n, free, mapped, radius):
     return theta
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _in_coordinates(r, x, n, free, radius):
     """The factor with the columns of C and F replaced by those of their unconstrained coordinates."""
     out = r.copy()
@@ -251,7 +251,7 @@ def _in_coordinates(r, x, n, free, radius):
     return small
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def search(theta, n, nk, u, y, free, max_iterations, tolerance, mapped, radius):
     """Levenberg-Marquardt from theta over the parameters with free[j] != 0.
 

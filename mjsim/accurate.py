@@ -23,10 +23,11 @@ from typing import Any
 import mujoco
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
 from mjsim.axis import Axis
+from mjsim.compiled import compiled
 from mjsim.effects.law import N_LOCAL
 from mjsim.kernel import KIND_BODY, KIND_COUPLING, KIND_FRICTION, KIND_TWIST, _call, _dips
 from mjsim.mjcf.compile import caught_warnings
@@ -151,7 +152,7 @@ def _timestep(model: mujoco.MjModel) -> np.ndarray:
     return np.ctypeslib.as_array((ctypes.c_double * 1).from_address(model._address + _timestep_offset()))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque, z):  # pragma: no cover
     """What MuJoCo lacks at one state: torques (n) beside the native ones, change of mass (n), internal rates in slope rows 1, 2.
 
@@ -245,7 +246,7 @@ def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque
             applied[i] -= 0.5 * f[0, i] * z[9] * x[1, i] * x[1, i]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _mass(f, mode, extra, armature, m0):  # pragma: no cover
     """The mass matrix's diagonal: bodies at rest are held. MuJoCo takes dof_M0 for simple bodies, the armature for others."""
     for i in range(f.shape[1]):
@@ -253,7 +254,7 @@ def _mass(f, mode, extra, armature, m0):  # pragma: no cover
         m0[i] = f[0, i] + armature[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _switch(f, gap_law, nominal, mode, stiffness, damping, reference):  # pragma: no cover
     """The couplings' mode in the model: stiffness, damping and spring reference of their tendons."""
     for j in range(f.shape[1] - 1):
@@ -268,7 +269,7 @@ def _switch(f, gap_law, nominal, mode, stiffness, damping, reference):  # pragma
         reference[j, 1] = side * half
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _forward(
     mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, applied, armature, m0
 ):  # pragma: no cover
@@ -283,7 +284,7 @@ def _forward(
     _mj(mj[3], mj[0], mj[1])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _advance(
     mj, staged, f, gap_law, el, p, x, xn, h, t, u, lag, tau, n_s, mode, level, slope, torque, z, extra, wk,
     qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
@@ -350,7 +351,7 @@ def _advance(
         xn[2, i] = _flow(x[2, i], alpha, beta, h)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _flow(s, alpha, beta, h):  # pragma: no cover
     """Exact flow of s' = alpha - beta s over h."""
     e = beta * h
@@ -359,7 +360,7 @@ def _flow(s, alpha, beta, h):  # pragma: no cover
     return s * np.exp(-e) - alpha * np.expm1(-e) / beta
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _run(
     mj, staged, f, gap_law, gain, el, p, has_friction, nominal, u, dt, shift, split, before, tau, n_sub, x0, s0, t0, out,
     qpos, qvel, qacc, smooth, ctrl, applied, armature, m0, stiffness, damping, reference, timestep,
@@ -559,7 +560,7 @@ def _run(
     return 0, total
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _deflection(f, el, p, x, j, t, z):  # pragma: no cover
     """Deflection of a coupling, its kinematic error included."""
     d = f[2, j] * x[0, j] - x[0, j + 1]
@@ -571,7 +572,7 @@ def _deflection(f, el, p, x, j, t, z):  # pragma: no cover
     return d
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _margin(
     ev, mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, smooth, applied, armature, m0
 ):  # pragma: no cover
@@ -597,7 +598,7 @@ def _margin(
     return side * torque[j] if abs(mode[1, j]) == 1 else -side * torque[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _margins(
     mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, smooth, applied, armature, m0, out
 ):  # pragma: no cover

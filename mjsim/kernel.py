@@ -22,10 +22,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from mjsim.compiled import compiled
 from mjsim.effects.law import N_LOCAL
 from mjsim.system import SLIDES, TURNS
 
@@ -196,13 +197,11 @@ def _rates_of(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
         w[0, i] = (w[1, i] - w[10, i]) / w[11, i]
 
 
-_rates: Any = njit(cache=True, nogil=True, error_model="numpy")(_rates_of)
-_rates_here: Any = njit(cache=True, nogil=True, inline="always")(
-    _rates_of
-)  # in the step: passing arrays costs as much as the work
+_rates: Any = compiled(error_model="numpy")(_rates_of)
+_rates_here: Any = compiled(inline="always")(_rates_of)  # in the step: passing arrays costs as much as the work
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _relax(s, alpha, beta, h):
     """Exact flow of s' = alpha - beta s over h."""
     x = beta * h
@@ -253,11 +252,11 @@ def _step_of(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mod
         xn[2, i] = _relax(x[2, i], alpha, beta, h)
 
 
-_step: Any = njit(cache=True, nogil=True, error_model="numpy")(_step_of)
-_step_here: Any = njit(cache=True, nogil=True, inline="always")(_step_of)
+_step: Any = compiled(error_model="numpy")(_step_of)
+_step_here: Any = compiled(inline="always")(_step_of)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _margin(event, bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     """Event function, positive while the mode holds. Events 0..n-1: friction of a body; n..: gap of a coupling."""
     n = len(bodies)
@@ -279,7 +278,7 @@ def _margin(event, bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     return f[5, j] - abs(d)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _settle(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     """Re-decide stick or slip of every body at rest, after the torques jumped."""
     n = len(bodies)
@@ -296,7 +295,7 @@ def _settle(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
                     mode[0, i] = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _propagator(bodies, f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
     """Matrices of the present mode over y = (q, v, lagged input, held input, 1), N = 2n + 3, read off the rates.
 
@@ -363,7 +362,7 @@ def _propagator(bodies, f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, 
                         phis[seg, r, c] += term[r, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _dips(g0, s0, g1, s1, h):
     """Whether the cubic through two margins and their slopes falls below zero in between; the time of its minimum, or -1."""
     if not (s0 < 0.0 and s1 > 0.0):
@@ -382,7 +381,7 @@ def _dips(g0, s0, g1, s1, h):
     return e * h if g0 + e * (a + e * (b + e * c)) < 0.0 else -1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cubic_root(g0, s0, g1, s1, h):
     """Where the cubic through a margin that holds at 0 and is violated at h crosses zero, and its slope there."""
     a = s0 * h
@@ -408,7 +407,7 @@ def _cubic_root(g0, s0, g1, s1, h):
     return e * h, slope / h
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def integrate(
     bodies, f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, parts, affine, x0, s0, angle, locked,
     t0, out
@@ -825,7 +824,7 @@ def integrate(
     return status, at, work
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def drive(bodies, f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
     """Inverse dynamics: body 0 is moved as measured (q0, v0, a0, each (N)); out (N) receives the input torque that this needs.
 

@@ -13,9 +13,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from mjsim.axis import Axis
+from mjsim.compiled import compiled
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.ode import DivergedError, Trajectory, apply_input
 from mjsim.system import System, assemble, constant, state_matrix
@@ -63,7 +63,7 @@ def _constants(axis: Axis, n: int) -> tuple[np.ndarray, np.ndarray]:
     return levels, torque
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _build(f, gap_law, gain, tau, tau_out, levels, torque, mode, a, forces, couplings):  # pragma: no cover
     """A (N, N) of y' = A y in the present modes; rows of the torque balances (n, N) and of the couplings' torques (n, N)."""
     n = f.shape[1]
@@ -108,7 +108,7 @@ def _build(f, gap_law, gain, tau, tau_out, levels, torque, mode, a, forces, coup
             a[2 * n + c, c * n] = 1.0 / tau_out
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _margins(f, gap_law, levels, mode, forces, couplings, rows, owner, tol):  # pragma: no cover
     """Event functions, positive while the modes hold, as rows over y; owner: body i, or n + coupling, or 2n + coupling (pull)."""
     n = f.shape[1]
@@ -160,7 +160,7 @@ def _margins(f, gap_law, levels, mode, forces, couplings, rows, owner, tol):  # 
     return m
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _value(series, row, s):  # pragma: no cover
     """Row times the series at s."""
     total = 0.0
@@ -169,7 +169,7 @@ def _value(series, row, s):  # pragma: no cover
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _poly(c, s):  # pragma: no cover
     total = 0.0
     for k in range(ORDER, -1, -1):
@@ -177,7 +177,7 @@ def _poly(c, s):  # pragma: no cover
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _slope(c, s):  # pragma: no cover
     total = 0.0
     for k in range(ORDER, 0, -1):
@@ -185,7 +185,7 @@ def _slope(c, s):  # pragma: no cover
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _first_root(c, h, tol):  # pragma: no cover
     """First s in (0, h] at which the polynomial turns negative by more than tol, or -1."""
     left = 0.0
@@ -219,7 +219,7 @@ def _first_root(c, h, tol):  # pragma: no cover
     return -1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _settle(levels, mode, forces, y, skip):  # pragma: no cover
     """Stick or slip of every body that stands still; True when a mode changed."""
     n = forces.shape[0]
@@ -239,13 +239,13 @@ def _settle(levels, mode, forces, y, skip):  # pragma: no cover
     return changed
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _held(u, k, before):  # pragma: no cover
     """The torque held from sample k on, which lies before the record when negative."""
     return u[k] if k >= 0 else before
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _run(
     f, gap_law, gain, tau, tau_out, levels, torque, has_friction, u, dt, shift, split, before, late, n_sub, x0, out, mid
 ):  # pragma: no cover

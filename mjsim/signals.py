@@ -8,15 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from mjsim.compiled import compiled
 
 __all__ = ["Limit", "coherence", "filter_into", "freqz", "lfilter", "limits", "transforms", "weigh_into", "welch"]
 
 FEW_LEVELS = 12  # of a signal that is binary or coarsely quantised
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def filter_into(num, num_delay, den, x, out):
     """``den(q) out(t) = num(q) x(t - num_delay)`` from rest; ``den`` is monic, coefficients in rising powers of q^-1."""
     n = x.size
@@ -41,7 +42,7 @@ def filter_into(num, num_delay, den, x, out):
         out[t] = s
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def weigh_into(measured, predicted, sigma, counts, whitening, clear, out):
     """Write what of measured less predicted (N,) tells, from the start of ``out`` on; how many numbers that are.
 

@@ -47,10 +47,12 @@ class Law:
     def address(self) -> int:
         """Machine address of the compiled law (C signature ``void(double*, double*, double*)``)."""
         if self._compiled is None:
-            from numba import cfunc, types
+            from numba import types
+
+            from mjsim.compiled import callback
 
             pointer = types.CPointer(types.float64)
-            self._compiled = cfunc(types.void(pointer, pointer, pointer), cache=True)(self.function)
+            self._compiled = callback(self.function, types.void, pointer, pointer, pointer)
         return int(self._compiled.address)
 
 
