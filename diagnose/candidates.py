@@ -13,9 +13,23 @@ from diagnose.fitted import Fitted
 from diagnose.fitter import Fitter
 from diagnose.hypothesis import make
 from diagnose.least_squares import Fit, orthonormal
+from mjsim.axis import Chain
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
+from mjsim.effects.base import need_body
 
-__all__ = ["Candidate", "Screened", "candidates", "conflicts", "inherit", "left_over", "related", "replaced", "screen", "span"]
+__all__ = [
+    "Candidate",
+    "Screened",
+    "candidates",
+    "conflicts",
+    "inherit",
+    "left_over",
+    "related",
+    "replaced",
+    "screen",
+    "span",
+    "takes_place",
+]
 
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
@@ -112,7 +126,9 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     for candidate in supposed:
         cls, old = effect_class(candidate.id), gone[candidate]
         for values in cls.starts(fitter.scales_for(cls, candidate.place)):
-            effect = make(candidate.id, candidate.place, values if old is None else inherit(cls, values, old))
+            if old is not None:
+                values = inherit(cls, values, old, _torques(fitter.nominal.chain, old.place, candidate.place))
+            effect = make(candidate.id, candidate.place, values)
             if old is None or "phase_rad" not in effect.values or "phase_rad" in old.values:
                 starts.append((candidate, effect))
                 variants.append(list(_variants(effect)))
@@ -140,17 +156,30 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
     return out
 
 
+def takes_place(c: Candidate, effect: Effect) -> bool:
+    """Whether a candidate stands where an effect does: at its place, or, refining it, at one that the effect cannot have.
+
+    A weight hangs on the arm; what it comes to over little travel is an offset of the motor's torque.
+    """
+    cls = effect_class(c.id)
+    return c.place == effect.place or (effect.id in cls.refines and effect.place not in cls.places)
+
+
 def replaced(base: Fitted, c: Candidate) -> Effect | None:
     """The effect of the nominal axis, as fitted, whose place a candidate takes."""
     refined = effect_class(c.id).refines
     return next((e for e in base.carried if e.place == c.place and e.id in refined), None)
 
 
-def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect) -> dict[str, float]:
-    """Start values of a refinement: its level, and what else it shares, from the effect that it refines."""
+def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect, ratio: float = 1.0) -> dict[str, float]:
+    """Start values of a refinement: its level, and what else it shares, from the effect that it refines.
+
+    ``ratio``: of torques where it stands to those where that effect does.
+    """
     merged = dict(values)
     level = effect.values.get("torque_Nm")
     if level is not None and merged.get("torque_Nm"):
+        level = level if ratio == 1.0 else abs(level) * ratio
         factor = level / merged["torque_Nm"]
         for name in cls.amplitudes:
             merged[name] *= factor
@@ -159,6 +188,13 @@ def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect) -> d
         if name in merged and name != "torque_Nm":
             merged[name] = value
     return merged
+
+
+def _torques(chain: Chain, place: str, other: str) -> float:
+    """Torque at another place that does as much as one of 1 at a place."""
+    if place == other:
+        return 1.0
+    return chain.total_ratio(need_body(chain, place)) / chain.total_ratio(need_body(chain, other))
 
 
 def _project(

@@ -373,15 +373,16 @@ class Fitter:
     def pooled(self, fitted: Fitted) -> Fitted:
         """The same structure with its shared parameters fitted to the estimation and the held-out recordings together.
 
-        For the question whether a structure can explain all recordings at all: what one of them leaves open (a stiffness that
-        its excitation does not reach) another one may settle, and is no missing physics.
+        Can it explain them all? What one leaves open (a stiffness that is not excited) another may settle, and is no missing
+        physics. One that leaves much of its own cannot.
         """
+        if self.noise_known and self.misfit(fitted) > FAR and (self.spent or not fitted.rough):
+            return fitted
         asked = (fitted.key, self.whitening.tobytes())
         known = self._pooled.get(asked)
-        if known is not None and abs(known[0] - fitted.chi2) < SAME * fitted.chi2:  # the same fit, polished
-            return known[1]
-        self._pooled[asked] = fitted.chi2, self._fit_pooled(fitted)
-        return self._pooled[asked][1]
+        if known is None or abs(known[0] - fitted.chi2) >= SAME * fitted.chi2:  # else it is the same fit, polished
+            known = self._pooled[asked] = fitted.chi2, self._fit_pooled(fitted)
+        return known[1]
 
     def _fit_pooled(self, fitted: Fitted) -> Fitted:
         everything = (*self.experiments, *self.held_out)

@@ -161,6 +161,7 @@ class Minima(Judge):
                 self.unfolded[f.key] = seed + 1
                 self.keep(free)
                 if abs(math.log(free.chi2 / last.chi2)) < SAME:
+                    self.unfolded[f.key] = UNFOLDS  # it comes back to the minimum that is known
                     break
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from diagnose.candidates import QUARTERS, Candidate, Screened, conflicts, inherit, screen
+from diagnose.candidates import QUARTERS, Candidate, Screened, conflicts, inherit, screen, takes_place
 from diagnose.fitted import Fitted
 from diagnose.fitter import Fitter
 from diagnose.hypothesis import make
@@ -198,7 +198,7 @@ def formed(f: Fitted) -> bool:
 def refines(f: Fitted, current: Fitted) -> bool:
     """Whether a structure says more by a refinement of an effect that stands in the other one."""
     gone = [e for e in current.effects if e.key not in f.key]
-    return any(e.place == old.place and old.id in type(e).refines for e in f.effects for old in gone)
+    return any(old.id in type(e).refines and takes_place(Candidate(e.id, e.place), old) for e in f.effects for old in gone)
 
 
 def named(f: Fitted) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced
+from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced, takes_place
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import FAR, ROUGHLY, SAME
 from diagnose.hypothesis import make
@@ -46,6 +46,7 @@ T = TypeVar("T")
 
 INEXACT = 0.5  # of what is left without an effect: an inexact law of it leaves no more
 CREEPS = 2  # effects in a row that explain little of much, after which the library holds nothing that is missing
+ASTRAY = 0.33  # of what a structure leaves: what the best addition leaves above that explains little
 BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
 # leaves more than noise, as little but with a colour, and noise alone
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
@@ -162,10 +163,10 @@ class Search(Minima):
             in_law = forms or bare is None or base.chi2 < INEXACT * bare.chi2
             supposed = [
                 c for c in self.candidates
-                if c.place == effect.place and c.id != effect.id and not conflicts(c, others)
+                if takes_place(c, effect) and c.id != effect.id and not conflicts(c, others)
                 and ((material and in_law) or not effect_class(c.id).form_of)
                 and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
-                and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])))
+                and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])), c.key)
             ]  # fmt: skip
             ranked = self._look(base).screen(supposed, effect)
             self.tested += len(ranked)
@@ -219,7 +220,7 @@ class Search(Minima):
         new = [
             (others, s) for others, s in entrants
             if self._admitted([s.candidate.id, *(e.id for e in others)])
-            and self._untried(base, tuple(sorted([*(e.key for e in others), s.candidate.key])))
+            and self._untried(base, tuple(sorted([*(e.key for e in others), s.candidate.key])), s.candidate.key)
         ]  # fmt: skip
         self.tested += len(new)
         return new
@@ -228,13 +229,25 @@ class Search(Minima):
         """Whether every effect that may only stand beside another one does."""
         return all(name not in ids or other in ids for name, other in self.only_beside.items())
 
-    def _untried(self, base: Fitted, key: tuple[str, ...]) -> bool:
-        """Whether a structure was not fitted yet, or from so far off that it may do better from here; once as the base is now."""
-        known, mark = self.pool.get(key), (base.key, (*key, f"{math.log(base.chi2):.1f}"))
-        if known is not None and (known.chi2 < 1.2 * base.chi2 or mark in self.retried):
+    def _untried(self, base: Fitted, key: tuple[str, ...], entrant: str) -> bool:
+        """Whether a structure was not fitted yet, or from so far off that it may do better from here; once as the base is now.
+
+        Or the effect ``entrant`` of it is locked to position at another order than the one that now stands out most.
+        """
+        known, now = self.pool.get(key), [f"{math.log(base.chi2):.1f}"]
+        elsewhere = known is not None and self._at_another_order(known, entrant)
+        mark = (base.key, (*key, *now, *([str(self.fitter.orders)] if elsewhere else [])))
+        if known is not None and ((known.chi2 < 1.2 * base.chi2 and not elsewhere) or mark in self.retried):
             return False
         self.retried.add(mark)
         return True
+
+    def _at_another_order(self, f: Fitted, key: str) -> bool:
+        """Whether an effect of a structure is locked to position at another order than the one that now stands out most."""
+        effect = next(e for e in f.effects if e.key == key)
+        orders = self.fitter.scales_for(type(effect), effect.place).orders
+        cycles = effect.values.get("cycles_per_rev")
+        return cycles is not None and bool(orders) and abs(orders[0] - cycles) > 0.02 * cycles
 
     def _promising(self, base: Fitted, f: Fitted, floor: float) -> bool:
         """Whether a rival may come to gain ``floor`` in C, where its base leaves little: by what its sensitivities foretell.
@@ -430,6 +443,8 @@ class Search(Minima):
             # beside a structure that leaves noise alone only one that leaves hardly more can be the ground of a better one
             within = BEHIND[self.leaves_noise(current) + (self.fitter.noise_known and self.fitter.misfit(current) < UNEXPLAINED)]
             near = [f for f in rivals if f.key != current.key and f.chi2 < within * current.chi2 and not formed(f)]
+            # nor is what refines the best, and gains nothing by that, another ground
+            near = [f for f in near if not (refines(f, current) and self.gain(current, f) < self.options.entry)]
             beam = [current, *near[: self.options.beam - 1]]
             if self.fitter.noise_known:
                 beam = list({f.key: f for f in (ground(b, self.pool) for b in beam)}.values())
@@ -532,16 +547,19 @@ class Search(Minima):
         """The best structure once one that sticks or strikes, and is near it, was asked what it lacks; far from the noise.
 
         If that is no more than other moments of its events it is unfolded. Else its free run is no ground to build on: it may be
-        ever so far from what the same effect does beside what is missing, and led models are searched, once.
+        ever so far from what the same effect does beside what is missing, and led models are searched, once. So they are where
+        the best explains little, whatever it is: under feedback a free run goes where no effect alone brings it back.
         """
         sticks = [f for f in self.pool.values() if f.chi2 < NEARBY * best.chi2 and self.sticks(f)]
-        if self.led_by is None or self.fitter.misfit(best) < LACKS or self._spent() or not sticks:
+        if self.led_by is None or self.fitter.misfit(best) < LACKS or self._spent():
             return best
-        least = min(sticks, key=self.criterion)
-        if not self.lacks_more(least):
+        least = min(sticks, key=self.criterion, default=None)
+        if least is not None and not self.lacks_more(least):
             if least.key == best.key:
                 return best
             self._unfold([least])
+        elif least is None and self.fitter.misfit(best) < ASTRAY * self.fitter.misfit(current):
+            return best
         else:
             (led_by, self.led_by), spent = (self.led_by, None), self.fitter.runs
             led_by()
@@ -571,7 +589,12 @@ class Search(Minima):
         return self.pool.get(current.key, current)
 
     def polish(self, fitted: Fitted) -> Fitted:
-        """The same structure fitted on to a tight tolerance; roughly, where it leaves so much that other physics is missing."""
+        """The same structure fitted on to a tight tolerance; roughly, where it leaves so much that other physics is missing.
+
+        Not at all once the budget is spent there.
+        """
+        if self.fitter.spent and self.fitter.noise_known and self.fitter.misfit(fitted) > FAR:
+            return fitted
         fitted = self.shake(fitted)
         # a rough cost has no such minimum
         better = self.fitter.fit(
@@ -599,7 +622,8 @@ class Search(Minima):
             (r,) = self.fitter.run([self.fitter.at_start(h)])
             if r is None or float(r @ r) > 2.0 * known.chi2:  # else it may be a wrong minimum, which the effect has left
                 return known
-        on = partial(self.fitter.fit, iterations=FORMS, rival=True, slow=self._near(current) if h.rough else (math.inf, 0.0))
+        slow = self._near(current) if h.rough or self._late() else (math.inf, 0.0)
+        on = partial(self.fitter.fit, iterations=FORMS, rival=True, slow=slow)
         begun = on(h)
         self.keep(begun)
         if known is not None and known.fit.status is not Status.CONVERGED:

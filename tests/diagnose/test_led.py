@@ -243,6 +243,22 @@ def test_a_structure_whose_fit_was_lost_is_no_obstacle(fitter):
     assert search.pool.get(lost.key) is None
 
 
+def test_what_comes_back_to_the_minimum_that_is_known_is_not_let_go_again(fitter, monkeypatch):
+    """One structure had been let go three times, for 3400 simulations each, and had come back to the last digit."""
+    search = Search(fitter, SearchOptions())
+    lost = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.1),)), iterations=1)
+    search.keep(lost)
+    let_go = []
+    for name, told in (("lacks_more", False), ("lacks_law", False), ("_smoothed", lost), ("shake", lost)):
+        monkeypatch.setattr(search, name, lambda *_, told=told: told)
+    monkeypatch.setattr(fitter, "unfolded", lambda *_: lost)
+    monkeypatch.setattr(fitter, "let_go", lambda *_: let_go.append(1) or lost)
+    for _ in range(3):
+        search._unfold([lost], most=1)
+        search._unfold([lost])
+    assert let_go == [1]
+
+
 def test_points_about_a_fit_lead_to_lower_minima(fitter):
     """Of the many narrow minima of a free run that sticks, to one that no gradient led to; the same each time."""
     start = effect_class("static_friction")(torque_Nm=0.0503, peak=4.55)

@@ -78,6 +78,21 @@ def test_what_sticks_is_asked_what_it_lacks_though_it_comes_near_only_as_another
     assert asked[2] == "swap"
 
 
+def test_led_models_are_searched_where_the_best_explains_little_though_nothing_sticks(search):
+    """Under feedback a free run went where no effect alone brought it back, and a ripple was not found."""
+    lag = search.fitter.fit(search.fitter.hypothesis([effect_class("sensor_lag")(time_constant_s=1e-3)]), iterations=3)
+    nominal = search.nominal()
+    asked = []
+    search.led_by = lambda: asked.append(1)
+    much = dataclasses.replace(lag, fit=dataclasses.replace(lag.fit, cost=0.2 * nominal.chi2))
+    search._led_first(nominal, much)
+    assert not asked
+    little = dataclasses.replace(lag, fit=dataclasses.replace(lag.fit, cost=0.5 * nominal.chi2))
+    search._led_first(nominal, little)
+    search._led_first(nominal, little)
+    assert asked == [1], "once"
+
+
 def test_led_models_are_not_begun_at_the_nominal_parameters_again(search, monkeypatch):
     """They have hardly any minima but one: what is short of its promise is so from there as well, and costs half a search."""
     asked = []

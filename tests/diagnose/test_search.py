@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_axis import effect
 from scipy.stats import wilcoxon
 
-from diagnose.candidates import Candidate, Screened
+from diagnose.candidates import Candidate, Screened, takes_place
 from diagnose.compare import Comparison, compare, signed_rank
 from diagnose.experiment import prepare
 from diagnose.fitted import Fitted, HeldOut
@@ -20,7 +20,7 @@ from diagnose.fitter import FAR, PRIOR, Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.judge import PUT_RIGHT
 from diagnose.least_squares import Status
-from diagnose.moves import at_limits, ground, named, promising, simpler_at, with_other_laws
+from diagnose.moves import at_limits, ground, named, promising, refines, simpler_at, with_other_laws
 from diagnose.search import PORTION, Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
@@ -572,3 +572,41 @@ def test_what_the_screen_has_first_is_fitted_from_the_nominal_parameters_where_i
     assert begun.chi2 > 2 * base.n > 1.5 * found.chi2
     assert search.pool[found.key] is found
     assert search._short_of_promise(base, promised) is None, "it keeps what it promised"
+
+
+def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(fitter_of, pair):
+    """Its race was run beside parameters that had gone astray; beside the offset that it nearly is, its level is known."""
+    weight = effect("gravity_load", place="arm", torque_Nm=25.0, phase_rad=-1.1)
+    fitter = fitter_of(pair(weight))
+    search = Search(fitter, SearchOptions())
+    base = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.1)]))
+    search.keep(base)
+    (found,) = (f for f in search.refine(base) if f.key == (weight.key,))
+    assert found.chi2 < 1.1 * found.n < base.chi2
+    assert found.effects[0].torque_Nm == pytest.approx(25.0, rel=0.1)
+    assert refines(found, base)
+    offset, friction = (Candidate(name, "motor") for name in ("torque_offset", "coulomb_friction"))
+    assert not takes_place(offset, weight)
+    assert not takes_place(friction, weight)
+    assert not takes_place(Candidate("gravity_load", "arm"), coulomb())
+
+
+def test_what_is_locked_to_position_is_refined_again_at_the_order_that_now_stands_out(fitter_of, pair):
+    """It had entered at an order of the nominal model's residual, and its rivals stood in its way from then on."""
+    values = {"torque_Nm": 0.1, "relative_amplitude": 0.4, "phase_rad": 0.3}
+    varying = effect("position_dependent_friction", cycles_per_rev=6.0, **values)
+    fitter = fitter_of(pair(varying))
+    fitter.set_orders((40.0,))
+    search = Search(fitter, SearchOptions())
+    base = fitter.fit(fitter.hypothesis([coulomb()]))
+    search.keep(base)
+    search.keep(fitter.fit(fitter.hypothesis([varying.with_values({"cycles_per_rev": 40.0})]), iterations=3))
+    assert search.pool[(varying.key,)].chi2 < 1.2 * base.chi2
+    assert not [f for f in search.refine(base) if f.key == (varying.key,)]
+    fitter.set_orders((6.0,))
+    (found,) = (f for f in search.refine(base) if f.key == (varying.key,))
+    assert found.chi2 < 1.1 * found.n < base.chi2
+    assert found.effects[0].cycles_per_rev == pytest.approx(6.0, abs=0.01)
+    fitter.set_orders((40.0, 6.0))
+    assert [f.key for f in search.refine(base)].count((varying.key,)) == 1
+    assert not [f for f in search.refine(base) if f.key == (varying.key,)], "once by these orders"
