@@ -171,15 +171,16 @@ def replaced(base: Fitted, c: Candidate) -> Effect | None:
     return next((e for e in base.carried if e.place == c.place and e.id in refined), None)
 
 
-def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect, ratio: float = 1.0) -> dict[str, float]:
+def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect, ratio: float | None = None) -> dict[str, float]:
     """Start values of a refinement: its level, and what else it shares, from the effect that it refines.
 
-    ``ratio``: of torques where it stands to those where that effect does.
+    ``ratio``: of torques where it stands to those where that effect does, None at the same place; from another place the level
+    comes without its sign.
     """
     merged = dict(values)
     level = effect.values.get("torque_Nm")
     if level is not None and merged.get("torque_Nm"):
-        level = level if ratio == 1.0 else abs(level) * ratio
+        level = level if ratio is None else abs(level * ratio)
         factor = level / merged["torque_Nm"]
         for name in cls.amplitudes:
             merged[name] *= factor
@@ -190,10 +191,10 @@ def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect, rati
     return merged
 
 
-def _torques(chain: Chain, place: str, other: str) -> float:
-    """Torque at another place that does as much as one of 1 at a place."""
+def _torques(chain: Chain, place: str, other: str) -> float | None:
+    """Torque at another place that does as much as one of 1 at a place; None where it is the same."""
     if place == other:
-        return 1.0
+        return None
     return chain.total_ratio(need_body(chain, place)) / chain.total_ratio(need_body(chain, other))
 
 

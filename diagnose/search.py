@@ -234,9 +234,9 @@ class Search(Minima):
 
         Or the effect ``entrant`` of it is locked to position at another order than the one that now stands out most.
         """
-        known, now = self.pool.get(key), [f"{math.log(base.chi2):.1f}"]
+        known = self.pool.get(key)
         elsewhere = known is not None and self._at_another_order(known, entrant)
-        mark = (base.key, (*key, *now, *([str(self.fitter.orders)] if elsewhere else [])))
+        mark = (base.key, (*key, f"{math.log(base.chi2):.1f}", str(self.fitter.orders) if elsewhere else ""))
         if known is not None and ((known.chi2 < 1.2 * base.chi2 and not elsewhere) or mark in self.retried):
             return False
         self.retried.add(mark)

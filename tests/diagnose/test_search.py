@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_axis import effect
 from scipy.stats import wilcoxon
 
-from diagnose.candidates import Candidate, Screened, takes_place
+from diagnose.candidates import Candidate, Screened, inherit, takes_place
 from diagnose.compare import Comparison, compare, signed_rank
 from diagnose.experiment import prepare
 from diagnose.fitted import Fitted, HeldOut
@@ -585,6 +585,9 @@ def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(f
     assert found.chi2 < 1.1 * found.n < base.chi2
     assert found.effects[0].torque_Nm == pytest.approx(25.0, rel=0.1)
     assert refines(found, base)
+    start = {"torque_Nm": 3.0, "phase_rad": 0.0}
+    for ratio in (120.0, 1.0, -1.0):  # a direct drive, a gear that turns the other way
+        assert inherit(type(weight), start, effect("torque_offset", torque_Nm=-0.1), ratio)["torque_Nm"] == 0.1 * abs(ratio)
     offset, friction = (Candidate(name, "motor") for name in ("torque_offset", "coulomb_friction"))
     assert not takes_place(offset, weight)
     assert not takes_place(friction, weight)
