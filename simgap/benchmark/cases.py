@@ -189,7 +189,7 @@ def _sizes(laws: Laws, chosen: tuple[Entry, ...], torque: np.ndarray, noise: flo
     """Size of each effect; empty as soon as one is outside the bounds."""
     out = []
     for entry in chosen:
-        size = sizes(laws, entry, torque, noise, low, high)
+        size = sizes(laws, entry, torque, noise, low, high, chosen)
         if size is None or size.distinct < low:
             return []
         out.append(size)

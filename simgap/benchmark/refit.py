@@ -30,11 +30,19 @@ class Refit:
 
 
 def refit(
-    start: Laws, torque: np.ndarray, velocity: np.ndarray, free: tuple[str, ...], scale: dict[str, float], rounds: int = 6
+    start: Laws,
+    torque: np.ndarray,
+    velocity: np.ndarray,
+    free: tuple[str, ...],
+    scale: dict[str, float],
+    rounds: int = 6,
+    *,
+    positive: tuple[str, ...] = (),
 ) -> Refit:
     """Fit the fields named in ``free`` so that a free run on ``torque`` [Nm] meets the noise-free ``velocity`` [rad/s].
 
-    Linear fields step in proportion to themselves, others by ``scale``. Levenberg-Marquardt on velocity, every second row.
+    Linear fields step in proportion to themselves, others by ``scale``; those named in ``positive`` stay so.
+    Levenberg-Marquardt on velocity, every second row.
     """
     thin = slice(None, None, 2)
     target = velocity[thin]
@@ -62,7 +70,7 @@ def refit(
             x = np.clip(x, -0.3, 0.3) if np.max(np.abs(x)) > 0.3 else x
             trial = best._replace(**{n: getattr(best, n) + float(d) * unit[n] for n, d in zip(free, x, strict=True)})
             try:
-                y_trial = output(trial) if _physical(trial) else None
+                y_trial = output(trial) if _physical(trial, positive) else None
             except InputError:
                 y_trial = None
             if y_trial is not None and rms(target - y_trial) < error:
@@ -75,6 +83,7 @@ def refit(
     return Refit(best, error)
 
 
-def _physical(laws: Laws) -> bool:
-    positive = (laws.Jm, laws.Jg, laws.Ja - laws.Je, laws.kg, laws.ka)
-    return min(positive) > 0.0 and laws.coulomb_m >= 0.0 and laws.act_delay >= 0.0
+def _physical(laws: Laws, positive: tuple[str, ...]) -> bool:
+    masses = (laws.Jm, laws.Jg, laws.Ja - laws.Je, laws.kg, laws.ka)
+    held = (laws.coulomb_m, laws.act_delay, *(getattr(laws, name) for name in positive))
+    return min(masses) > 0.0 and min(held) >= 0.0

@@ -16,6 +16,8 @@ __all__ = ["RIVAL_SCALE", "Size", "hidden_by_linear", "raw", "sizes", "without"]
 
 # Step units of the rival fields that a refit may free.
 RIVAL_SCALE = {"coulomb_m": 0.2, "offset_m": 0.2, "act_delay": 3e-3}
+ROUNDS = 12
+STEPS = "sensor_quantisation"
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,8 @@ class Size:
     """Rms over the noise rms of the output difference that the effect makes, in a free run on the logged torque.
 
     ``raw``: with and without it. ``after_refit``: what the best linear parameters leave. ``distinct``: what is left when the
-    simpler effects that resemble it are fitted as well.
+    simpler effects that resemble it are fitted as well, and what else the plant holds: a weight of another phase is a sensor's
+    offset while the arm hardly turns.
     """
 
     raw: float
@@ -55,11 +58,25 @@ def hidden_by_linear(laws: Laws, entries: Sequence[Entry], torque: np.ndarray, s
     return refit(bare, torque, free_run(laws, torque, substeps=COARSE).velocity, LINEAR, RIVAL_SCALE)
 
 
-def sizes(laws: Laws, entry: Entry, torque: np.ndarray, noise: float, low: float = 0.0, high: float = np.inf) -> Size | None:
-    """The three sizes of one effect of a plant that may hold others; None once ``after_refit`` is outside [low, high]."""
+def sizes(
+    laws: Laws,
+    entry: Entry,
+    torque: np.ndarray,
+    noise: float,
+    low: float = 0.0,
+    high: float = np.inf,
+    beside: Sequence[Entry] = (),
+) -> Size | None:
+    """The three sizes of one effect of a plant that holds others (``beside``); None once ``after_refit`` is outside [low, high].
+
+    A sensor's steps are noise to what else is there: the output is compared without them.
+    """
+    others = [e for e in beside if e is not entry and e.effect != STEPS]
+    if entry.effect != STEPS:
+        laws = laws._replace(sen_step=0.0)
     target = free_run(laws, torque, substeps=COARSE).velocity
     bare = without(laws, entry)
-    first = refit(bare, torque, target, LINEAR, RIVAL_SCALE)
+    first = refit(bare, torque, target, LINEAR, RIVAL_SCALE, rounds=ROUNDS)
     if not low * noise <= first.left <= high * noise:
         return None
     second = first
@@ -70,8 +87,14 @@ def sizes(laws: Laws, entry: Entry, torque: np.ndarray, noise: float, low: float
             level = max(laws.coulomb_m, laws.bristle_level, laws.deadzone, 0.02)
             alone = bare._replace(coulomb_m=level)
             start = min((start._replace(coulomb_m=1e-3), alone), key=lambda s: _error(s, torque, target))
-        second = refit(start, torque, target, LINEAR + rivals, RIVAL_SCALE, rounds=12)
+        second = refit(start, torque, target, LINEAR + rivals, RIVAL_SCALE, rounds=ROUNDS)
         second = min(first, second, key=lambda s: s.left)
+    if others and second.left >= low * noise:
+        theirs = [(field, e.draws.get(name)) for e in others for name, field in e.fields.items()]
+        positive = tuple(field for field, drawn in theirs if drawn is None or not (drawn.signed or drawn.uniform))
+        free = LINEAR + rivals + tuple(field for field, _ in theirs)
+        third = refit(second.laws, torque, target, free, RIVAL_SCALE, rounds=ROUNDS, positive=positive)
+        second = min(second, third, key=lambda s: s.left)
     return Size(raw(laws, [entry], torque) / noise, first.left / noise, second.left / noise)
 
 
