@@ -120,7 +120,7 @@ class Minima(Judge):
         for f in (*new, *new):  # one that was first may not be when the others have landed
             f, best = self.pool.get(f.key, f), min((self.pool.get(g.key, g) for g in running), key=lambda g: g.chi2)
             behind = self.criterion(f) - self.criterion(best) > self.options.entry or self.fitter.misfit(f) > UNEXPLAINED
-            near = f.rough and f.chi2 < NEARBY * best.chi2 and behind
+            near = f.rough and f.chi2 < NEARBY * min(best.chi2, base.chi2) and behind
             if near and not self._spent():
                 self._brought_down(f)
 

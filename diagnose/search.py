@@ -14,14 +14,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from diagnose.candidates import Screened, candidates, conflicts, left_over, related, replaced, takes_place
+from diagnose.candidates import Candidate, Screened, candidates, conflicts, left_over, related, replaced, takes_place
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import FAR, ROUGHLY, SAME
+from diagnose.guided import Guided
 from diagnose.hypothesis import make
 from diagnose.judge import LACKS, LONG, SHAKEN
 from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
-from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL, Minima
+from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL
 from diagnose.moves import (
     Entrant,
     at_limits,
@@ -38,7 +39,6 @@ from diagnose.moves import (
     with_other_laws,
 )
 from diagnose.progress import Progress
-from diagnose.whiten import guide_of
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["ALIKE_C", "Search"]
@@ -52,22 +52,21 @@ BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to whi
 HOPE = 2.0  # times the gain that a rival's sensitivities still foretell, which it is trusted with
 FIRST = 6  # rivals that go on after the first look
 ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
+PROMISING = 0.33  # of what a structure leaves: what an effect beside it promises to leave, that is tried first
 PROMISED, MORE = 0.3, 2  # of the gain in C that the screen promised, below which a rival is short of it; further starts of it
 SLOW = 100  # the same of one that is slow to run, in its own runs, at least
 FORMS, CRAWLS = 30, 0.01  # iterations of a simpler or poorer structure, and what each must gain while all could not bring it near
-WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weight of the prior, and of one that is slow to run
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
 ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 
 
 @dataclass
-class Search(Minima):
+class Search(Guided):
     """State of a search: everything fitted so far, by structure."""
 
     progress: Progress = field(default_factory=Progress)
     failed: dict[str, str] = field(default_factory=dict)
     screened: dict[tuple[str, ...], list[Screened]] = field(default_factory=dict)
-    retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)
     tested: int = 0
     effective_of: Callable[[Fitted], float] | None = None
     orders_of: Callable[[Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
@@ -78,7 +77,6 @@ class Search(Minima):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.candidates = candidates(self.fitter, self.options.only)
-        self._unguided: Fitted | None = None
         self._last_look: tuple[object, Look] | None = None
 
     def nominal(self) -> Fitted:
@@ -98,15 +96,7 @@ class Search(Minima):
         if base.rough and base.chi2 < SHAKEN * base.n:  # a minute error may be that of an event a sample too late
             self._brought_down(base)
             base = self.pool.get(base.key, base)
-        # another law of an effect is tried in its place, where that leaves something material: of one that stands in the
-        # structure by `refine`, of one that the nominal axis has here
-        material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
-        free = [
-            c for c in self.candidates
-            if not conflicts(c, base.effects) and (not effect_class(c.id).form_of or (material and replaced(base, c) is not None))
-            and self._admitted([c.id, *(e.id for e in base.effects)])
-        ]  # fmt: skip
-        ranked = self._look(base).screen(free)
+        ranked = self._look(base).screen(self._additions(base))
         self.screened[base.key] = ranked
         self.tested += len(ranked)
         floor = self.floor(base)
@@ -125,6 +115,31 @@ class Search(Minima):
             return grown
         short = self._short_of_promise(base, tried[0])
         return grown if short is None else [short, *(f for f in grown if f.key != short.key)]
+
+    def _additions(self, base: Fitted) -> list[Candidate]:
+        """What may be added to a structure.
+
+        Another law of an effect is tried in its place, where that leaves something material: of one that stands in the structure
+        by `refine`, of one that the nominal axis has here.
+        """
+        material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
+        return [
+            c for c in self.candidates
+            if not conflicts(c, base.effects) and (not effect_class(c.id).form_of or (material and replaced(base, c) is not None))
+            and self._admitted([c.id, *(e.id for e in base.effects)])
+        ]  # fmt: skip
+
+    def _promises(self, best: Fitted, expanded: set[tuple[str, ...]]) -> bool:
+        """Whether something promises to take up nearly all that the simplest form of a structure leaves far from the noise.
+
+        It is tried before all that is dear: refinements, other laws, led models.
+        """
+        base = ground(best, self.pool)
+        far = self.fitter.noise_known and self.fitter.misfit(base) > LACKS
+        if not far or base.key in expanded or len(base.effects) >= self.options.depth or self._spent():
+            return False
+        ranked = self._look(base).screen(self._additions(base))
+        return bool(ranked) and base.chi2 - ranked[0].gain < PROMISING * base.chi2
 
     def _short_of_promise(self, base: Fitted, s: Screened) -> Fitted | None:
         """The rival that the screen has first, fitted from the nominal parameters, where it stayed far short of what it promised.
@@ -155,16 +170,28 @@ class Search(Minima):
         if self._spent():
             return []
         self._limit(base)
+        grown = self._race(base, self._refinements(base, forms=forms))
+        least = min((f.chi2 for f in grown), default=math.inf)
+        material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
+        if material and least > INEXACT * base.chi2:  # else the better effect is gone on with, and not the law of this one
+            grown = [*grown, *self._race(base, self._refinements(base, forms=forms, law=True), least=least)]
+        if grown and self._slow(first := min(grown, key=self.criterion)):
+            self._limit(first)
+        return grown
+
+    def _refinements(self, base: Fitted, *, forms: bool, law: bool = False) -> list[Entrant]:
+        """What may refine an effect of a structure in its place: other effects, or the same one by another law."""
         entrants: list[Entrant] = []
         material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
             bare = self.pool.get(key_of(others))
-            in_law = forms or bare is None or base.chi2 < INEXACT * bare.chi2
+            if law and not (forms or bare is None or base.chi2 < INEXACT * bare.chi2):
+                continue
             supposed = [
                 c for c in self.candidates
                 if takes_place(c, effect) and c.id != effect.id and not conflicts(c, others)
-                and ((material and in_law) or not effect_class(c.id).form_of)
+                and bool(effect_class(c.id).form_of) == law
                 and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
                 and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])), c.key)
             ]  # fmt: skip
@@ -174,15 +201,14 @@ class Search(Minima):
                 (others, s) for s in ranked
                 if s.gain > 0.4 * self.options.entry or effect_class(s.candidate.id).multistart > 1
             ]  # fmt: skip
+            if law:
+                continue
             mark = (base.key, (effect.key, str(self.fitter.orders)))
             if mark not in self.retried:
                 self.retried.add(mark)
                 entrants += other_orders(self.fitter, effect, others, material=material)
             entrants += self._new(base, taken_apart(self.fitter, self.candidates, effect, others) if material else [])
-        grown = self._race(base, entrants)
-        if grown and self._slow(first := min(grown, key=self.criterion)):
-            self._limit(first)
-        return grown
+        return entrants
 
     def _limit(self, base: Fitted) -> None:
         """Fit what the effects of a structure come to at an edge of their numbers, from those numbers; the pool keeps it.
@@ -259,10 +285,11 @@ class Search(Minima):
         left = f.chi2 - HOPE * (f.chi2 - left_over(f.fit.residual, orthonormal(f.fit.J)))
         return left <= 0.0 or self.gain(base, f) + f.n * math.log(f.chi2 / left) > floor
 
-    def _race(self, base: Fitted, entrants: Sequence[Entrant], floor: float = -ALIKE_C) -> list[Fitted]:
+    def _race(self, base: Fitted, entrants: Sequence[Entrant], floor: float = -ALIKE_C, least: float = math.inf) -> list[Fitted]:
         """Successive halving: two iterations for all, more for those that keep up, convergence for those that can win.
 
-        ``floor``: the gain of C over the base without which a rival is of no account.
+        ``floor``: the gain of C over the base without which a rival is of no account. ``least``: the chi-square of the best that
+        raced before.
         """
         far = base.chi2 > 1.5 * base.n
         # spread over rivals as long as there are enough of them
@@ -287,10 +314,10 @@ class Search(Minima):
         # (how many go on, for how many iterations, how far behind the leader they may be, in units of n)
         for keep, iterations, behind in ((FIRST, 3, 1.5), (4, 6, 0.4), (3, 20, 0.05)):
             running.sort(key=lambda f: f.chi2)
-            best = running[0].chi2 if running else 0.0
+            best = min(running[0].chi2, least) if running else 0.0
             on = [
                 rank for rank, f in enumerate(running[:keep])
-                if f.fit.status is Status.BUDGET and (rank == 0 or math.log(f.chi2 / best) < behind)
+                if f.fit.status is Status.BUDGET and math.log(f.chi2 / best) < behind
             ]  # fmt: skip
             hopes = self.fitter.map([partial(self._promising, base, running[k], floor) for k in on])
             on = [k for k, hope in zip(on, hopes, strict=True) if hope]
@@ -380,21 +407,8 @@ class Search(Minima):
             best = self._best(current)
             if best.key != current.key and self._settled(best):
                 return self._alone(best)
-            best = self._led_first(current, best)
-            self.refine(best)
-            refined = self._best(current)
-            if refined.key != best.key and math.log(best.chi2 / refined.chi2) > LITTLE:  # before it is unfolded by a wrong law
-                self.refine(refined)
-            best = self._led_first(current, self._best(current))
-            self.swap(best)
-            best = self._best(current)
-            if best.key != current.key:
-                best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
-            simple = ground(best, self.pool) if self.fitter.noise_known else best
-            if not self._slow(simple):  # else, or more, once nothing can be added
-                self._unfold([simple], most=1)
-            self.shake(self.pool.get(best.key, best))
-            best = self._best(self.pool.get(current.key, current))
+            if best.key == current.key or not self._promises(best, expanded):
+                best = self._improved(current, best)
             self.progress.end_round()
             if best.key == current.key and best.chi2 < 0.9 * current.chi2:
                 current = best  # the same effects at better numbers: what can be added is another question now
@@ -458,6 +472,24 @@ class Search(Minima):
             current = self._best(kept)
         return self._eliminate(current)
 
+    def _improved(self, current: Fitted, best: Fitted) -> Fitted:
+        """The best structure once the best so far was asked what it lacks, refined, put in another's place, unfolded, shaken."""
+        best = self._led_first(current, best)
+        self.refine(best)
+        refined = self._best(current)
+        if refined.key != best.key and math.log(best.chi2 / refined.chi2) > LITTLE:  # before it is unfolded by a wrong law
+            self.refine(refined)
+        best = self._led_first(current, self._best(current))
+        self.swap(best)
+        best = self._best(current)
+        if best.key != current.key:
+            best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
+        simple = ground(best, self.pool) if self.fitter.noise_known else best
+        if not self._slow(simple):  # else, or more, once nothing can be added
+            self._unfold([simple], most=1)
+        self.shake(self.pool.get(best.key, best))
+        return self._best(self.pool.get(current.key, current))
+
     def _creeps(self, poorer: Fitted, richer: Fitted) -> bool:
         """Whether an effect has entered that explains little of so much that it is no part of what is missing."""
         # without what the prior costs, which may have weighed otherwise when the poorer one was fitted
@@ -494,54 +526,6 @@ class Search(Minima):
         for other in [k for k in self.pool if k and k != f.key]:
             del self.pool[other]
         return self._weigh(1.0, f)
-
-    def _guided(self, f: Fitted, least: float = MISFIT) -> Fitted:
-        """A fit from which to go on, the nominal linear parameters weighing as much as is fair beside so large a misfit.
-
-        While physics is missing, refitted parameters stand in for it and lead away from it (an inertia three times the nominal
-        one, with friction and a lag not yet there). By `guide_of` a prior counts; it goes as the misfit goes.
-        """
-        misfit = f.chi2 / f.n
-        if not self.fitter.noise_known or misfit < least:
-            return self._weigh(1.0, f)
-        weight, old = guide_of(self.fitter, f), self.fitter.guide
-        return self._weigh(weight, f) if old == 1.0 or weight < 0.5 * old else f
-
-    def _weigh(self, guide: float, current: Fitted) -> Fitted:
-        """Weigh the prior by ``guide`` from now on: the structures that are near the current one are fitted again, others go."""
-        if guide == self.fitter.guide:
-            return current
-        if self.fitter.guide == 1.0:
-            self._unguided = self.pool[()]
-        self.fitter.guide = guide
-        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2 and not self._slow(f)), key=self.criterion)
-        near = near[: 0 if self._late() else self.options.width]
-        again = {f.key: f for f in (self.pool[()], current, *near)}
-        self.pool.clear()
-        self.held.clear()
-        self.retried.clear()
-        self._without.clear()
-        near = [f for f in again.values() if f.key]
-        fits, lengths = [partial(self._weighed, f, last=f.key == current.key) for f in near], self.fitter.lengths(near)
-        if guide != 1.0:
-            fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
-            lengths.append(math.inf)
-        elif self._unguided is not None:
-            self.keep(self._unguided)
-        for f in self.fitter.map(fits, lengths):
-            self.keep(self._smoothed(f) if f.key == current.key else f)
-        return self.pool.get(current.key, current)
-
-    def _weighed(self, f: Fitted, *, last: bool) -> Fitted:
-        """A structure under another weight of the prior: to the ``last``, or as a rival, for which a gain of one in C is enough.
-
-        A rival's sensitivities are known, unless its cost is rough.
-        """
-        if last or f.rough:
-            most = SHORTER if self._slow(f) else WEIGHED
-            return self.fitter.fit(f.hypothesis, f.fit.x, iterations=most, tolerance=1e-6 if last else 1.0 / f.n)
-        fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=WEIGHED, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
-        return fit.to_go_on()
 
     def _led_first(self, current: Fitted, best: Fitted) -> Fitted:
         """The best structure once one that sticks or strikes, and is near it, was asked what it lacks; far from the noise.

@@ -613,3 +613,39 @@ def test_what_is_locked_to_position_is_refined_again_at_the_order_that_now_stand
     fitter.set_orders((40.0, 6.0))
     assert [f.key for f in search.refine(base)].count((varying.key,)) == 1
     assert not [f for f in search.refine(base) if f.key == (varying.key,)], "once by these orders"
+
+
+def test_what_promises_to_take_up_nearly_all_is_tried_before_what_is_dear(fitter_of, pair):
+    """A delay beside friction: led models and other laws of friction took what a search may take, and it was never tried."""
+    fitter = fitter_of(pair(coulomb(), effect("time_delay", place="actuator", delay_s=1.5e-3)))
+    search = Search(fitter, SearchOptions())
+    alone = fitter.fit(fitter.hypothesis([coulomb()]))
+    search.keep(alone)
+    assert search._promises(alone, set())
+    assert not search._promises(alone, {alone.key}), "it was tried"
+    both = search.fitter.fit(fitter.hypothesis([coulomb(), effect("time_delay", place="actuator", delay_s=1.5e-3)]))
+    assert not search._promises(both, set()), "nothing is left"
+
+
+def test_nothing_beside_the_simpler_form_promises_what_a_refinement_does(fitter_of, pair):
+    fitter = fitter_of(pair(effect("static_friction", torque_Nm=0.1, peak=4.0)))
+    search = Search(fitter, SearchOptions())
+    simple = fitter.fit(fitter.hypothesis([coulomb()]))
+    search.keep(simple)
+    assert not search._promises(simple, set())
+
+
+def test_other_laws_of_an_effect_wait_for_a_better_effect(fitter_of, pair):
+    """They are slow to run; where another effect leaves half of it or less, it is not the law that is wrong."""
+    fitter = fitter_of(pair(effect("static_friction", torque_Nm=0.1, peak=4.0)))
+    search = Search(fitter, SearchOptions())
+    search.nominal()
+    simple = fitter.fit(fitter.hypothesis([coulomb()]))
+    search.keep(simple)
+    grown = search.refine(simple)
+    assert min(f.chi2 for f in grown) < 0.5 * simple.chi2
+    assert ("coulomb_friction_with_creep@motor",) not in search.pool
+    only = Search(fitter, SearchOptions(only=("coulomb_friction", "coulomb_friction_with_creep")))
+    only.keep(simple)
+    only.refine(simple, forms=True)
+    assert ("coulomb_friction_with_creep@motor",) in only.pool
