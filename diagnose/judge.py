@@ -30,6 +30,7 @@ from mjsim.effects import effect_class
 __all__ = ["LACKS", "LEAD", "LONG", "SHAKEN", "Judge"]
 
 LEAD = 30.0  # rate [1/s] at which a led model is drawn to the measured velocity, where rivals that stick or strike are judged
+BETWEEN = 100.0  # a rate on the way to it from one that leads closely
 FAIR = 0.25  # part of what is left, and in a led model of its gain, that an effect beside one that sticks or strikes must explain
 SHOWN = 10.0  # times the material gain, on the estimation data, of an effect that held-out data may be too few for
 ANSWERED = 0.5  # of the squared error: more is not the answer of a servo to unknown torques (benchmarks/servo_axes.py)
@@ -399,13 +400,17 @@ class Judge:
     def lacks_law(self, f: Fitted) -> bool:
         """Whether what a structure leaves beside noise is no wrong order of its events: where that is little, and stays when led.
 
-        A led model is put right within J/lead, so that an event at another moment costs it a fraction of what a free run pays.
+        A led model is put right within J/lead, so that an event at another moment costs it a fraction of what a free run pays. It
+        is led closely first, where it has hardly any minima but one: begun at the free run's it may stay in that order of events.
         """
         f = self.pool.get(f.key, f)
         if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
             return False
+        stays = f.n + STAYS * (f.chi2 - f.n)
         led = self.fitter.led(f, LEAD, 20)
-        return led is not None and led.chi2 - led.n > STAYS * (f.chi2 - f.n)
+        for rate in (self._closely(f), BETWEEN, LEAD) if led is not None and led.chi2 > stays else ():
+            led = self.fitter.led(led or f, rate, 20)
+        return led is not None and led.chi2 > stays
 
     def sticks(self, f: Fitted) -> bool:
         """Whether bodies stick or strike in a structure to some effect."""

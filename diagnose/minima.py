@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -33,23 +33,30 @@ UNFOLDS = 3  # times in a row, while it gains
 STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
 BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
 NEARBY = 1.5  # times the chi-square of the best structure up to which one that sticks or strikes may be it
+GONE = math.log(1.5)  # how far a refitted linear parameter is from the nominal one, that stands in for a body that is not there
 AGAIN = 8  # starts of a structure that are fitted once more
 
 
-def begun_anew(fitter: Fitter, f: Fitted, chosen: Sequence[Effect]) -> Fitted:
-    """The best fit of a structure from every start of the effects ``chosen``, beside its own and the nominal parameters."""
+def begun_anew(
+    fitter: Fitter, f: Fitted, chosen: Sequence[Effect], linear: Sequence[Mapping[str, float] | None] | None = None
+) -> Fitted:
+    """The best fit of a structure from every start of the effects ``chosen``, at the parameters ``linear`` (None: nominal).
+
+    By default beside its own and the nominal ones.
+    """
     starts = []
     for effect in chosen:
         cls, rest = type(effect), tuple(e for e in f.effects if e.key != effect.key)
         own = {k: v for k, v in f.own.items() if k[0] != effect.key}
         for values in cls.starts(fitter.scales_for(cls, effect.place)):
             again = (*rest, make(cls.id, effect.place, values))
-            starts += [fitter.hypothesis(again, linear, own) for linear in (f.linear, None)]
+            starts += [fitter.hypothesis(again, at, own) for at in linear or (f.linear, None)]
     costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
     order = sorted(range(len(starts)), key=lambda i: costs[i])[:AGAIN]
     fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, secant=True, rival=True) for i in order])
-    best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=f)
-    return fitter.by_secants(best.hypothesis, best.fit.x) if best.chi2 < f.chi2 else f
+    best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=None)
+    on = best if best is None else fitter.by_secants(best.hypothesis, best.fit.x)
+    return on if on is not None and on.chi2 < f.chi2 else f
 
 
 @dataclass
@@ -91,6 +98,21 @@ class Minima(Judge):
         best = min(fits, key=lambda g: g.chi2, default=f)
         best = self.fitter.fit(best.hypothesis, best.fit.x) if best is not f else f
         return best if best.ok and best.chi2 < BETTER * f.chi2 else f
+
+    def _from_nominal(self, base: Fitted, grown: Sequence[Fitted], families: Sequence[str]) -> None:
+        """Begin what is new in some structures at the nominal parameters, where the base's have gone far from these.
+
+        They stand in for a further body so well that its first iterations from the nominal ones, which lead to it, are no rival.
+        """
+        nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
+        ratios = [base.linear[name] / value for name, value in nominal.items() if value and name in base.linear]
+        gone = any(r <= 0.0 or abs(math.log(r)) > GONE for r in ratios)
+        if not gone or not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED:
+            return
+        for f in grown:
+            new = [e for e in f.effects if e.key not in base.key and type(e).family in families]
+            if new and f.chi2 > UNEXPLAINED * f.n and not self._late():
+                self.keep(begun_anew(self.fitter, f, new, (None,)))
 
     def _smoothed(self, f: Fitted) -> Fitted:
         """The winner of a race, once more by wide secants where its cost is rough: they see past the steps.

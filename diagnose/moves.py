@@ -18,6 +18,7 @@ from mjsim.effects import Effect, effect_class
 __all__ = [
     "Entrant",
     "at_limits",
+    "elsewhere",
     "folded",
     "formed",
     "ground",
@@ -39,6 +40,7 @@ Entrant = tuple[tuple[Effect, ...], Screened]
 NEAR, SLACK = 100.0, 0.02  # of chi-square, and of what an effect explains: by so much a secant may misjudge what does as much
 NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
 LIKELY = 3  # orders that stand out most, to which an effect locked to position may move
+ALIKE = 1e-3  # difference in the logarithm of chi-square of one motion, made at another place
 
 
 def ground(f: Fitted, pool: Mapping[tuple[str, ...], Fitted]) -> Fitted:
@@ -199,6 +201,12 @@ def refines(f: Fitted, current: Fitted) -> bool:
     """Whether a structure says more by a refinement of an effect that stands in the other one."""
     gone = [e for e in current.effects if e.key not in f.key]
     return any(old.id in type(e).refines and takes_place(Candidate(e.id, e.place), old) for e in f.effects for old in gone)
+
+
+def elsewhere(f: Fitted, current: Fitted) -> bool:
+    """Whether a structure is the same effects at other places, to the same error: so is what is added to it."""
+    same = sorted(e.id for e in f.effects) == sorted(e.id for e in current.effects)
+    return same and f.key != current.key and abs(math.log(f.chi2 / current.chi2)) < ALIKE
 
 
 def named(f: Fitted) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL
 from diagnose.moves import (
     Entrant,
     at_limits,
+    elsewhere,
     folded,
     formed,
     ground,
@@ -111,7 +112,11 @@ class Search(Guided):
         tried += [s for s in folds if replaced(base, s.candidate) is not None]
         grown = self._race(base, [(base.effects, s) for s in tried], floor)
         # led, a model has hardly any minima but one, and its parameters are not led away
-        if not visible or not self.options.free or not tried or tried[0] is not ranked[0] or self._spent():
+        if not visible or not self.options.free or not tried or self._spent():
+            return grown
+        self._from_nominal(base, grown, CURVED[:1])
+        grown = [self.pool.get(f.key, f) for f in grown]
+        if tried[0] is not ranked[0]:
             return grown
         short = self._short_of_promise(base, tried[0])
         return grown if short is None else [short, *(f for f in grown if f.key != short.key)]
@@ -457,8 +462,9 @@ class Search(Guided):
             # beside a structure that leaves noise alone only one that leaves hardly more can be the ground of a better one
             within = BEHIND[self.leaves_noise(current) + (self.fitter.noise_known and self.fitter.misfit(current) < UNEXPLAINED)]
             near = [f for f in rivals if f.key != current.key and f.chi2 < within * current.chi2 and not formed(f)]
-            # nor is what refines the best, and gains nothing by that, another ground
+            # nor is what refines the best, and gains nothing by that, another ground, nor a delay at the other end
             near = [f for f in near if not (refines(f, current) and self.gain(current, f) < self.options.entry)]
+            near = [f for f in near if not elsewhere(f, current)]
             beam = [current, *near[: self.options.beam - 1]]
             if self.fitter.noise_known:
                 beam = list({f.key: f for f in (ground(b, self.pool) for b in beam)}.values())

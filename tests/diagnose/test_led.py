@@ -349,3 +349,25 @@ def test_secants_bring_a_rough_cost_as_low_in_fewer_runs(fitter):
     quick = fitter.by_secants(h)
     assert quick.chi2 < 1.1 * plain.chi2
     assert fitter.work - middle < 0.7 * spent
+
+
+@pytest.mark.parametrize(("on_the_way", "lacks"), [(0.98, False), (1.13, True)])
+def test_what_stays_when_led_is_led_closely_first(fitter, monkeypatch, on_the_way, lacks):
+    """Begun at a wrong order of events it stays there at 30 / s too, and static friction that was right was not let go."""
+    search = Search(fitter, SearchOptions())
+    found = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.1),)), iterations=0)
+
+    def leaving(share: float):
+        return dataclasses.replace(found, fit=dataclasses.replace(found.fit, cost=share * found.n))
+
+    wrong, asked = leaving(1.15), []
+
+    def led(f, rate, iterations):
+        asked.append(rate)
+        direct = len(asked) == 1
+        return leaving(1.10 if direct else on_the_way)
+
+    monkeypatch.setattr(fitter, "led", led)
+    assert search.lacks_law(wrong) is lacks
+    assert asked == [LEAD, 300.0, 100.0, LEAD]
+    assert not search.lacks_law(leaving(2.5)), "it leaves too much to tell"
