@@ -19,9 +19,7 @@ WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weigh
 class Guided(Minima):
     """Everything fitted so far, by one weight of the nominal parameters."""
 
-    retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(
-        default_factory=set
-    )  # what was tried once by the present weight
+    retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)  # what was tried by the present weight
 
     def __post_init__(self) -> None:
         super().__post_init__()
