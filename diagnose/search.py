@@ -175,45 +175,51 @@ class Search(Guided):
         if self._spent():
             return []
         self._limit(base)
-        grown = self._race(base, self._refinements(base, forms=forms))
-        least = min((f.chi2 for f in grown), default=math.inf)
         material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
+        grown = self._race(base, self._refinements(base, material=material))
+        least = min((f.chi2 for f in grown), default=math.inf)
         if material and least > INEXACT * base.chi2:  # else the better effect is gone on with, and not the law of this one
-            grown = [*grown, *self._race(base, self._refinements(base, forms=forms, law=True), least=least)]
+            grown = [*grown, *self._race(base, self._other_laws(base, forms=forms), least=least)]
         if grown and self._slow(first := min(grown, key=self.criterion)):
             self._limit(first)
         return grown
 
-    def _refinements(self, base: Fitted, *, forms: bool, law: bool = False) -> list[Entrant]:
-        """What may refine an effect of a structure in its place: other effects, or the same one by another law."""
+    def _refinements(self, base: Fitted, *, material: bool) -> list[Entrant]:
+        """What may refine an effect of a structure in its place: other effects, and itself at other orders or taken apart."""
         entrants: list[Entrant] = []
-        material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         for effect in base.effects:
             others = tuple(e for e in base.effects if e.key != effect.key)
-            bare = self.pool.get(key_of(others))
-            if law and not (forms or bare is None or base.chi2 < INEXACT * bare.chi2):
-                continue
-            supposed = [
-                c for c in self.candidates
-                if takes_place(c, effect) and c.id != effect.id and not conflicts(c, others)
-                and bool(effect_class(c.id).form_of) == law
-                and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
-                and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])), c.key)
-            ]  # fmt: skip
-            ranked = self._look(base).screen(supposed, effect)
-            self.tested += len(ranked)
-            entrants += [
-                (others, s) for s in ranked
-                if s.gain > 0.4 * self.options.entry or effect_class(s.candidate.id).multistart > 1
-            ]  # fmt: skip
-            if law:
-                continue
+            entrants += self._in_place_of(base, effect, others, law=False)
             mark = (base.key, (effect.key, str(self.fitter.orders)))
             if mark not in self.retried:
                 self.retried.add(mark)
                 entrants += other_orders(self.fitter, effect, others, material=material)
             entrants += self._new(base, taken_apart(self.fitter, self.candidates, effect, others) if material else [])
         return entrants
+
+    def _other_laws(self, base: Fitted, *, forms: bool) -> list[Entrant]:
+        """The effects of a structure by other laws, where they explain so much that only the law may be wrong, or if asked."""
+        entrants: list[Entrant] = []
+        for effect in base.effects:
+            others = tuple(e for e in base.effects if e.key != effect.key)
+            bare = self.pool.get(key_of(others))
+            if forms or bare is None or base.chi2 < INEXACT * bare.chi2:
+                entrants += self._in_place_of(base, effect, others, law=True)
+        return entrants
+
+    def _in_place_of(self, base: Fitted, effect: Effect, others: tuple[Effect, ...], *, law: bool) -> list[Entrant]:
+        """What the screen lets take the place of an effect of a structure: effects of their own, or other laws (``law``)."""
+        supposed = [
+            c for c in self.candidates
+            if takes_place(c, effect) and c.id != effect.id and not conflicts(c, others)
+            and bool(effect_class(c.id).form_of) == law
+            and related(c.id, effect) and self._admitted([c.id, *(e.id for e in others)])
+            and self._untried(base, tuple(sorted([*(e.key for e in others), c.key])), c.key)
+        ]  # fmt: skip
+        ranked = self._look(base).screen(supposed, effect)
+        self.tested += len(ranked)
+        worth = 0.4 * self.options.entry
+        return [(others, s) for s in ranked if s.gain > worth or effect_class(s.candidate.id).multistart > 1]
 
     def _limit(self, base: Fitted) -> None:
         """Fit what the effects of a structure come to at an edge of their numbers, from those numbers; the pool keeps it.

@@ -16,8 +16,8 @@ __all__ = ["RIVAL_SCALE", "Size", "hidden_by_linear", "raw", "sizes", "without"]
 
 # Step units of the rival fields that a refit may free.
 RIVAL_SCALE = {"coulomb_m": 0.2, "offset_m": 0.2, "act_delay": 3e-3}
-ROUNDS = 12
-STEPS = "sensor_quantisation"
+ROUNDS = 12  # iterations of a refit at most
+STEPS = "sensor_quantisation"  # the effect that is noise to the others
 
 
 @dataclass(frozen=True)
