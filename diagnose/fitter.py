@@ -6,7 +6,7 @@ import dataclasses
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass
 from functools import cached_property, partial
 from typing import TypeVar
 
@@ -15,14 +15,14 @@ import numpy as np
 from diagnose.experiment import Experiment, hold_out_blocks, measured_velocity
 from diagnose.fitted import UNEXPLAINED, Fitted, HeldOut
 from diagnose.hypothesis import Hypothesis
-from diagnose.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, residual_and_jacobian
+from diagnose.least_squares import Fit, Linearised, Status, bounded, levenberg_marquardt
 from diagnose.memory import Memory
 from diagnose.scales import scales_by_place
 from diagnose.side_by_side import Counted, SideBySide
 from diagnose.view import MotionView, View, most_led
+from diagnose.weighted import PRIOR, Weighted
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
-from mjsim.signals import lfilter, weigh_into
 from mjsim.system import STEP, assemble
 
 __all__ = ["Fitter"]
@@ -47,7 +47,6 @@ SHAKES, PATIENCE = 12, 3  # sets of points about a fit at most, and how many in 
 SAME = 0.002  # difference in the logarithm of chi-square of one minimum: a fit that comes back to it has no better one near
 SLOWLY = 0.01  # relative gain of an iteration below which a fit to all recordings, that leaves as much, has converged
 RK4 = 3.5  # times as long as one product a step takes that laws make nonlinear
-PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 
 def _with_own(model: Axis, like: Axis) -> Axis:
@@ -60,35 +59,25 @@ def _with_own(model: Axis, like: Axis) -> Axis:
 
 
 @dataclass
-class Fitter:
-    """Everything that fits share: nominal axis, view, experiments, scales, whitening filter, threads."""
+class Fitter(Weighted):
+    """Everything that fits share: what they weigh, scales, threads, and what was fitted so far."""
 
-    nominal: Axis
-    view: View
-    experiments: tuple[Experiment, ...]
-    held_out: tuple[Experiment, ...]
     jobs: int = 2
     varies: tuple[str, ...] = ()
     orders: tuple[float, ...] = ()
-    whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
     work: int = 0
     most_runs: float = math.inf
     memory: Memory | None = None
-    guide: float = 1.0
     beside: InitVar[Fitter | None] = None  # one that it shares threads, scales and the unit of what it takes with
 
     def __post_init__(self, beside: Fitter | None) -> None:
         self.threads: SideBySide = SideBySide(self.jobs) if beside is None else beside.threads
-        self.closed = False
+        super().__post_init__()
         self._swung: tuple[float, ...] = ()
         self._counting = threading.Lock()
         self._own: dict[tuple[object, ...], tuple[Axis, np.ndarray | None] | None] = {}
         self._pooled: dict[tuple[object, ...], tuple[float, Fitted]] = {}
         self._led: dict[tuple[object, ...], Fitted | None] = {}
-        self._clear: dict[tuple[int, int], np.ndarray] = {}
-        self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
-        self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
-        self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
         self.scales: dict[str, Scales] = self._scales() if beside is None else beside.scales
         self._steps = max(1, math.ceil(self.experiments[0].recording.dt * assemble(self.nominal).omega / STEP))
         unit = self._steps * sum(len(e.recording) for e in self.experiments)
@@ -114,13 +103,6 @@ class Fitter:
         self.closed = True
         self.threads.close()
 
-    def _rough_noise(self, experiment: Experiment) -> float:
-        """A tenth of the nominal model's error: a weight where the noise is not known beforehand."""
-        e = self.error(self.nominal, experiment, None)
-        if e is None:
-            return 1.0
-        return 0.1 * float(np.sqrt(np.mean(e[self.counted(experiment)] ** 2)))
-
     def set_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = ()) -> None:
         """Take the spatial orders found in the residual as starts for position-locked effects; ``swung``: those of an inertia."""
         self.orders, self._swung = orders, swung
@@ -137,18 +119,6 @@ class Fitter:
         orders = self.scales[effect.angle_of or place].orders
         return dataclasses.replace(self.scales[place], orders=orders)
 
-    def set_sigma(self, experiment: Experiment, sigma: float) -> None:
-        """Weight of an experiment."""
-        self._sigma[id(experiment)] = sigma
-
-    def sigma(self, experiment: Experiment) -> float:
-        """Noise rms used as weight."""
-        return self._sigma[id(experiment)]
-
-    def counted(self, experiment: Experiment) -> np.ndarray:
-        """Mask of the compared samples that count."""
-        return self._counts[id(experiment)]
-
     def map(self, tasks: Sequence[Callable[[], T]], lengths: Sequence[float] | None = None) -> list[T]:
         """Work side by side; answers in the order of the tasks, the longest of which is begun first."""
         return self.threads.map(tasks, lengths)
@@ -160,87 +130,9 @@ class Fitter:
         self.took(counted.work)
         return answers
 
-    def error(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
-        """Measured minus predicted at every compared sample, in the view's unit."""
-        s = self.view.signals(axis, experiment, initial)
-        if s is None:
-            return None
-        e = s.measured - s.predicted
-        return e if bounded(e).all() else None
-
-    def error_of(self, fitted: Fitted, i: int) -> np.ndarray | None:
-        """The error of a fitted model on estimation experiment i."""
-        h, x = fitted.hypothesis, fitted.fit.x
-        return self.error(h.axis(x, i), self.experiments[i], h.initial(x, i))
-
-    def weighted(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
-        """The error whitened, weighted and cut to the samples that count."""
-        out = np.empty(len(self.counted(experiment)))
-        count = self._weigh(axis, experiment, initial, out)
-        return None if count is None else out[:count]
-
-    def _weigh(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None, out: np.ndarray) -> int | None:
-        """Write `weighted` from the start of ``out`` on; how many numbers that are, None where it cannot be had."""
-        s = self.view.signals(axis, experiment, initial)
-        if s is None:
-            return None
-        how = self.counted(experiment), self.whitening, self._telling(experiment)
-        count = int(weigh_into(s.measured, s.predicted, self.sigma(experiment), *how, out))
-        return None if count < 0 else count
-
-    def whitened(self, e: np.ndarray, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted, whitened error (M,) and which of it counts: not the samples that the filter reaches past a gap."""
-        w = e / self.sigma(experiment)
-        if len(self.whitening) > 1:
-            w = lfilter(self.whitening, [1.0], np.where(self.counted(experiment), w, 0.0))
-        return w, self._telling(experiment)
-
-    def _telling(self, experiment: Experiment) -> np.ndarray:
-        """Which of the whitened errors count: not those that the filter reaches past a gap."""
-        keep, p = self.counted(experiment), len(self.whitening) - 1
-        if p == 0:
-            return keep
-        if (id(experiment), p) not in self._clear:
-            reach = np.convolve(~keep, np.ones(p + 1))[: len(keep)] > 0
-            reach[:p] = True
-            self._clear[id(experiment), p] = keep & ~reach
-        return self._clear[id(experiment), p]
-
-    def residual(self, h: Hypothesis) -> Callable[[np.ndarray], np.ndarray | None]:
-        """Residual vector over all estimation experiments as a function of the scaled vector."""
-
-        def of(x: np.ndarray) -> np.ndarray | None:
-            if self.closed:
-                return None
-            out, at = np.empty(sum(len(self.counted(e)) for e in self.experiments) + h.told[0]), 0
-            for r, experiment in enumerate(self.experiments):
-                try:
-                    axis = h.axis(x, r)
-                except ValueError:
-                    return None
-                count = self._weigh(axis, experiment, h.initial(x, r), out[at:])
-                if count is None:
-                    return None
-                at += count
-            out[at : at + h.told[0]] = self.prior(h, x)
-            return out[: at + h.told[0]]
-
-        return of
-
     def at_start(self, h: Hypothesis) -> Callable[[], np.ndarray | None]:
         """A task: the residual at the start of a hypothesis."""
         return lambda: self.residual(h)(h.start)
-
-    def prior(self, h: Hypothesis, x: np.ndarray) -> np.ndarray:
-        """What the nominal model itself says of its numbers: within a factor of about two (PRIOR), in residual units.
-
-        It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
-        a parameter that is wrong by half costs one unit of chi-square, times ``guide``.
-        """
-        count, rows, at, nominal = h.told
-        said = np.zeros(count)
-        said[rows] = math.sqrt(self.guide) * ((x[at] - nominal) / PRIOR)
-        return said
 
     def misfit(self, fitted: Fitted) -> float:
         """Chi-square over n of what a fit leaves of the recordings, without what its prior costs."""
@@ -282,6 +174,7 @@ class Fitter:
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
                 max_iterations=iterations, tolerance=tolerance, J0=J0, r0=r0, secant=secant, reach=h.reach,
                 beside=counted.beside, fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
+                slope=self.slope(h),
             )  # fmt: skip
 
         if known is None:
@@ -350,11 +243,10 @@ class Fitter:
         """Residual and Jacobian at x, the columns for the parameters of ``base`` taken from there; None where it lends none."""
         if not base.fit.J.any():
             return None
-        lower, upper = h.bounds
-        x = np.clip(x, lower, upper)
+        x = np.clip(x, *h.bounds)
         known = {e.label: (e.scale, base.fit.J[:, i]) for i, e in enumerate(base.hypothesis.entries)}
         own = [i for i, e in enumerate(h.entries) if e.label not in known]
-        r, part = residual_and_jacobian(self.residual(h), x, np.full(len(x), step), lower, upper, run, own)
+        r, part = self.linearised(h, x, step, run, own)
         if r is None or part is None or len(r) != base.fit.J.shape[0]:
             return None
         J = np.empty((len(r), len(x)), order="F")
@@ -418,8 +310,10 @@ class Fitter:
         self, experiments: tuple[Experiment, ...], like: Sequence[Experiment], view: View, held_out: tuple[Experiment, ...] = ()
     ) -> Fitter:
         """A fitter on the same threads for other experiments, each weighted as the one it is like, or for another view."""
-        shared = (self.jobs, self.varies, self.orders, self.whitening)
-        other = Fitter(self.nominal, view, experiments, held_out, *shared, guide=self.guide, beside=self)
+        other = Fitter(
+            self.nominal, view, experiments, held_out, self.jobs, self.varies, self.orders,
+            whitening=self.whitening, guide=self.guide, beside=self,
+        )  # fmt: skip
         other._sigma |= {id(e): self.sigma(own) for e, own in zip(experiments, like, strict=True)}
         return other
 
@@ -609,12 +503,9 @@ class Fitter:
     def refined(self, fitted: Fitted, step: float = 2e-4) -> Fitted:
         """The same fit with a two-sided Jacobian at its solution, for covariances."""
         h, f = fitted.hypothesis, fitted.fit
-        lower, upper = h.bounds
-        steps = np.full(len(h.entries), step)
-        residual = self.residual(h)
-        r, forward = residual_and_jacobian(residual, f.x, steps, lower, upper, self.run)
+        r, forward = self.linearised(h, f.x, step, self.run)
         assert r is not None
-        backward = jacobian(residual, f.x, r, -steps, lower, upper, self.run)
+        _, backward = self.linearised(h, f.x, -step, self.run)
         if forward is None or backward is None:
             return fitted
         J = 0.5 * (forward + backward)

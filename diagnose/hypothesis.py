@@ -196,6 +196,12 @@ class Hypothesis:
         """Whether bodies stick or strike by an effect, so that the cost has steps."""
         return any(type(e).rough for e in (*self.carried, *self.effects))
 
+    @cached_property
+    def rounding(self) -> list[int]:
+        """Where in the vector the numbers of a sensor's rounding are."""
+        owners = {e.key for e in (*self.carried, *self.effects) if type(e).rounds}
+        return [i for i, e in enumerate(self.entries) if e.owner in owners]
+
     @property
     def keys(self) -> tuple[str, ...]:
         """Keys of the supposed effects."""

@@ -184,7 +184,9 @@ class Judge:
             return False
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
-            return False
+            after, asked = self._begun_from(before, after), 2 * asked
+            if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
+                return False
         if self._feedback_does(before, after) or self._of_few_periods(before, after):
             return False
         if self._encoder_errs(before, after) or self._events_only(before, after):
@@ -349,6 +351,27 @@ class Judge:
             self.keep(landed)
         if length < SHORT:
             self.shake(self.pool.get(f.key, f))
+
+    def _begun_from(self, before: Fitted, after: Fitted) -> Fitted:
+        """A richer structure begun at the numbers that a poorer one has come to since; itself where that is no worse.
+
+        Held-out data may ask more of a number than the others tell of it: then they compare two guesses of it, and not the
+        structures. Of two fits that the estimation data do not tell apart the one that shares the poorer's numbers is compared.
+        """
+        much = math.log(before.chi2 / after.chi2) > SHOWN * self.options.material
+        if not self.fitter.noise_known or after.rough or not set(before.key) < set(after.key) or not much:
+            return after
+        asked = (before.key, before.chi2, after.key, after.chi2)
+        if asked not in self._begun_beside:
+            new = [e for e in after.effects if e.key not in before.key]
+            h = self.fitter.hypothesis((*before.effects, *new), before.linear, before.own)
+            begun = self.fitter.fit(h, iterations=12)
+            self._begun_beside[asked] = begun if begun.ok and begun.chi2 < after.chi2 + self.options.entry else after
+        begun = self._begun_beside[asked]
+        if begun is not after and self.pool.get(after.key) is after:
+            self.pool[after.key] = begun
+            self.held.pop(after.key, None)
+        return begun
 
     def _beside(self, before: Fitted, after: Fitted) -> Fitted:
         """A structure in which bodies stick or strike, begun where a richer one has led; itself where that is no better.

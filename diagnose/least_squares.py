@@ -10,7 +10,18 @@ from functools import partial
 
 import numpy as np
 
-__all__ = ["Fit", "Linearised", "Status", "bounded", "jacobian", "levenberg_marquardt", "orthonormal", "residual_and_jacobian"]
+__all__ = [
+    "Fit",
+    "Linearised",
+    "Residual",
+    "Run",
+    "Status",
+    "bounded",
+    "jacobian",
+    "levenberg_marquardt",
+    "orthonormal",
+    "residual_and_jacobian",
+]
 
 
 class Status(enum.Enum):
@@ -208,6 +219,7 @@ def levenberg_marquardt(
     reach: np.ndarray | None = None,
     coarse: tuple[float, float] = (np.inf, 0.0),
     beside: Beside | None = None,
+    slope: Callable[[np.ndarray], Residual] | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
@@ -219,13 +231,15 @@ def levenberg_marquardt(
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
     coarse: a cost, and the tolerance that is enough above it;
     beside: the answer of a task, and how to ask for that of another one if somebody works that out: the first column of the next
-    Jacobian beside a step, or, once one has failed, the next step beside it; neither changes an outcome.
+    Jacobian beside a step, or, once one has failed, the next step beside it; neither changes an outcome;
+    slope: of a point, the residual whose secants there are the Jacobian, where those of the residual itself tell little.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
     n_x = len(x)
     r = r0
-    if r is None and J0 is None:
+    there = slope or (lambda _: residual)
+    if r is None and J0 is None and slope is None:
         r, J0 = residual_and_jacobian(residual, x, step, lower, upper, run)
     elif r is None:
         r = residual(x)
@@ -244,8 +258,8 @@ def levenberg_marquardt(
     begun: dict[bytes, Task] = {}
     for iteration in range(1, max_iterations + 1):
         tolerance = max(asked, coarse[1]) if cost > coarse[0] else asked
-        if secant and iteration > 1:
-            part = jacobian(residual, x, r, step, lower, upper, run, fresh) if len(fresh) else None
+        if secant and iteration > 1 and slope is None:
+            part = jacobian(there(x), x, r, step, lower, upper, run, fresh) if len(fresh) else None
             if len(fresh) and part is None:
                 status = Status.STALLED
                 break
@@ -256,7 +270,7 @@ def levenberg_marquardt(
                 J[:, fresh] = part
         else:
             given = J0 is not None and iteration == 1
-            new_J = J0 if given else jacobian(residual, x, r, step, lower, upper, run, begun=begun)
+            new_J = J0 if given else jacobian(there(x), x, r, step, lower, upper, run, begun=begun)
             if new_J is None:
                 status = Status.STALLED
                 break
@@ -285,7 +299,7 @@ def levenberg_marquardt(
                 following = moved(max(mu, 1e-6) * 10)
                 r_new, ask = beside(partial(residual, trial), partial(residual, following))
                 tried = {following.tobytes(): ask} if ask is not None else {}
-            elif beside is not None and not secant and iteration < max_iterations:
+            elif beside is not None and slope is None and not secant and iteration < max_iterations:
                 (first,), _ = _beside(trial, step, lower, upper, [0])
                 r_new, ask = beside(partial(residual, trial), partial(residual, first))
                 begun = {first.tobytes(): ask} if ask is not None else {}

@@ -19,7 +19,7 @@ from diagnose.experiment import Experiment
 from diagnose.fitted import Fitted
 from diagnose.fitter import Fitter
 from diagnose.hypothesis import make
-from diagnose.least_squares import Fit, Linearised, Status, residual_and_jacobian
+from diagnose.least_squares import Fit, Linearised, Status
 from diagnose.view import MotionView
 from mjsim.effects import Effect, effect_class
 from mjsim.system import STEP, assemble
@@ -154,10 +154,9 @@ class Look:
         (r,) = self.whole.run([partial(self.whole.residual(h), x)])
         if r is None:
             return None
-        lower, upper = h.bounds
 
         def linear() -> tuple[np.ndarray, np.ndarray]:
-            _, J = residual_and_jacobian(self.whole.residual(h), x, np.full(len(x), 1e-3), lower, upper, self.whole.run)
+            _, J = self.whole.linearised(h, x, 1e-3, self.whole.run)
             return r, np.zeros((len(r), len(x))) if J is None else J
 
         fit = Fit(x, float(r @ r), Linearised(linear), Status.BUDGET, f.fit.iterations, f.fit.predicted_gain)

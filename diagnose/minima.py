@@ -187,6 +187,20 @@ class Minima(Judge):
                     break
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
 
+    def _freed(self, f: Fitted, beside: Fitted) -> None:
+        """Let go of a structure that sticks or strikes, once, which is behind one ``beside`` it in a free run alone."""
+        left = self.options.free and self.fitter.noise_known and f.rough and self.fitter.misfit(beside) > UNEXPLAINED
+        if not left or f.key in self.unfolded or self.criterion(f) <= self.criterion(beside):
+            return
+        if f.chi2 > NEARBY * NEARBY * beside.chi2 or self._let_go >= LET_GO or self._spent() or self.beaten(f, beside):
+            return
+        self._let_go += 1
+        self.unfolded[f.key] = 1
+        free = self.fitter.let_go(f)
+        if free is not None:
+            self.keep(free)
+            self.shake(free)
+
     def _smooths(self, current: Fitted, f: Fitted) -> bool:
         """Whether a structure adds to one that was unfolded what explains little of what is left, or next to nothing.
 

@@ -24,6 +24,7 @@ from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
 from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL
 from diagnose.moves import (
+    ALIKE,
     Entrant,
     at_limits,
     elsewhere,
@@ -95,6 +96,9 @@ class Search(Guided):
         if self._spent():
             return []
         if base.rough and base.chi2 < SHAKEN * base.n:  # a minute error may be that of an event a sample too late
+            self._limit(base)
+            if self._best(base).key != base.key:
+                return []  # what it comes to is built on in its place
             self._brought_down(base)
             base = self.pool.get(base.key, base)
         ranked = self._look(base).screen(self._additions(base))
@@ -242,6 +246,7 @@ class Search(Guided):
             self.keep(begun)
             if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
                 self._brought_down(begun)
+                self._freed(self.pool.get(begun.key, begun), base)
 
     def swap(self, base: Fitted) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` gives way to one that did as much as it beside a simpler structure.
@@ -251,6 +256,12 @@ class Search(Guided):
         if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED or self._spent():
             return []
         return self._race(base, self._new(base, in_place(self.pool, self.candidates, base, RIVAL)))
+
+    def _twins(self, base: Fitted) -> None:
+        """Fit the structures in which what moved as an effect of ``base`` does, beside a simpler one, takes its place."""
+        if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED or self._spent():
+            return
+        self._race(base, self._new(base, in_place(self.pool, self.candidates, base, ALIKE)))
 
     def _new(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
         """Those that are admitted and were not tried from here."""
@@ -486,7 +497,8 @@ class Search(Guided):
 
     def _improved(self, current: Fitted, best: Fitted) -> Fitted:
         """The best structure once the best so far was asked what it lacks, refined, put in another's place, unfolded, shaken."""
-        best = self._led_first(current, best)
+        self._twins(best)
+        best = self._led_first(current, self._best(current))
         self.refine(best)
         refined = self._best(current)
         if refined.key != best.key and math.log(best.chi2 / refined.chi2) > LITTLE:  # before it is unfolded by a wrong law

@@ -42,11 +42,15 @@ KEPT = 8  # torques that draw a model to one recording: those of the structures 
 
 @dataclass(frozen=True)
 class Signals:
-    """What is compared, on one time grid (M): time [s], measured and predicted in the view's unit."""
+    """What is compared, on one time grid (M): time [s], measured and predicted in the view's unit.
+
+    rounding (M): the part of the predicted by which a sensor rounds it to steps; None without.
+    """
 
     time: np.ndarray
     measured: np.ndarray
     predicted: np.ndarray
+    rounding: np.ndarray | None = None
 
 
 def most_led(axis: Axis) -> float:
@@ -172,9 +176,10 @@ class MotionView:
         measured = measured_velocity(r)
         if experiment.correction is not None:
             measured = measured + experiment.correction
+        smooth = predicted
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
-        return Signals(r.time, measured, predicted)
+        return Signals(r.time, measured, predicted, predicted - smooth if rounding else None)
 
     def _drawn(self, system: System, experiment: Experiment, gain: float) -> np.ndarray:
         """The torque (N,) past the actuator that draws a model to a recording, kept with it: a fit asks for few others."""

@@ -11,8 +11,9 @@ import numpy as np
 
 from diagnose.experiment import Experiment
 from diagnose.fitted import Fitted
-from diagnose.fitter import PRIOR, Fitter
+from diagnose.fitter import Fitter
 from diagnose.least_squares import Status
+from diagnose.weighted import PRIOR
 from mjsim.signals import freqz
 
 __all__ = [

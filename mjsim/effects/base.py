@@ -150,6 +150,7 @@ class Effect(abc.ABC):
     family: ClassVar[str] = ""
     multistart: ClassVar[int] = 1
     rough: ClassVar[bool] = False
+    rounds: ClassVar[bool] = False
     refines: ClassVar[tuple[str, ...]] = ()
     amplitudes: ClassVar[tuple[str, ...]] = ()
     angle_of: ClassVar[str] = ""

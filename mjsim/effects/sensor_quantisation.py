@@ -32,6 +32,7 @@ class SensorQuantisation(Effect):
     tolerance: ClassVar[float] = 1e-3  # one sample that rounds the other way is 1e-4; measured 4e-5
     amplitudes: ClassVar[tuple[str, ...]] = ()
     family: ClassVar[str] = "signal"
+    rounds: ClassVar[bool] = True
 
     step: float = parameter(Quantity.VELOCITY, "step of the reported velocity", lower=0.0)
 

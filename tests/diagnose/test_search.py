@@ -16,7 +16,7 @@ from diagnose.candidates import Candidate, Screened, inherit, takes_place
 from diagnose.compare import Comparison, compare, signed_rank
 from diagnose.experiment import prepare
 from diagnose.fitted import Fitted, HeldOut
-from diagnose.fitter import FAR, PRIOR, Fitter
+from diagnose.fitter import FAR, Fitter
 from diagnose.flow import Options, diagnose
 from diagnose.judge import PUT_RIGHT
 from diagnose.least_squares import Status
@@ -24,6 +24,7 @@ from diagnose.moves import at_limits, elsewhere, ground, named, promising, refin
 from diagnose.search import PORTION, Search
 from diagnose.search_options import SearchOptions
 from diagnose.view import MotionView
+from diagnose.weighted import PRIOR
 from mjsim.effects import effect_class
 
 N, BLOCKS = 20_000, 40
@@ -73,21 +74,6 @@ def test_a_model_that_cannot_be_run_is_worth_nothing_and_its_rival_everything(no
     better = compare(None, held(noise))
     assert better.relative_gain == np.inf
     assert better.p_value == 0.0
-
-
-@pytest.fixture
-def fitter_of(robot):
-    """``fitter_of((estimation, held out))``: a fitter on one thread."""
-    opened = []
-
-    def make(recordings) -> Fitter:
-        first, other = (prepare(r) for r in recordings)
-        opened.append(Fitter(robot, MotionView(), (first,), (other,), 1))
-        return opened[-1]
-
-    yield make
-    for fitter in opened:
-        fitter.close()
 
 
 def coulomb(level=0.1):

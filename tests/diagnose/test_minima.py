@@ -1,0 +1,79 @@
+"""What moves alike until another effect is there, and what is behind by its minimum alone, is tried before what is dear."""
+
+from __future__ import annotations
+
+import pytest
+from robot_axis import effect
+
+from diagnose.search import Search
+from diagnose.search_options import SearchOptions
+
+PLANT = {"Jm": 4.7e-4, "fm": 0.0345, "kg": 1.46e5, "ka": 0.458e5, "Ja": 1.66}
+STICKS = effect("static_friction", torque_Nm=0.15, peak=2.4)
+
+
+def test_a_lag_at_the_other_end_is_tried_as_soon_as_friction_is_there(fitter_of, pair):
+    """Alone they are told apart by nothing; the one that happened to be first had its friction refined for all the budget."""
+    lags = [
+        effect("actuator_lag", place="actuator", time_constant_s=2e-3),
+        effect("sensor_lag", place="sensor", time_constant_s=2e-3),
+    ]
+    fitter = fitter_of(pair(STICKS, lags[0]))
+    search = Search(fitter, SearchOptions())
+    for lag in lags:
+        search.keep(fitter.fit(fitter.hypothesis([lag])))
+    base = fitter.fit(fitter.hypothesis([STICKS, lags[1]], PLANT), iterations=6)
+    search._twins(base)
+    key = tuple(sorted([STICKS.key, lags[0].key]))
+    assert search.pool[key].chi2 < 1.1 * base.n < 0.5 * base.chi2
+    runs = fitter.runs
+    search._twins(search.pool[key])
+    assert fitter.runs == runs, "nothing is left to explain"
+
+
+def test_what_a_law_comes_to_is_built_on_in_its_place(fitter_of, pair):
+    """Stribeck friction over a speed that the motion never resolves left as little, and beside it the whole budget went."""
+    fitter = fitter_of(pair(STICKS))
+    search = Search(fitter, SearchOptions())
+    search.nominal()
+    numbers = {"torque_Nm": 0.15, "extra_static_torque_Nm": 0.21, "stribeck_velocity_rad_s": 0.01}
+    base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **numbers)], PLANT), iterations=5)
+    assert base.chi2 < 1.5 * base.n
+    search.keep(base)
+    assert search.expand(base) == []
+    assert search.pool[(STICKS.key,)].effects[0].peak == pytest.approx(2.4, rel=0.05)
+    assert all(len(key) < 2 for key in search.pool)
+
+
+def test_what_is_behind_in_a_free_run_alone_is_let_go(fitter_of, pair):
+    fitter = fitter_of(pair(STICKS))
+    search = Search(fitter, SearchOptions())
+    astray = fitter.fit(fitter.hypothesis([STICKS.with_values({"peak": 2.2})], PLANT))
+    numbers = {"torque_Nm": 0.15, "extra_static_torque_Nm": 0.21, "stribeck_velocity_rad_s": 0.1}
+    beside = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **numbers)], PLANT), iterations=15)
+    assert astray.chi2 > beside.chi2 > 1.1 * beside.n
+    search.keep(astray)
+    search._freed(astray, beside)
+    found = search.pool[(STICKS.key,)]
+    assert found.chi2 < 1.1 * found.n
+    runs = fitter.runs
+    search._freed(astray, beside)
+    assert fitter.runs == runs, "once"
+
+
+def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_come_to(fitter_of, pair):
+    """Held-out data may ask more of a number than the others tell of it: two guesses of it are then compared."""
+    friction, steps = effect("coulomb_friction", torque_Nm=0.1), effect("sensor_quantisation", place="sensor", step=0.3)
+    fitter = fitter_of(pair(friction, steps))
+    search = Search(fitter, SearchOptions())
+    first = fitter.fit(fitter.hypothesis([friction], PLANT), iterations=3)
+    after = fitter.fit(fitter.hypothesis([friction, steps], first.linear))
+    before = fitter.fit(first.hypothesis, first.fit.x)
+    assert after.chi2 < 0.5 * before.chi2
+    search.keep(after)
+    begun = search._begun_from(before, after)
+    assert begun is not after
+    assert begun.chi2 < after.chi2 + search.options.entry
+    assert search.pool[after.key] is begun
+    assert search._begun_from(before, begun) is search.pool[after.key]
+    assert search._begun_from(begun, begun) is begun, "of itself there is no other"
