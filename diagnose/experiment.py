@@ -44,7 +44,7 @@ class Experiment:
     moving: bool
     before: float
     correction: np.ndarray | None = None
-    kept: dict[tuple[object, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
+    kept: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
 
     def first(self, share: float) -> Experiment:
         """The first part of it."""

@@ -35,7 +35,7 @@ APART = 0.15  # of the noise rms: models that come apart by more do not foretell
 FORETOLD = 0.05  # least part of the held-out samples by which a model that sticks or strikes may be judged
 FAR = 3.0  # chi-square over n beyond which other physics is missing than a rival's last digits could tell
 ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
-# rates [1/s] at which a model is led in turn: from J/lead of 1 ms to a free run
+# rates [1/s] at which a model is led in turn: from a memory of 1 ms to a free run
 LEADS = (1000.0, 560.0, 300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
 LANDING = (300.0, 100.0, 30.0, 10.0)  # the same in few and wide steps
 CLOSELY = 300.0  # rate [1/s] at which structures are compared that a free run may have left in a wrong minimum
@@ -324,9 +324,9 @@ class Fitter(Weighted):
         return part
 
     def leading(self, rate: float, held_out: tuple[Experiment, ...] = ()) -> Fitter:
-        """A fitter of models that the measured velocity leads, by the nominal inertia times ``rate`` [1/s]."""
+        """A fitter of models that the measured velocity leads, by their own motor inertia times ``rate`` [1/s]."""
         assert isinstance(self.view, MotionView)
-        view = dataclasses.replace(self.view, lead=rate * self.nominal.chain.bodies[0].inertia)
+        view = dataclasses.replace(self.view, lead=rate)
         return self._beside(self.experiments, self.experiments, view, held_out)
 
     def led(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 from diagnose.fitted import Fitted
@@ -18,8 +18,6 @@ WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weigh
 @dataclass
 class Guided(Minima):
     """Everything fitted so far, by one weight of the nominal parameters."""
-
-    retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)  # what was tried by the present weight
 
     def __post_init__(self) -> None:
         super().__post_init__()

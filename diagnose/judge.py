@@ -396,7 +396,7 @@ class Judge:
         """Whether what was added to a structure in which bodies stick or strike only brings its events into another order.
 
         A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
-        right within J/lead: there it must gain as well, a fair part of that. Of more than noise it must explain a fair part.
+        right within 1 / rate: there it must gain as well, a fair part of that. Of more than noise it must explain a fair part.
         """
         if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
             return False
@@ -423,8 +423,8 @@ class Judge:
     def lacks_law(self, f: Fitted) -> bool:
         """Whether what a structure leaves beside noise is no wrong order of its events: where that is little, and stays when led.
 
-        A led model is put right within J/lead, so that an event at another moment costs it a fraction of what a free run pays. It
-        is led closely first, where it has hardly any minima but one: begun at the free run's it may stay in that order of events.
+        A led model is put right within 1 / rate, so that an event at another moment costs it a fraction of what a free run pays.
+        It is led closely first, where it has hardly any minima but one: begun at the free run's it may stay where that is.
         """
         f = self.pool.get(f.key, f)
         if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:

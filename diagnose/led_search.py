@@ -22,6 +22,7 @@ LITTLE = 0.7  # of the chi-square of a round before: a round that leaves more le
 PART = 0.5  # of what the diagnosis may still take
 WIDTH = 6  # rivals of a round
 NEAR = 10.0 * LACKS  # times the noise variance below which an effect is refined
+MOMENTS = 1.2  # times the noise that the wrong moments of events leave of a closely led model
 ALIKE, MOST = 2.0, 3  # times the least chi-square of a led structure up to which others are let go as well, and how many
 
 
@@ -33,7 +34,8 @@ def among_led(search: Search) -> None:
     for led in _search(search):
         free = search.fitter.fit(search.fitter.hypothesis(led.effects, led.linear, led.own), iterations=20)
         search.keep(free)
-        if search.shake(free).chi2 > UNEXPLAINED * min(free.n, led.chi2):
+        missed = search.shake(free).chi2 > UNEXPLAINED * min(free.n, led.chi2)
+        if missed and led.chi2 < MOMENTS * led.n:  # else it lacks more than those, and is where to go on from
             again = search.fitter.let_go(led, highest=CLOSELY)
             search.keep(free if again is None else again)
         known = search.pool.get(led.key)  # none where no free run of it could be fitted

@@ -14,12 +14,12 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.fitted import UNEXPLAINED, Fitted
+from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import SAME, Fitter
 from diagnose.hypothesis import make
-from diagnose.judge import SHAKEN, Judge
+from diagnose.judge import LONG, SHAKEN, Judge
 from diagnose.least_squares import Status
-from diagnose.moves import folded
+from diagnose.moves import at_limits, folded, simpler_at
 from mjsim.effects import Effect
 
 __all__ = ["LITTLE", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
@@ -64,6 +64,7 @@ class Minima(Judge):
     """Everything fitted so far, and how to come to a lower minimum of it; within what a search may take."""
 
     unfolded: dict[tuple[str, ...], int] = field(default_factory=dict)  # and how often each was let go
+    retried: set[tuple[tuple[str, ...], tuple[str, ...]]] = field(default_factory=set)  # what was tried by the present weight
 
     def __post_init__(self) -> None:
         self._began = time.monotonic()
@@ -186,6 +187,31 @@ class Minima(Judge):
                     self.unfolded[f.key] = UNFOLDS  # it comes back to the minimum that is known
                     break
             self._runs += (self.fitter.runs - spent) // 2  # at half the cost of other structures
+
+    def _limit(self, base: Fitted) -> list[Fitted]:
+        """What the effects of a structure come to at an edge of their numbers, fitted from those numbers; the pool keeps it.
+
+        A law of more numbers that stands there is the one of fewer, which may have ended in another minimum by itself. So may the
+        law that one which is slow to run refines: stiff bristles hardly give, and all that follows would wait for their runs.
+        """
+        out, offered = [], {c.key for c in self.candidates}
+        begin = partial(self.fitter.hypothesis, linear=base.linear, own=base.own)
+        quick = [
+            effects for effects in (simpler_at(base) if self._slow(base) else ())
+            if self.fitter.length(h := begin(effects), h.start) <= LONG
+        ]  # fmt: skip
+        for effects in [*at_limits(base), *quick]:
+            mark = (base.key, (*key_of(effects), repr(base.chi2)))
+            if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or mark in self.retried or self._late():
+                continue
+            self.retried.add(mark)
+            begun = self.fitter.fit(begin(effects), iterations=20, rival=True)
+            self.keep(begun)
+            if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
+                self._brought_down(begun)
+                self._freed(self.pool.get(begun.key, begun), base)
+            out.append(self.pool.get(begun.key, begun))
+        return out
 
     def _freed(self, f: Fitted, beside: Fitted) -> None:
         """Let go of a structure that sticks or strikes, once, which is behind one ``beside`` it in a free run alone."""

@@ -26,7 +26,6 @@ from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL
 from diagnose.moves import (
     ALIKE,
     Entrant,
-    at_limits,
     elsewhere,
     folded,
     formed,
@@ -36,7 +35,6 @@ from diagnose.moves import (
     other_orders,
     promising,
     refines,
-    simpler_at,
     taken_apart,
     with_other_laws,
 )
@@ -178,7 +176,9 @@ class Search(Guided):
         """
         if self._spent():
             return []
-        self._limit(base)
+        limits = self._limit(base)
+        if any(self.criterion(f) < self.criterion(base) for f in limits):
+            return limits  # of fewer numbers: it is gone on with
         material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
         grown = self._race(base, self._refinements(base, material=material))
         least = min((f.chi2 for f in grown), default=math.inf)
@@ -224,29 +224,6 @@ class Search(Guided):
         self.tested += len(ranked)
         worth = 0.4 * self.options.entry
         return [(others, s) for s in ranked if s.gain > worth or effect_class(s.candidate.id).multistart > 1]
-
-    def _limit(self, base: Fitted) -> None:
-        """Fit what the effects of a structure come to at an edge of their numbers, from those numbers; the pool keeps it.
-
-        A law of more numbers that stands there is the one of fewer, which may have ended in another minimum by itself. So may the
-        law that one which is slow to run refines: stiff bristles hardly give, and all that follows would wait for their runs.
-        """
-        offered = {c.key for c in self.candidates}
-        begin = partial(self.fitter.hypothesis, linear=base.linear, own=base.own)
-        quick = [
-            effects for effects in (simpler_at(base) if self._slow(base) else ())
-            if self.fitter.length(h := begin(effects), h.start) <= LONG
-        ]  # fmt: skip
-        for effects in [*at_limits(base), *quick]:
-            mark = (base.key, (*key_of(effects), repr(base.chi2)))
-            if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or mark in self.retried or self._late():
-                continue
-            self.retried.add(mark)
-            begun = self.fitter.fit(begin(effects), iterations=20, rival=True)
-            self.keep(begun)
-            if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
-                self._brought_down(begun)
-                self._freed(self.pool.get(begun.key, begun), base)
 
     def swap(self, base: Fitted) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` gives way to one that did as much as it beside a simpler structure.
@@ -498,7 +475,10 @@ class Search(Guided):
     def _improved(self, current: Fitted, best: Fitted) -> Fitted:
         """The best structure once the best so far was asked what it lacks, refined, put in another's place, unfolded, shaken."""
         self._twins(best)
-        best = self._led_first(current, self._best(current))
+        before = self._best(current)
+        best = self._led_first(current, before)
+        if self.fitter.misfit(best) > LACKS and best.chi2 < ASTRAY * before.chi2:
+            return best  # led models were refined as well: what is missing beside it comes first
         self.refine(best)
         refined = self._best(current)
         if refined.key != best.key and math.log(best.chi2 / refined.chi2) > LITTLE:  # before it is unfolded by a wrong law

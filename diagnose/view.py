@@ -136,8 +136,8 @@ def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np
 class MotionView:
     """Free run on the recorded torque, judged on motor velocity.
 
-    lead [N m s/rad | N s/m]: torque that draws the model to the recorded velocity, per unit of its error; 0 for a free run.
-    A led model has forgotten within J/lead what it did before: events do not add up, and its error has fewer minima.
+    lead [1/s]: rate at which a torque draws the model to the recorded velocity, by its own motor inertia; 0 for a free run.
+    A led model has forgotten within 1/lead what it did before: events do not add up, and its error has fewer minima.
     most_substeps: of a run, a sample; a model that needs more is not run. step [rad]: by which the fastest motion turns in one.
     Source: C. P. Vyasarayani et al., Multibody Syst. Dyn. 26 (2011) 411.
     """
@@ -160,8 +160,8 @@ class MotionView:
         torque = r.torque
         try:
             system = assemble(self._led(axis))
-            if self.lead > 0:  # lead (v - v_model): the first part is input, past the actuator, the second viscous friction
-                torque = self._drawn(system, experiment, axis.chain.gain)
+            if self.lead > 0:  # lead J (v - v_model): the first part is input, past the actuator, the second viscous friction
+                torque = self._drawn(system, experiment, axis)
                 system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
             rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
             if rounding:
@@ -181,8 +181,13 @@ class MotionView:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted, predicted - smooth if rounding else None)
 
-    def _drawn(self, system: System, experiment: Experiment, gain: float) -> np.ndarray:
-        """The torque (N,) past the actuator that draws a model to a recording, kept with it: a fit asks for few others."""
+    def _drawn(self, system: System, experiment: Experiment, axis: Axis) -> np.ndarray:
+        """The torque (N,) past the actuator that draws a model to a recording."""
+        delivered, velocity = self._path(system, experiment)
+        return delivered + self.lead * axis.chain.bodies[0].inertia / axis.chain.gain * velocity
+
+    def _path(self, system: System, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+        """What an actuator makes of the recorded torque, and the velocity ahead of a sensor, kept: a fit asks for few others."""
         path = (
             system.input_maps,
             system.input_lag,
@@ -191,23 +196,21 @@ class MotionView:
             system.output_lag,
             system.output_delay,
         )
-        asked = (self.lead, gain, *path)
-        torque = experiment.kept.get(asked)
-        if torque is None:
+        known = experiment.kept.get(path)
+        if known is None:
             r = experiment.recording
-            lead = self.lead * _ahead(system, measured_velocity(r), r.dt) / gain
-            torque = _delivered(system, r.torque, r.dt, experiment.before) + lead
+            known = _delivered(system, r.torque, r.dt, experiment.before), _ahead(system, measured_velocity(r), r.dt)
             if len(experiment.kept) >= KEPT:
                 experiment.kept.clear()
-            experiment.kept[asked] = torque
-        return torque
+            experiment.kept[path] = known
+        return known
 
     def _led(self, axis: Axis) -> Axis:
         """The axis with the loss of the lead as viscous friction."""
         if self.lead <= 0:
             return axis
         first, *others = axis.chain.bodies
-        first = dataclasses.replace(first, viscous=first.viscous + self.lead)
+        first = dataclasses.replace(first, viscous=first.viscous + self.lead * first.inertia)
         return dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=(first, *others)))
 
     def counts(self, experiment: Experiment) -> np.ndarray:

@@ -46,7 +46,7 @@ def fitter(robot, sticking):
 def test_the_truth_led_leaves_little_but_noise(sticking, fitter):
     plant, _ = sticking
     experiment = fitter.experiments[0]
-    view = MotionView(lead=LEAD * plant.chain.bodies[0].inertia)
+    view = MotionView(lead=LEAD)
     s = view.signals(plant, experiment, None)
     assert np.std(s.measured - s.predicted) < 1.5 * NOISE  # some of it from the noise that leads it
 
@@ -54,10 +54,20 @@ def test_the_truth_led_leaves_little_but_noise(sticking, fitter):
 def test_what_draws_a_model_is_torque_in_proportion_to_its_error(robot, sticking, fitter):
     """The lead is the recorded velocity as input and viscous friction as loss: for a linear axis, feedback of its error."""
     wrong = robot.with_linear({"Jm": 2 * robot.chain.bodies[0].inertia})
-    free, led = (
-        MotionView(lead=rate * robot.chain.bodies[0].inertia).signals(wrong, fitter.experiments[0], None) for rate in (0.0, 300.0)
-    )
+    free, led = (MotionView(lead=rate).signals(wrong, fitter.experiments[0], None) for rate in (0.0, 300.0))
     assert np.std(led.measured - led.predicted) < 0.5 * np.std(free.measured - free.predicted)
+
+
+def test_an_axis_is_led_by_its_own_inertia_and_fits_no_better_for_being_small(robot, fitter):
+    """By the nominal one, a tenth of an axis under a tenth of the torque was led ten times as closely."""
+    small = robot.with_linear({p.name: 0.1 * p.value for p in robot.chain.linear_parameters()})
+    limited = effect_class("actuator_saturation")(limit_Nm=0.06)
+    as_large = robot + effect_class("actuator_saturation")(limit_Nm=0.6)
+    errors = []
+    for axis in (small + limited, as_large):
+        s = MotionView(lead=300.0).signals(axis, fitter.experiments[0], None)
+        errors.append(np.std(s.measured - s.predicted))
+    assert errors[0] > 0.9 * errors[1]
 
 
 def test_a_led_model_measures_without_bias(robot):
@@ -92,7 +102,7 @@ def test_a_model_is_led_past_its_actuator_and_from_ahead_of_its_sensor(robot, na
     def left(plant, of):
         run = simulate(plant, torque, DT)
         experiment = prepare(Recording(run.time, torque, run.velocity + noise, run.angle, DT))
-        s = MotionView(lead=300.0 * plant.chain.bodies[0].inertia).signals(of, experiment, None)
+        s = MotionView(lead=300.0).signals(of, experiment, None)
         return np.std(s.measured - s.predicted)
 
     alone = left(robot, robot)
