@@ -79,6 +79,7 @@ class Judge:
     _least: dict[tuple[str, ...], float] = field(default_factory=dict, init=False)  # whatever has left the pool
     _shaken: set[tuple[object, ...]] = field(default_factory=set, init=False)
     _begun_beside: dict[tuple[object, ...], Fitted] = field(default_factory=dict, init=False)
+    _begun_richer: dict[tuple[object, ...], Fitted | None] = field(default_factory=dict, init=False)
     _landed: set[tuple[object, ...]] = field(default_factory=set, init=False)
     _without: set[tuple[object, ...]] = field(default_factory=set, init=False)  # structures begun at a richer one's numbers
 
@@ -184,9 +185,10 @@ class Judge:
             return False
         asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
         if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
-            after, asked = self._begun_from(before, after), 2 * asked
-            if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
+            again = self._begun_from(before, after)
+            if again is None or not self._pays_again(before, again, 2 * asked):
                 return False
+            after = again
         if self._feedback_does(before, after) or self._of_few_periods(before, after):
             return False
         if self._encoder_errs(before, after) or self._events_only(before, after):
@@ -352,26 +354,35 @@ class Judge:
         if length < SHORT:
             self.shake(self.pool.get(f.key, f))
 
-    def _begun_from(self, before: Fitted, after: Fitted) -> Fitted:
-        """A richer structure begun at the numbers that a poorer one has come to since; itself where that is no worse.
+    def _begun_from(self, before: Fitted, after: Fitted) -> Fitted | None:
+        """A richer structure begun at the numbers that a poorer one has come to since, once; None where that is worse.
 
         Held-out data may ask more of a number than the others tell of it: then they compare two guesses of it, and not the
         structures. Of two fits that the estimation data do not tell apart the one that shares the poorer's numbers is compared.
         """
         much = math.log(before.chi2 / after.chi2) > SHOWN * self.options.material
         if not self.fitter.noise_known or after.rough or not set(before.key) < set(after.key) or not much:
-            return after
+            return None
+        if self.compared(before, after).relative_gain > -self.options.material:
+            return None  # that is no error of a number
         asked = (before.key, before.chi2, after.key, after.chi2)
-        if asked not in self._begun_beside:
+        if asked not in self._begun_richer:
             new = [e for e in after.effects if e.key not in before.key]
             h = self.fitter.hypothesis((*before.effects, *new), before.linear, before.own)
             begun = self.fitter.fit(h, iterations=12)
-            self._begun_beside[asked] = begun if begun.ok and begun.chi2 < after.chi2 + self.options.entry else after
-        begun = self._begun_beside[asked]
-        if begun is not after and self.pool.get(after.key) is after:
-            self.pool[after.key] = begun
-            self.held.pop(after.key, None)
-        return begun
+            self._begun_richer[asked] = begun if begun.ok and begun.chi2 < after.chi2 + self.options.entry else None
+        return self._begun_richer[asked]
+
+    def _pays_again(self, before: Fitted, again: Fitted, asked: int) -> bool:
+        """Whether a richer structure pays by another fit of it, which then stands for it."""
+        fit, held = self.pool.get(again.key), self.held.pop(again.key, None)
+        self.pool[again.key] = again
+        if self._pays_on(self.compared(before, again), asked) or self._pays_in_blocks(before, again, asked):
+            return True
+        del self.pool[again.key], self.held[again.key]
+        if fit is not None:
+            self.pool[again.key], self.held[again.key] = fit, held
+        return False
 
     def _beside(self, before: Fitted, after: Fitted) -> Fitted:
         """A structure in which bodies stick or strike, begun where a richer one has led; itself where that is no better.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from robot_axis import effect
 
+from diagnose.compare import Comparison
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 
@@ -61,7 +62,7 @@ def test_what_is_behind_in_a_free_run_alone_is_let_go(fitter_of, pair):
     assert fitter.runs == runs, "once"
 
 
-def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_come_to(fitter_of, pair):
+def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_come_to(fitter_of, pair, monkeypatch):
     """Held-out data may ask more of a number than the others tell of it: two guesses of it are then compared."""
     friction, steps = effect("coulomb_friction", torque_Nm=0.1), effect("sensor_quantisation", place="sensor", step=0.3)
     fitter = fitter_of(pair(friction, steps))
@@ -71,9 +72,18 @@ def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_c
     before = fitter.fit(first.hypothesis, first.fit.x)
     assert after.chi2 < 0.5 * before.chi2
     search.keep(after)
+    assert search.compared(before, after).relative_gain > 0.0
+    assert search._begun_from(before, after) is None, "held-out data do not speak against it"
+    monkeypatch.setattr(search, "compared", lambda *pair: Comparison(-1.0, 1.0))
     begun = search._begun_from(before, after)
-    assert begun is not after
+    assert begun is not None
     assert begun.chi2 < after.chi2 + search.options.entry
+    runs = fitter.runs
+    assert search._begun_from(before, after) is begun
+    assert fitter.runs == runs, "once"
+    assert search._begun_from(begun, begun) is None, "of itself there is no other"
+    assert not search._pays_again(before, begun, 2)
+    assert search.pool[after.key] is after, "it stands as it was"
+    monkeypatch.undo()
+    assert search._pays_again(before, begun, 2)
     assert search.pool[after.key] is begun
-    assert search._begun_from(before, begun) is search.pool[after.key]
-    assert search._begun_from(begun, begun) is begun, "of itself there is no other"
