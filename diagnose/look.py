@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -18,7 +18,7 @@ from diagnose.candidates import Candidate, Screened, left_over, screen, span
 from diagnose.experiment import Experiment
 from diagnose.fitted import Fitted
 from diagnose.fitter import Fitter
-from diagnose.hypothesis import make
+from diagnose.hypothesis import Hypothesis, make
 from diagnose.least_squares import Fit, Linearised, Status
 from diagnose.view import MotionView
 from mjsim.effects import Effect, effect_class
@@ -26,6 +26,7 @@ from mjsim.system import STEP, assemble
 
 __all__ = ["Look", "look"]
 
+APART = 3  # rivals that are tried for what they promise beside the nominal parameters
 COARSE = 0.33  # angle [rad] by which the fastest motion may turn in a step of a first look
 LEAST = 5000  # samples of all recordings that a first look needs
 LEAVES = 1.1  # times the noise variance from which a structure leaves so much that a part of the samples tells what it is
@@ -70,6 +71,7 @@ class Look:
     whole: Fitter
     every: int = 1
     full: Look | None = None
+    apart: set[str] = field(default_factory=set)  # rivals that promise much beside the nominal parameters
 
     @cached_property
     def begun(self) -> Fitted:
@@ -99,6 +101,13 @@ class Look:
         self.took()
         ranked = [dataclasses.replace(s, gain=self.every * s.gain) for s in smooth]
         return sorted([*ranked, *self.full.screen(rough, replacing)], key=lambda s: -s.gain)
+
+    def from_nominal(self, supposed: Sequence[Candidate]) -> list[Screened]:
+        """The few candidates that promise most beside the nominal parameters: refitted ones may have gone where none does."""
+        ranked = screen(self.fitter, self.begun, supposed)[:APART]
+        self.took()
+        self.apart.update(s.candidate.key for s in ranked)
+        return ranked
 
     def enter(self, present: tuple[Effect, ...], s: Screened, far: bool) -> Fitted | None:
         """A few cheap iterations from the best starts of one rival; None when none of them can be run."""
@@ -137,6 +146,8 @@ class Look:
         begin = partial(fitter.fit, iterations=3, tolerance=1e-4, secant=True, fresh=own)
         tasks = [partial(begin, guesses[i], borrow=b) for i, b in zip(order, borrows, strict=True) if math.isfinite(cost[i])]
         fits = fitter.map(tasks)
+        if s.candidate.key in self.apart and not (curved or cls.rough):
+            fits += self._on_from_nominal(fits, [guesses[i] for i in order if i >= borrowing])
         first = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
         if first is None:
             return None
@@ -145,6 +156,18 @@ class Look:
             first = fitter.fit(first.hypothesis, first.fit.x, iterations=6, tolerance=0.02, borrow=first, secant=True, fresh=own)
         # what ended by so loose a tolerance, or on a Jacobian brought up to date by secants, has not converged
         return self._in_full(first.to_go_on())
+
+    def _on_from_nominal(self, fits: Sequence[Fitted], begun: Sequence[Hypothesis]) -> list[Fitted]:
+        """The best of the fits that were begun at the nominal parameters, on by sensitivities of its own, where it is behind.
+
+        Refitted parameters stand in for what is missing, and no way may lead from there to what is; borrowed sensitivities lead
+        nowhere from afar. ``begun``: those hypotheses.
+        """
+        ahead = min((f.chi2 for f in fits if f.ok), default=math.inf)
+        mine = min((f for f in fits if f.ok and any(f.hypothesis is h for h in begun)), key=lambda f: f.chi2, default=None)
+        if mine is None or mine.chi2 <= ahead:
+            return []
+        return [self.fitter.fit(mine.hypothesis, mine.fit.x, iterations=4, tolerance=1e-3)]
 
     def _in_full(self, f: Fitted) -> Fitted | None:
         """A fit by this look, by all samples; its sensitivities are had when they are asked for. None where it cannot be run."""

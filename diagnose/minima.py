@@ -205,7 +205,8 @@ class Minima(Judge):
             if not {e.key for e in effects} - {e.key for e in base.effects} <= offered or mark in self.retried or self._late():
                 continue
             self.retried.add(mark)
-            begun = self.fitter.fit(begin(effects), iterations=20, rival=True)
+            *others, limit = effects
+            begun = self._begun_about(tuple(others), limit, base)
             self.keep(begun)
             if begun.ok and self.criterion(begun) > self.criterion(base):  # an event a sample later is another minimum
                 self._brought_down(begun)
@@ -213,12 +214,25 @@ class Minima(Judge):
             out.append(self.pool.get(begun.key, begun))
         return out
 
+    def _begun_about(self, others: tuple[Effect, ...], effect: Effect, base: Fitted) -> Fitted:
+        """A structure begun at the numbers of another, and of the effect at its other starts too, but for its size."""
+        cls = type(effect)
+        starts = cls.starts(self.fitter.scales_for(cls, effect.place)) if cls.multistart > 1 else []
+        moved = [effect.with_values({k: x for k, x in v.items() if k not in cls.amplitudes}) for v in starts]
+        begun = [self.fitter.hypothesis((*others, e), base.linear, base.own) for e in (effect, *moved)]
+        costs = [math.inf if r is None else float(r @ r) for r in self.fitter.run([self.fitter.at_start(h) for h in begun])]
+        order = sorted(range(len(begun)), key=lambda i: costs[i])[: cls.multistart]
+        briefly = partial(self.fitter.fit, iterations=8, tolerance=1e-3, secant=True, rival=True)
+        best = min(self.fitter.map([partial(briefly, begun[i]) for i in order]), key=lambda f: f.chi2)
+        return self.fitter.fit(best.hypothesis, best.fit.x, iterations=20, rival=True)
+
     def _freed(self, f: Fitted, beside: Fitted) -> None:
         """Let go of a structure that sticks or strikes, once, which is behind one ``beside`` it in a free run alone."""
-        left = self.options.free and self.fitter.noise_known and f.rough and self.fitter.misfit(beside) > UNEXPLAINED
-        if not left or f.key in self.unfolded or self.criterion(f) <= self.criterion(beside):
+        known = self.options.free and self.fitter.noise_known and f.rough
+        if not known or f.key in self.unfolded or self.criterion(f) <= self.criterion(beside):
             return
-        if f.chi2 > NEARBY * NEARBY * beside.chi2 or self._let_go >= LET_GO or self._spent() or self.beaten(f, beside):
+        within = NEARBY * NEARBY if self.fitter.misfit(beside) > UNEXPLAINED else UNEXPLAINED  # of noise alone little is missed
+        if f.chi2 > within * beside.chi2 or self._let_go >= LET_GO or self._spent() or self.beaten(f, beside):
             return
         self._let_go += 1
         self.unfolded[f.key] = 1

@@ -109,6 +109,9 @@ class Search(Guided):
         # (a structure) a filter that may have taken it in
         whatever = CURVED if visible else CURVED[:1] if len(self.fitter.whitening) > 1 else ()
         tried += [s for s in ranked if effect_class(s.candidate.id).family in whatever and s not in tried]
+        if not base.effects and visible and self.fitter.noise_known and self.fitter.misfit(base) > MISFIT:
+            keys = {s.candidate.key for s in tried}
+            tried += [s for s in self._look(base).from_nominal(self._additions(base)) if s.candidate.key not in keys]
         # nor is that of another law in the place of one that the nominal axis has
         folds = [s for s in ranked if visible and effect_class(s.candidate.id).multistart > 1 and s not in tried]
         tried += [s for s in folds if replaced(base, s.candidate) is not None]
@@ -162,9 +165,10 @@ class Search(Guided):
         values = cls.starts(self.fitter.scales_for(cls, s.candidate.place))
         starts = [*(make(cls.id, s.candidate.place, v) for v in values[:MORE]), s.effect]
         begun = [self.fitter.hypothesis((*base.effects, e)) for e in starts]
-        fits = self.fitter.map([partial(self.fitter.fit, h, iterations=20, rival=True) for h in begun])
-        best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
-        if best is None or best.chi2 >= known.chi2:
+        fits = self.fitter.map([partial(self.fitter.fit, h, iterations=8, secant=True, rival=True) for h in begun])
+        best = min(fits, key=lambda f: f.chi2)
+        best = self.fitter.by_secants(best.hypothesis, best.fit.x)
+        if not best.ok or best.chi2 >= known.chi2:
             return None
         self.keep(best)
         return best

@@ -6,6 +6,7 @@ import pytest
 from robot_axis import effect
 
 from diagnose.compare import Comparison
+from diagnose.look import APART
 from diagnose.search import Search
 from diagnose.search_options import SearchOptions
 
@@ -87,3 +88,29 @@ def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_c
     monkeypatch.undo()
     assert search._pays_again(before, begun, 2)
     assert search.pool[after.key] is begun
+
+
+def test_what_promises_beside_the_nominal_parameters_is_tried_though_refitted_ones_have_gone_elsewhere(fitter_of, pair):
+    """Friction of the arm: beside the refit it was fourteenth of 34 and not tried, and no way led to it from there."""
+    friction = effect("coulomb_friction", place="arm", torque_Nm=21.0)
+    fitter = fitter_of(pair(friction))
+    search = Search(fitter, SearchOptions())
+    astray = fitter.fit(fitter.hypothesis((), search.nominal().linear), iterations=0)
+    first = search._look(astray).from_nominal(search._additions(astray))
+    assert len(first) == APART
+    assert first[0].candidate.key == friction.key
+    search.expand(astray)
+    assert search.pool[(friction.key,)].chi2 < 1.1 * astray.n < 0.1 * astray.chi2
+    assert not search._look(search.pool[(friction.key,)]).apart
+
+
+def test_a_limit_of_a_law_is_begun_at_its_other_starts_too(fitter_of, pair):
+    """The peak that Stribeck friction had come to led static friction to a minimum beside the right one."""
+    fitter = fitter_of(pair(STICKS))
+    search = Search(fitter, SearchOptions())
+    numbers = {"torque_Nm": 0.15, "extra_static_torque_Nm": 0.03, "stribeck_velocity_rad_s": 0.3}
+    base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **numbers)], PLANT), iterations=0)
+    found = search._begun_about((), STICKS.with_values({"peak": 1.2}), base)
+    alone = fitter.fit(fitter.hypothesis([STICKS.with_values({"peak": 1.2})], PLANT), iterations=20, rival=True)
+    assert found.chi2 < 1.1 * found.n < alone.chi2
+    assert found.effects[0].peak == pytest.approx(2.4, rel=0.1)
