@@ -624,11 +624,15 @@ class Search(Guided):
 
     def imitated(self, best: Fitted, effect: Effect) -> None:
         """Fit, from the best structure, what may do as much as one of its effects in its place; the pool keeps them."""
-        if not self.fitter.noise_known or self._spent():
+        if not self.fitter.noise_known:
             return
-        self._limit(best)
-        fits = []
-        for others, s in imitators(self.fitter, best, effect, self.candidates):
+        if not self._spent():
+            self._limit(best)
+        # a rival that its race has left before it had converged is no further off than it has come, whatever may still be taken
+        alike = [f for f in self.pool.values() if len(f.effects) == len(best.effects) and f.key != best.key]
+        left = [f for f in alike if f.fit.status is Status.BUDGET and math.log(f.chi2 / best.chi2) < LITTLE]
+        fits = [partial(self.fitter.fit, f.hypothesis, f.fit.x, rival=True) for f in left]
+        for others, s in () if self._spent() else imitators(self.fitter, best, effect, self.candidates):
             known = self.pool.get(tuple(sorted([*(e.key for e in others), s.candidate.key])))
             if self._admitted([s.candidate.id, *(e.id for e in others)]) and (known is None or self.ahead(best, known) > ALIKE_C):
                 fits.append(
