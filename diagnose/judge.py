@@ -49,6 +49,7 @@ SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looke
 LAW = (0.01, 0.02)  # part of what another law of an effect changed that the better law may still miss: of all, and besides of
 # what is no more than the noise variance
 COLOURED = 0.01  # of its variance, by which a residual foretells itself
+MOVED = 1e-3  # of a number's size, by which another fit of a structure is another guess of it
 ALIKE = 0.02  # part of an effect's gain by which it has to beat a rival that is noise: two laws of one motion are not closer
 
 
@@ -370,7 +371,10 @@ class Judge:
             new = [e for e in after.effects if e.key not in before.key]
             h = self.fitter.hypothesis((*before.effects, *new), before.linear, before.own)
             begun = self.fitter.fit(h, iterations=12)
-            self._begun_richer[asked] = begun if begun.ok and begun.chi2 < after.chi2 + self.options.entry else None
+            alike = begun.ok and begun.chi2 < after.chi2 + self.options.entry
+            by_place = [dict(zip((e.label for e in f.hypothesis.entries), f.fit.x, strict=True)) for f in (begun, after)]
+            moved = max(abs(x - by_place[1][label]) for label, x in by_place[0].items())
+            self._begun_richer[asked] = begun if alike and moved > MOVED else None
         return self._begun_richer[asked]
 
     def _pays_again(self, before: Fitted, again: Fitted, asked: int) -> bool:

@@ -76,6 +76,9 @@ def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_c
     assert search.compared(before, after).relative_gain > 0.0
     assert search._begun_from(before, after) is None, "held-out data do not speak against it"
     monkeypatch.setattr(search, "compared", lambda *pair: Comparison(-1.0, 1.0))
+    assert search._begun_from(before, after) is None, "it has come to the same numbers"
+    search._begun_richer.clear()
+    monkeypatch.setattr("diagnose.judge.MOVED", 0.0)
     begun = search._begun_from(before, after)
     assert begun is not None
     assert begun.chi2 < after.chi2 + search.options.entry
