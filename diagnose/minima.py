@@ -16,7 +16,7 @@ import numpy as np
 
 from diagnose.fitted import UNEXPLAINED, Fitted, key_of
 from diagnose.fitter import SAME, Fitter
-from diagnose.hypothesis import make
+from diagnose.hypothesis import Hypothesis, make
 from diagnose.judge import LONG, SHAKEN, Judge
 from diagnose.least_squares import Status
 from diagnose.moves import at_limits, folded, simpler_at
@@ -51,12 +51,19 @@ def begun_anew(
         for values in cls.starts(fitter.scales_for(cls, effect.place)):
             again = (*rest, make(cls.id, effect.place, values))
             starts += [fitter.hypothesis(again, at, own) for at in linear or (f.linear, None)]
+    if not starts:
+        return f
+    best = _begun(fitter, starts, AGAIN)
+    on = fitter.by_secants(best.hypothesis, best.fit.x) if best.ok else best
+    return on if on.ok and on.chi2 < f.chi2 else f
+
+
+def _begun(fitter: Fitter, starts: Sequence[Hypothesis], most: int) -> Fitted:
+    """The best of ``most`` starts, those of the least cost, after a few iterations by secants."""
     costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
-    order = sorted(range(len(starts)), key=lambda i: costs[i])[:AGAIN]
+    order = sorted(range(len(starts)), key=lambda i: costs[i])[:most]
     fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, secant=True, rival=True) for i in order])
-    best = min((g for g in fits if g.ok), key=lambda g: g.chi2, default=None)
-    on = best if best is None else fitter.by_secants(best.hypothesis, best.fit.x)
-    return on if on is not None and on.chi2 < f.chi2 else f
+    return min(fits, key=lambda g: g.chi2)
 
 
 @dataclass
@@ -220,10 +227,7 @@ class Minima(Judge):
         starts = cls.starts(self.fitter.scales_for(cls, effect.place)) if cls.multistart > 1 else []
         moved = [effect.with_values({k: x for k, x in v.items() if k not in cls.amplitudes}) for v in starts]
         begun = [self.fitter.hypothesis((*others, e), base.linear, base.own) for e in (effect, *moved)]
-        costs = [math.inf if r is None else float(r @ r) for r in self.fitter.run([self.fitter.at_start(h) for h in begun])]
-        order = sorted(range(len(begun)), key=lambda i: costs[i])[: cls.multistart]
-        briefly = partial(self.fitter.fit, iterations=8, tolerance=1e-3, secant=True, rival=True)
-        best = min(self.fitter.map([partial(briefly, begun[i]) for i in order]), key=lambda f: f.chi2)
+        best = _begun(self.fitter, begun, cls.multistart)
         return self.fitter.fit(best.hypothesis, best.fit.x, iterations=20, rival=True)
 
     def _freed(self, f: Fitted, beside: Fitted) -> None:

@@ -137,7 +137,8 @@ class Effect(abc.ABC):
     on motor velocity), ``family`` (effects of one family are rivals before they are partners), ``refines``
     (identifiers of the simpler effects that this one contains), ``multistart`` (from how many of its best starts a fit is
     begun; more than one where the error has several minima), ``rough`` (whether bodies stick or strike by it, so that the error
-    jumps as a parameter moves), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
+    jumps as a parameter moves), ``rounds`` (whether it rounds what is measured, so that a small step of a parameter turns single
+    samples), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
     whose angle a periodic law follows, its own when empty), ``form_of`` (the contract identifier that it is named by, where it is
     another law for the same effect).
     """
