@@ -55,12 +55,14 @@ def axes() -> dict[str, Axis]:
     friction, gap = effect("coulomb_friction", torque_Nm=0.1), effect("backlash", gap_rad=5e-4)
     ripple = effect("torque_ripple", amplitude_Nm=0.05, cycles_per_rev=4.0, phase_rad=1.0)
     stribeck = effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.09, stribeck_velocity_rad_s=3.0)
+    soon = effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.09, stribeck_velocity_rad_s=0.03)
     hard = effect("hardening_stiffness", coefficient_Nm_rad3=9e10)
     return {
         "linear": axis,
         "Coulomb": axis + friction,
         "backlash": axis + gap,
         "Coulomb + backlash": axis + friction + gap,
+        "Stribeck, soon faded": axis + soon,
         "Stribeck + hardening": axis + stribeck + hard,
         "Stribeck + backlash + ripple": axis + stribeck + gap + ripple,
     }

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
-from mjsim.effects.law import TIME, law
+from mjsim.effects.law import FADED, TIME, law
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -26,7 +26,7 @@ __all__ = ["FrictionDrift"]
 @law
 def level(z: Any, p: Any, out: Any) -> None:
     """F (1 + c exp(-t/T))."""
-    out[0] = p[0] * (1.0 + p[1] * math.exp(-z[TIME] / p[2]))
+    out[0] = p[0] * (1.0 + p[1] * math.exp(-min(z[TIME] / p[2], FADED)))
     out[1] = out[0]
 
 

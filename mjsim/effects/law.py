@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["ANGLE", "DIRECTION", "INPUT", "LOAD", "N_LOCAL", "POSITION", "RATE", "STATE", "TIME", "Law", "law"]
+__all__ = ["ANGLE", "DIRECTION", "FADED", "INPUT", "LOAD", "N_LOCAL", "POSITION", "RATE", "STATE", "TIME", "Law", "law"]
 
 # The local quantities that a law may read: z[...]
 TIME = 0  # s since the start of the recording
@@ -22,6 +22,8 @@ ANGLE = 5  # angle of the body (or ahead of the coupling), locked to the measure
 INPUT = 6  # effective actuator torque [N m | N]
 STATE = 7  # the port's internal state
 N_LOCAL = 8
+
+FADED = 700.0  # exponent from which exp(-x) counts for nothing; beyond 708 it underflows, which takes it five times as long
 
 
 class Law:

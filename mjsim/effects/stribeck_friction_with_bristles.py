@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
-from mjsim.effects.law import RATE, STATE, law
+from mjsim.effects.law import FADED, RATE, STATE, law
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -28,7 +28,7 @@ def torque(z: Any, p: Any, out: Any) -> None:
     """-s z - d z'; alpha = v, beta = s |v| / (F + F_s exp(-(v/v_s)^2))."""
     x = z[RATE] / p[2]
     out[1] = z[RATE]
-    out[2] = p[3] * abs(z[RATE]) / (p[0] + p[1] * math.exp(-x * x))
+    out[2] = p[3] * abs(z[RATE]) / (p[0] + p[1] * math.exp(-min(x * x, FADED)))
     out[0] = -p[3] * z[STATE] - p[4] * (out[1] - out[2] * z[STATE])
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
-from mjsim.effects.law import RATE, law
+from mjsim.effects.law import FADED, RATE, law
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -26,7 +26,7 @@ __all__ = ["StribeckFrictionWithExponent"]
 @law
 def level(z: Any, p: Any, out: Any) -> None:
     """F + F_s exp(-|v/v_s|^d); at rest F + F_s."""
-    out[0] = p[0] + p[1] * math.exp(-((abs(z[RATE]) / p[2]) ** p[3]))
+    out[0] = p[0] + p[1] * math.exp(-min((abs(z[RATE]) / p[2]) ** p[3], FADED))
     out[1] = p[0] + p[1]
 
 
