@@ -632,7 +632,9 @@ class Search(Guided):
         alike = [f for f in self.pool.values() if len(f.effects) == len(best.effects) and f.key != best.key]
         left = [f for f in alike if f.fit.status is Status.BUDGET and math.log(f.chi2 / best.chi2) < LITTLE]
         fits = [partial(self.fitter.fit, f.hypothesis, f.fit.x, rival=True) for f in left]
-        for others, s in () if self._spent() else imitators(self.fitter, best, effect, self.candidates):
+        # nor is what cannot be told from an answer left out for that: it is a part of the answer
+        answers = not self._spent() or self.fitter.misfit(best) < UNEXPLAINED
+        for others, s in imitators(self.fitter, best, effect, self.candidates) if answers else ():
             known = self.pool.get(tuple(sorted([*(e.key for e in others), s.candidate.key])))
             if self._admitted([s.candidate.id, *(e.id for e in others)]) and (known is None or self.ahead(best, known) > ALIKE_C):
                 fits.append(

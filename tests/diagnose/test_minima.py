@@ -117,3 +117,20 @@ def test_a_limit_of_a_law_is_begun_at_its_other_starts_too(fitter_of, pair):
     alone = fitter.fit(fitter.hypothesis([STICKS.with_values({"peak": 1.2})], PLANT), iterations=20, rival=True)
     assert found.chi2 < 1.1 * found.n < alone.chi2
     assert found.effects[0].peak == pytest.approx(2.4, rel=0.1)
+
+
+def test_what_cannot_be_told_from_an_answer_is_fitted_whatever_may_still_be_simulated(fitter_of, pair):
+    """Which end lags is open, and that is a part of the answer; of what explains nothing it is none."""
+    lag = effect("actuator_lag", place="actuator", time_constant_s=2e-3)
+    fitter = fitter_of(pair(lag))
+    search = Search(fitter, SearchOptions())
+    best = fitter.fit(fitter.hypothesis([lag], PLANT))
+    far = fitter.fit(fitter.hypothesis([lag.with_values({"time_constant_s": 5e-3})], PLANT), iterations=0)
+    fitter.most_runs = fitter.runs - 1
+    assert fitter.spent
+    assert best.chi2 < 1.1 * best.n < 0.5 * far.chi2
+    search.imitated(far, far.effects[0])
+    assert not search.pool
+    search.imitated(best, best.effects[0])
+    (found,) = (f for key, f in search.pool.items() if key == ("sensor_lag@sensor",))
+    assert found.chi2 < 1.1 * found.n
