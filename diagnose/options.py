@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 __all__ = ["RUNS", "Options"]
 
-RUNS = 14_000  # simulations of all recordings that a diagnosis may take: some 20 s for 10 s at 2 kHz on two cores, 30 s at most
+RUNS = 14_000  # simulations of all recordings that a diagnosis may take: some 20 s for 10 s at 2 kHz on two cores, seldom over 30
 
 
 @dataclass(frozen=True)
