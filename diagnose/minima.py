@@ -22,7 +22,7 @@ from diagnose.least_squares import Status
 from diagnose.moves import at_limits, folded, simpler_at
 from mjsim.effects import Effect
 
-__all__ = ["LITTLE", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew"]
+__all__ = ["LITTLE", "MISFIT", "NEARBY", "RIVAL", "Minima", "begun_anew", "best_begun"]
 
 MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
 RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
@@ -53,16 +53,16 @@ def begun_anew(
             starts += [fitter.hypothesis(again, at, own) for at in linear or (f.linear, None)]
     if not starts:
         return f
-    best = _begun(fitter, starts, AGAIN)
+    best = best_begun(fitter, starts, AGAIN)
     on = fitter.by_secants(best.hypothesis, best.fit.x) if best.ok else best
     return on if on.ok and on.chi2 < f.chi2 else f
 
 
-def _begun(fitter: Fitter, starts: Sequence[Hypothesis], most: int) -> Fitted:
-    """The best of ``most`` starts, those of the least cost, after a few iterations by secants."""
+def best_begun(fitter: Fitter, starts: Sequence[Hypothesis], most: int, tolerance: float = 1e-3) -> Fitted:
+    """The best of ``most`` starts, those of the least cost, after a few iterations by secants; not `ok` where none can be run."""
     costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
     order = sorted(range(len(starts)), key=lambda i: costs[i])[:most]
-    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=1e-3, secant=True, rival=True) for i in order])
+    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=tolerance, secant=True, rival=True) for i in order])
     return min(fits, key=lambda g: g.chi2)
 
 
@@ -227,7 +227,7 @@ class Minima(Judge):
         starts = cls.starts(self.fitter.scales_for(cls, effect.place)) if cls.multistart > 1 else []
         moved = [effect.with_values({k: x for k, x in v.items() if k not in cls.amplitudes}) for v in starts]
         begun = [self.fitter.hypothesis((*others, e), base.linear, base.own) for e in (effect, *moved)]
-        best = _begun(self.fitter, begun, cls.multistart)
+        best = best_begun(self.fitter, begun, cls.multistart)
         return self.fitter.fit(best.hypothesis, best.fit.x, iterations=20, rival=True)
 
     def _freed(self, f: Fitted, beside: Fitted) -> None:

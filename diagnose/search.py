@@ -22,7 +22,7 @@ from diagnose.hypothesis import make
 from diagnose.judge import LACKS, LONG, SHAKEN
 from diagnose.least_squares import Status, orthonormal
 from diagnose.look import Look, look
-from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL
+from diagnose.minima import LITTLE, MISFIT, NEARBY, RIVAL, best_begun
 from diagnose.moves import (
     ALIKE,
     Entrant,
@@ -165,8 +165,7 @@ class Search(Guided):
         values = cls.starts(self.fitter.scales_for(cls, s.candidate.place))
         starts = [*(make(cls.id, s.candidate.place, v) for v in values[:MORE]), s.effect]
         begun = [self.fitter.hypothesis((*base.effects, e)) for e in starts]
-        fits = self.fitter.map([partial(self.fitter.fit, h, iterations=8, secant=True, rival=True) for h in begun])
-        best = min(fits, key=lambda f: f.chi2)
+        best = best_begun(self.fitter, begun, len(begun), 1e-6)
         best = self.fitter.by_secants(best.hypothesis, best.fit.x)
         if not best.ok or best.chi2 >= known.chi2:
             return None
