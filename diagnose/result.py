@@ -183,7 +183,7 @@ class Mismatch:
 class FitFigures:
     """Errors of one model: rms in the view's unit and nrmse (error over spread of the measurement), estimation and held-out.
 
-    ahead: (seconds, rms held-out error of the prediction so far ahead), see `diagnose.ahead`.
+    ahead: (seconds, rms held-out error of the prediction so far ahead), see `diagnose.explain.ahead`.
     """
 
     rms: float

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from diagnose.flow import Options
+from diagnose.pipeline import Options
 from diagnose.result import Diagnosis
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis

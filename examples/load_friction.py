@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.flow import Options, diagnose
+from diagnose.pipeline import Options, diagnose
 from diagnose.report import write_report
 from diagnose.result import Diagnosis
+from lab.benchmark.experiment import RATE, Experiment
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import record
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.recording import Recording
-from simgap.benchmark.experiment import RATE, Experiment
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record
 
 OUT = Path("out/examples/load_friction")
 SHARE, LOAD = 0.12, 60.0  # friction over transmitted torque at the motor; load on the arm [N m]

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.flow import Options
+from diagnose.pipeline import Options
 from diagnose.result import Diagnosis
+from lab.benchmark.experiment import RATE, Experiment
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import record
 from mjsim.models import shipped_model
-from simgap.benchmark.experiment import RATE, Experiment
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record
 from simgap.pipeline import diagnose_files
 
 OUT = Path("out/examples/stiction")

@@ -14,10 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from diagnose.drawers import Draw, Drawers
-from diagnose.flow import Options, diagnose
-from diagnose.memory import Memory, fingerprint
+from diagnose.fit.fit_cache import Memory, fingerprint
+from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
+from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
 from mjsim.axis import Axis
 from mjsim.errors import InputError

@@ -13,6 +13,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 
+from lab.benchmark.experiment import RATE, Experiment
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import record as plant_record
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 from mjsim.excitation import chirp
@@ -20,10 +24,6 @@ from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.ode import simulate
 from mjsim.recording import Recording
-from simgap.benchmark.experiment import RATE, Experiment
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record as plant_record
 
 DT = 5e-4
 NOISE = 0.05  # rms of the velocity noise [rad/s]

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.hypothesis import make
-from diagnose.scales import scales_by_place
+from diagnose.data.experiment import prepare
+from diagnose.data.scales import scales_by_place
+from diagnose.problem.hypothesis import make
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, ports, register, registered
 from mjsim.effects.law import N_LOCAL

@@ -11,6 +11,7 @@ import pytest
 
 import diagnose
 import ident
+import lab
 import mjsim
 import simgap
 
@@ -25,8 +26,8 @@ PUBLIC = {
     "mjsim.recording": ["Binding", "Channel", "Recording", "load"],
     "mjsim.scenario": ["load_scenario", "run", "shipped_scenarios", "write_log"],
     "ident": ["IOData", "Structure", "bj", "bode", "decimate", "residual_tests", "select_order", "shared_filter"],
-    "diagnose.drawers": ["Drawers"],
-    "diagnose.flow": ["Options", "diagnose"],
+    "diagnose.report.render_worker": ["Drawers"],
+    "diagnose.pipeline": ["Options", "diagnose"],
     "diagnose.result": ["Diagnosis", "Estimate", "Finding", "FitFigures", "Mismatch", "Verdict"],
     "diagnose.report": ["write_report"],
     "simgap.pipeline": ["corrected_axis", "diagnose_files"],
@@ -35,7 +36,7 @@ PUBLIC = {
 
 
 def modules():
-    for package in (mjsim, ident, diagnose, simgap):
+    for package in (mjsim, ident, diagnose, simgap, lab):
         yield package.__name__
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if not found.name.endswith("__main__"):

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diagnose.drawers import Draw, Picture, draw_here
 from diagnose.report import pictures
 from diagnose.report.curves import psd
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
+from diagnose.report.render_worker import Draw, Picture, draw_here
 from diagnose.report.truth import truth_rows
 from diagnose.report.words import VERDICTS, effect_name, formula, linear_name, placed, structure_name, where
 from diagnose.result import Diagnosis, Estimate, Finding, Mismatch, Rival, Traces

@@ -10,7 +10,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from diagnose.flow import Options, diagnose
+from diagnose.pipeline import Options, diagnose
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from simgap.benchmark.arms import Arm
+    from lab.benchmark.arms import Arm
 
 __all__ = ["command", "diagnose_all", "diagnose_case", "run_arm", "run_arms", "seal"]
 
@@ -61,7 +61,7 @@ Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, s
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the false-alarm rate there, for diagnoses to print: diagnose/calibration.json in a checkout.",
+    help="Write the false-alarm rate there, for diagnoses to print: diagnose/verdict/calibration.json in a checkout.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print benchmark.json on standard output.")
 def command(
@@ -94,12 +94,12 @@ def command(
     import math
 
     from ident.serial import write_atomic
-    from simgap.benchmark.arms import ARMS, parse_arms
-    from simgap.benchmark.grade import BUDGETS, parse_levels
-    from simgap.benchmark.resume import plain
-    from simgap.benchmark.score_rivals import first_cases, score_rivals
-    from simgap.benchmark.score_table import summarise
-    from simgap.benchmark.seal import open_envelope
+    from lab.benchmark.arms import ARMS, parse_arms
+    from lab.benchmark.grade import BUDGETS, parse_levels
+    from lab.benchmark.resume import plain
+    from lab.benchmark.score_rivals import first_cases, score_rivals
+    from lab.benchmark.score_table import summarise
+    from lab.benchmark.seal import open_envelope
 
     counts, arms = parse_levels(levels, grade), parse_arms(arm_list)
     digest = seal(out, counts, seed, jobs or min(2, os.cpu_count() or 1))
@@ -154,8 +154,8 @@ def seal(out: Path, counts: dict[str, int], seed: int, jobs: int = 1) -> str:
     import json
 
     from ident.serial import write_atomic
+    from lab.benchmark.seal import VERSION, write_cases
     from mjsim.errors import InputError
-    from simgap.benchmark.seal import VERSION, write_cases
 
     plan_file, manifest = out / "plan.json", out / "recordings" / "manifest.json"
     plan = {"generator": VERSION, "seed": seed, "counts": counts}
@@ -181,9 +181,9 @@ def stamp(*, arms: bool = False) -> str:
     import diagnose
     import ident
     import mjsim
+    from lab.benchmark import arms as rivals
+    from lab.study import pipeline
     from mjsim.models import shipped_model
-    from simgap.benchmark import arms as rivals
-    from simgap.study import pipeline
 
     digest = hashlib.sha256(shipped_model("robot_axis1").read_bytes())
     files = [Path(str(package.__file__)).parent for package in ((mjsim, diagnose, ident, rivals) if arms else (mjsim, diagnose))]
@@ -201,7 +201,7 @@ def stamp(*, arms: bool = False) -> str:
 
 def diagnose_case(recordings: Path, name: str, seconds: float = float("inf"), threads: int = 1) -> dict[str, Any]:
     """Diagnose one case from its two CSV files and the shipped nominal model; a failure is a result with ``error``."""
-    from diagnose.flow import Options, diagnose
+    from diagnose.pipeline import Options, diagnose
     from mjsim.mjcf import load_axis
     from mjsim.models import shipped_model
     from mjsim.recording import load
@@ -223,7 +223,7 @@ def diagnose_all(
 
     Those that stand in ``out/diagnoses``, by this code and budget, are not computed again.
     """
-    from simgap.benchmark.resume import Job, Shelf, sealed_hashes
+    from lab.benchmark.resume import Job, Shelf, sealed_hashes
 
     recordings = out / "recordings"
     sealed = sealed_hashes(recordings)
@@ -233,10 +233,10 @@ def diagnose_all(
 
 def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, Any]) -> dict[str, Any]:
     """One rival on one case, from its two CSV files and the shipped nominal model; a failure is a result with ``error``."""
+    from lab.benchmark.arms import ARMS, Task
     from mjsim.mjcf import load_axis
     from mjsim.models import shipped_model
     from mjsim.recording import load
-    from simgap.benchmark.arms import ARMS, Task
 
     model = shipped_model("robot_axis1")
     estimation, held_out = (load(recordings / f"{name}_{part}.csv", model=model) for part in ("estimation", "held_out"))
@@ -245,7 +245,7 @@ def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, A
 
 def run_arms(out: Path, arms: Sequence[Arm], names: Sequence[str], results: dict[str, dict], jobs: int = 1) -> list[dict]:
     """Each arm on the cases ``names``, kept in ``out/arms``: plain values for the scorer, and why one was skipped."""
-    from simgap.benchmark.resume import Job, Shelf, sealed_hashes
+    from lab.benchmark.resume import Job, Shelf, sealed_hashes
 
     recordings, ran = out / "recordings", []
     sealed = sealed_hashes(recordings)
@@ -269,7 +269,7 @@ def _page(out: Path, summary: dict[str, Any]) -> None:
     from diagnose.report.figures import number, percent
     from diagnose.report.words import effect_name
     from ident.serial import write_atomic
-    from simgap.benchmark.page import Manner, render_page
+    from lab.benchmark.page import Manner, render_page
 
     css = (files("diagnose.report") / "page.css").read_text(encoding="utf-8")
     page, pictures = render_page(summary, Manner(css, number, percent, effect_name))
@@ -284,7 +284,7 @@ def _show(summary: dict[str, Any], out: Path) -> None:
     from rich.table import Table
 
     from diagnose.report.figures import percent
-    from simgap.benchmark.score_table import SLOW
+    from lab.benchmark.score_table import SLOW
 
     console = Console()
     table = Table("bar", "asked", "figure", "95 % interval", "of", "")

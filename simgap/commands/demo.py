@@ -27,10 +27,10 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     """
     import json
 
-    from diagnose.drawers import Drawers
-    from diagnose.flow import Options
+    from diagnose.pipeline import Options
+    from diagnose.report.render_worker import Drawers
+    from lab.benchmark.seal import open_envelope, write_cases
     from mjsim.models import shipped_model
-    from simgap.benchmark.seal import open_envelope, write_cases
     from simgap.pipeline import diagnose_files, model_diff
     from simgap.show import show_diagnosis
 

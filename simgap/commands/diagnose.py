@@ -56,10 +56,10 @@ def command(
     import json
     import math
 
-    from diagnose.drawers import Drawers
+    from diagnose.report.render_worker import Drawers
 
     with Drawers(jobs) as draw:  # they load what draws while this process loads the rest
-        from diagnose.flow import Options
+        from diagnose.pipeline import Options
         from mjsim.effects import registered
         from mjsim.errors import InputError
         from simgap.pipeline import STATE, diagnose_files

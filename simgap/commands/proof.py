@@ -30,7 +30,7 @@ def command(name: str, out: Path, source: Path | None, benchmark: Path | None, j
     """
     import json
 
-    from simgap.proof.page import plain, write_page
+    from lab.proof.page import plain, write_page
 
     page = _made(name, out, source, benchmark, jobs)
     # the summary stands above the pages that it names
@@ -46,18 +46,18 @@ def _made(name: str, out: Path, source: Path | None, benchmark: Path | None, job
         click.echo(text, err=True)
 
     if name == "summary":
-        from simgap.proof.summary import summary_page
+        from lab.proof.summary import summary_page
 
         return summary_page(out, benchmark)
     emps, kuka = DATA_SETS["emps"], DATA_SETS["kuka_kr300"]
     if name == "emps":
-        from simgap.proof.emps import emps_page
+        from lab.proof.emps import emps_page
 
         return emps_page(files_of(emps, source), say, jobs)
     if name == "kuka":
-        from simgap.proof.kuka import kuka_page
+        from lab.proof.kuka import kuka_page
 
         return kuka_page(files_of(kuka, source), say, jobs)
-    from simgap.proof.concealed import concealed_page
+    from lab.proof.concealed import concealed_page
 
     return concealed_page(files_of(emps, source), files_of(kuka, source), say, jobs)

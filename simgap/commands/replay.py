@@ -164,8 +164,8 @@ def _force(source: Model, record: Recording) -> dict[str, float] | None:
     """
     import numpy as np
 
-    from diagnose.experiment import prepare
-    from diagnose.view import ForceView
+    from diagnose.data.experiment import prepare
+    from diagnose.problem.view import ForceView
 
     view, experiment = ForceView(), prepare(record)
     signals = view.signals(source.axis, experiment, None)

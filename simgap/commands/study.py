@@ -28,9 +28,9 @@ def command(out: Path, jobs: int | None, recording: Path | None, quick: bool, do
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     import json
 
+    from lab.study.run import run_study
+    from lab.study.show import progress, show, write_docs
     from mjsim.errors import InputError
-    from simgap.study.run import run_study
-    from simgap.study.show import progress, show, write_docs
 
     if docs is not None and docs.is_dir():
         raise InputError(docs, "it is a folder", "a Markdown file", f"name {docs / 'study.md'}")

@@ -13,21 +13,21 @@ import pytest
 from click.testing import CliRunner
 
 from ident import Decimation, IOData, decimate
+from lab.benchmark.arms import ARMS, Answer, Arm, Task, parse_arms
+from lab.benchmark.arms.box_jenkins import noise_gain
+from lab.benchmark.arms.sparse import TERMS, free_run, responses
+from lab.benchmark.experiment import chirp, multisine
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import Motion, record
+from lab.benchmark.score_rivals import first_cases, score_rivals
+from lab.study.pipeline import BETTER
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.ode import simulate
 from mjsim.recording import Recording
-from simgap.benchmark.arms import ARMS, Answer, Arm, Task, parse_arms
-from simgap.benchmark.arms.box_jenkins import noise_gain
-from simgap.benchmark.arms.sparse import TERMS, free_run, responses
-from simgap.benchmark.experiment import chirp, multisine
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import Motion, record
-from simgap.benchmark.score_rivals import first_cases, score_rivals
 from simgap.commands.benchmark import command, run_arms, seal
-from simgap.study.pipeline import BETTER
 
 MODEL = shipped_model("robot_axis1")
 NOISE = 0.05
@@ -224,9 +224,9 @@ def test_the_command_runs_arms_and_goes_on_where_it_stopped(tmp_path: Path) -> N
 
 def test_the_page_and_the_terminal_show_the_rivals(capsys: pytest.CaptureFixture[str]) -> None:
     from diagnose.report.figures import number, percent
-    from simgap.benchmark.page import Manner, render_page
-    from simgap.benchmark.resume import plain as to_json
-    from simgap.benchmark.score_table import summarise
+    from lab.benchmark.page import Manner, render_page
+    from lab.benchmark.resume import plain as to_json
+    from lab.benchmark.score_table import summarise
     from simgap.commands.benchmark import _show
 
     truths = {"1": truth("nothing"), "2": truth("nothing", noise_kind="ar1")}

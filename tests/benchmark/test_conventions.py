@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.benchmark.catalogue import CATALOGUE, Entry, compose, draw
+from lab.benchmark.experiment import RATE, draw_experiment
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import free_run, record
+from lab.benchmark.refit import rms
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import effect_class
 from mjsim.ode import simulate
-from simgap.benchmark.catalogue import CATALOGUE, Entry, compose, draw
-from simgap.benchmark.experiment import RATE, draw_experiment
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import free_run, record
-from simgap.benchmark.refit import rms
 
 NOISE = 0.05  # rad/s
 AGREEMENT = 0.05  # of the noise: one part in 400 of its variance

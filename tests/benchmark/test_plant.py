@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from lab.benchmark.catalogue import CATALOGUE, OTHER_LAWS, OUTSIDE, Entry, compose, draw, find
+from lab.benchmark.experiment import RATE, chirp, draw_experiment, multisine
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import free_run, record
+from lab.benchmark.refit import rms
 from mjsim.errors import InputError
-from simgap.benchmark.catalogue import CATALOGUE, OTHER_LAWS, OUTSIDE, Entry, compose, draw, find
-from simgap.benchmark.experiment import RATE, chirp, draw_experiment, multisine
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import free_run, record
-from simgap.benchmark.refit import rms
 
 SOLVER_ERROR = 1e-3  # rad/s rms: 2 % of the usual noise of 0.05, so 2e-4 of it in variance
 QUIET = Measurement(0.0, 0.0)

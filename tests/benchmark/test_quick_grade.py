@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simgap.benchmark.grade import GRADES
+from lab.benchmark.grade import GRADES
 
 
 @pytest.mark.slow

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lab.benchmark.cases import LEVELS
+from lab.benchmark.grade import GRADES, Status, bars, fraction, parse_levels
+from lab.benchmark.laws import Laws
+from lab.benchmark.page import Manner, render_page
+from lab.benchmark.page_pictures import OUTCOMES
+from lab.benchmark.power import power_curve, power_curves, shares
+from lab.benchmark.refit import LINEAR
+from lab.benchmark.score import Outcome, alternatives, score_case
+from lab.benchmark.score_arms import bic_result, refitted_result, score_arms
+from lab.benchmark.score_table import summarise
 from mjsim.errors import InputError
-from simgap.benchmark.cases import LEVELS
-from simgap.benchmark.grade import GRADES, Status, bars, fraction, parse_levels
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.page import Manner, render_page
-from simgap.benchmark.page_pictures import OUTCOMES
-from simgap.benchmark.power import power_curve, power_curves, shares
-from simgap.benchmark.refit import LINEAR
-from simgap.benchmark.score import Outcome, alternatives, score_case
-from simgap.benchmark.score_arms import bic_result, refitted_result, score_arms
-from simgap.benchmark.score_table import summarise
 
 NOISE = 0.1
 

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import simgap.benchmark
-import simgap.benchmark.cases
+import lab.benchmark
+import lab.benchmark.cases
+from lab.benchmark.cases import LEVELS, SIZE, make_case
+from lab.benchmark.experiment import Experiment, draw_experiment
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import record
+from lab.benchmark.refit import LINEAR, refit, rms
+from lab.benchmark.seal import envelope_hash, open_envelope, write_cases
 from mjsim.errors import InputError
-from simgap.benchmark.cases import LEVELS, SIZE, make_case
-from simgap.benchmark.experiment import Experiment, draw_experiment
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record
-from simgap.benchmark.refit import LINEAR, refit, rms
-from simgap.benchmark.seal import envelope_hash, open_envelope, write_cases
 
 
 def test_the_generator_knows_nothing_of_the_fitting_code() -> None:
-    folder = Path(simgap.benchmark.__file__).parent
+    folder = Path(lab.benchmark.__file__).parent
     allowed = {"mjsim.errors"}
     for path in ("laws", "friction", "joints", "solver", "plant", "experiment", "measurement", "catalogue", "refit",
                  "size", "cases", "seal"):  # fmt: skip
@@ -135,7 +135,7 @@ def test_a_recording_that_friction_holds_is_recorded_again(monkeypatch: pytest.M
         draws.append(kind)
         return draw_experiment(kind, rng, amplitude * (1e-3 if len(draws) == weak else 1.0))
 
-    monkeypatch.setattr(simgap.benchmark.cases, "draw_experiment", weak_once)
+    monkeypatch.setattr(lab.benchmark.cases, "draw_experiment", weak_once)
     case = make_case("nothing", np.random.default_rng([3, 1]))
     assert len(draws) == 3
     noise = case.truth["measurement"]["velocity_noise"]  # type: ignore[index]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from simgap.benchmark.catalogue import compose, find
-from simgap.benchmark.experiment import multisine
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.size import sizes
+from lab.benchmark.catalogue import compose, find
+from lab.benchmark.experiment import multisine
+from lab.benchmark.laws import Laws
+from lab.benchmark.size import sizes
 
 TORQUE = multisine(2.0, 0.6, 0.1, 60.0, np.random.default_rng(4)).torque
 NOISE = 0.05

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.view import MotionView
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.problem.view import MotionView
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 from robot_axis import effect
 from scipy.signal import lfilter
 
-from diagnose.ahead import k_step
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.view import MotionView
+from diagnose.data.experiment import prepare
+from diagnose.explain.ahead import k_step
+from diagnose.fit.fitter import Fitter
+from diagnose.problem.view import MotionView
 
 NOISE = 0.05
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.flow import Options, _closed, diagnose
+from diagnose.pipeline import Options, _closed, diagnose
 from diagnose.result import Verdict
+from lab.benchmark.cases import make_case
+from lab.benchmark.catalogue import OUTSIDE, compose, find
+from lab.benchmark.experiment import multisine, steps
+from lab.benchmark.laws import Laws
 from mjsim.recording import Recording
-from simgap.benchmark.cases import make_case
-from simgap.benchmark.catalogue import OUTSIDE, compose, find
-from simgap.benchmark.experiment import multisine, steps
-from simgap.benchmark.laws import Laws
 
 NOISE = 0.07
 

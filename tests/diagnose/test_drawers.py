@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from diagnose.drawers import Drawers, draw_here
 from diagnose.report import pictures
+from diagnose.report.render_worker import Drawers, draw_here
 from diagnose.result import StateShare
 
 X = np.linspace(-1.0, 1.0, 20)
@@ -89,7 +89,7 @@ def test_it_may_be_closed_while_it_loads() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="forks draw on Linux")
 def test_a_command_that_is_interrupted_while_it_draws_leaves_no_process_and_says_nothing_of_them() -> None:
     code = (
-        "import signal, time; from functools import partial; from diagnose.drawers import Drawers\n"
+        "import signal, time; from functools import partial; from diagnose.report.render_worker import Drawers\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell has it ignored in a background job
         "with Drawers(2) as d:\n    print(d._process.pid, flush=True); d([partial(time.sleep, 60)] * 2)"
     )

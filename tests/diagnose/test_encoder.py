@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.encoder import encoder_gain, fit_beside_encoder, gain_beside_encoder
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
+from diagnose.data.experiment import prepare
+from diagnose.evidence.encoder import encoder_gain, fit_beside_encoder, gain_beside_encoder
+from diagnose.evidence.predictable import motion_error
+from diagnose.fit.fitter import Fitter
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
-from diagnose.structure import motion_error
-from diagnose.view import MotionView
 from mjsim.effects import effect_class
 
 LOCKED = ("torque_ripple", "transmission_error", "position_dependent_friction")
@@ -100,7 +100,7 @@ def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch)
     erred, by_encoder, _ = fits(robot, erring(record(seconds=8)), ripple(1e-3))
     rippled, by_ripple, _ = fits(robot, record(ripple(), seconds=8), ripple(1e-3))
     found = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
-    monkeypatch.setattr("diagnose.structure.whole_orders", lambda angle: [])
+    monkeypatch.setattr("diagnose.evidence.predictable.whole_orders", lambda angle: [])
     before = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
     assert found[0] < 0.5 * before[0]
     assert found[1] > 0.7 * before[1]

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.experiment import (
+from diagnose.data.experiment import (
     held_rows,
     hold_out_blocks,
     measured_velocity,
     prepare,
     without_derived_velocity,
 )
-from diagnose.flow import Options, diagnose
-from diagnose.noise import white_noise_level
+from diagnose.data.noise import white_noise_level
+from diagnose.pipeline import Options, diagnose
 from diagnose.result import Verdict
 from mjsim.errors import InputError
 from mjsim.recording import Recording

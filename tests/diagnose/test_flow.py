@@ -14,13 +14,13 @@ import pytest
 import scipy.signal
 from robot_axis import effect
 
-from diagnose.candidates import candidates, conflicts, screen
-from diagnose.decide import excluded_by_angle
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, choose_view, diagnose
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.pipeline import Options, choose_view, diagnose
+from diagnose.problem.view import ForceView, MotionView, growth_when_held
 from diagnose.result import Verdict
-from diagnose.view import ForceView, MotionView, growth_when_held
+from diagnose.structure.candidates import candidates, conflicts, screen
+from diagnose.verdict.decide import excluded_by_angle
 from mjsim.effects import registered
 from mjsim.errors import InputError
 from mjsim.excitation import Cascade, close_loop, trapezoids

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.force_orders import force_orders, line_energy, stands_out
-from diagnose.view import ForceView
-from diagnose.whiten import levinson, worth
+from diagnose.data.experiment import prepare
+from diagnose.evidence.force_orders import force_orders, line_energy, stands_out
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.whiten import levinson, worth
+from diagnose.problem.view import ForceView
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis

@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.candidates import Candidate
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, _put_together, diagnose
-from diagnose.hypothesis import make
+from diagnose.data.experiment import prepare
+from diagnose.data.scales import scales_by_place
+from diagnose.fit.fitter import Fitter
+from diagnose.pipeline import Options, _put_together, diagnose
+from diagnose.problem.hypothesis import make
+from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
-from diagnose.scales import scales_by_place
-from diagnose.search import Search
-from diagnose.search_options import SearchOptions
-from diagnose.view import MotionView
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.candidates import Candidate
+from diagnose.structure.search import Search
+from lab.benchmark.catalogue import compose, find
+from lab.benchmark.experiment import chirp as sealed_chirp
+from lab.benchmark.laws import GAP_IMPACT, Laws
 from mjsim.effects import Effect, effect_class, registered
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
 from mjsim.recording import Recording
-from simgap.benchmark.catalogue import compose, find
-from simgap.benchmark.experiment import chirp as sealed_chirp
-from simgap.benchmark.laws import GAP_IMPACT, Laws
 
 DT, N = 1e-3, 8_000
 LUGRE = {"torque_Nm": 0.1, "stiffness_Nm_rad": 1.0, "damping_Nms_rad": 0.01}

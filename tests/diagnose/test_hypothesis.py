@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.experiment import prepare
-from diagnose.hypothesis import Entry, Hypothesis, make
-from diagnose.scales import PLACES, scales_by_place
+from diagnose.data.experiment import prepare
+from diagnose.data.scales import PLACES, scales_by_place
+from diagnose.problem.hypothesis import Entry, Hypothesis, make
 from mjsim.effects import NotApplicableError, registered
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model

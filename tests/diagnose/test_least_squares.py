@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diagnose.least_squares import Status, jacobian, levenberg_marquardt
+from diagnose.fit.least_squares import Status, jacobian, levenberg_marquardt
 
 FREE = (np.full(2, -np.inf), np.full(2, np.inf))
 

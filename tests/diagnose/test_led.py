@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.decide import estimates
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.judge import LEAD
-from diagnose.search import Search
-from diagnose.search_options import SearchOptions
-from diagnose.view import MotionView, most_led
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.problem.view import MotionView, most_led
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.judge import LEAD
+from diagnose.structure.search import Search
+from diagnose.verdict.decide import estimates
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
@@ -305,7 +305,7 @@ def test_what_stays_behind_when_both_are_led_is_not_unfolded(fitter, monkeypatch
     assert lost.chi2 > 1.04 * lost.n
     assert not search.beaten(lost, right), "it is behind by the moments at which it sticks, and no more"
     assert not search.lacks_more(lost)
-    monkeypatch.setattr("diagnose.search.folded", lambda f: True)
+    monkeypatch.setattr("diagnose.structure.search.folded", lambda f: True)
     monkeypatch.setattr(fitter, "unfolded", lambda *_: pytest.fail("unfolded all the same"))
     search._unfold([coulomb], right)
 

@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
-from diagnose.least_squares import Status
-from diagnose.led_search import among_led
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.least_squares import Status
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
-from diagnose.search import Search
-from diagnose.search_options import SearchOptions
-from diagnose.view import MotionView
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.observer_search import among_led
+from diagnose.structure.search import Search
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.ode import simulate, work_done
@@ -114,7 +114,7 @@ def test_a_structure_that_cannot_be_run_free_is_left_out(search, monkeypatch):
     """Led, a model may stand that swings up by itself."""
     led = search.fitter.fit(search.fitter.hypothesis((effect_class("static_friction")(**STICTION),)), iterations=0)
     lost = dataclasses.replace(led, fit=dataclasses.replace(led.fit, cost=np.inf, status=Status.FAILED))
-    monkeypatch.setattr("diagnose.led_search._search", lambda _: [led])
+    monkeypatch.setattr("diagnose.structure.observer_search._search", lambda _: [led])
     monkeypatch.setattr(search.fitter, "fit", lambda *_, **__: lost)
     monkeypatch.setattr(search.fitter, "let_go", lambda *_, **__: None)
     among_led(search)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from robot_axis import effect
 
-from diagnose.flow import Options, diagnose
+from diagnose.pipeline import Options, diagnose
 from diagnose.report.page import render_report
 
 FEW = Options(jobs=1, effects=("coulomb_friction",))

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.candidates import candidates, screen
-from diagnose.experiment import hold_out_blocks, prepare
-from diagnose.fitter import Fitter
-from diagnose.look import Look, look
-from diagnose.view import ForceView, MotionView
+from diagnose.data.experiment import hold_out_blocks, prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.problem.view import ForceView, MotionView
+from diagnose.structure.candidates import candidates, screen
+from diagnose.structure.screening import Look, look
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
@@ -104,7 +104,7 @@ def test_where_a_part_would_tell_something_else_all_are_looked_at(robot, fitter,
     """A gap strikes at other moments when it is run by other steps: what its run leaves is then no measure."""
     loose = fitter.fit(fitter.hypothesis((effect_class("backlash")(gap_rad=5e-4),)), iterations=1)
     assert loose.rough
-    monkeypatch.setattr("diagnose.look.FAITHFUL", (0.5, 0.0))
+    monkeypatch.setattr("diagnose.structure.screening.FAITHFUL", (0.5, 0.0))
     assert look(fitter, loose).every == 1
 
 

@@ -17,12 +17,12 @@ from click.testing import CliRunner
 from robot_axis import effect
 
 import simgap.pipeline as pipeline
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
-from diagnose.least_squares import Fit, Linearised, Status
-from diagnose.memory import Memory, fingerprint
-from diagnose.view import MotionView
+from diagnose.data.experiment import prepare
+from diagnose.fit.fit_cache import Memory, fingerprint
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.least_squares import Fit, Linearised, Status
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from simgap.cli import cli
@@ -105,7 +105,7 @@ def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch)
 def test_a_second_search_over_all_recordings_is_remembered_too(whole, robot, tmp_path, monkeypatch):
     (estimation, held_out), options, *_ = whole
     options = dataclasses.replace(options, effects=("stribeck_friction",))
-    monkeypatch.setattr("diagnose.flow._only_held_out_shows", lambda result: True)
+    monkeypatch.setattr("diagnose.pipeline._only_held_out_shows", lambda result: True)
     memory = Memory(tmp_path / "state.jsonl", "this")
     first = diagnose(robot, [estimation], [held_out], options, memory=memory)
     assert any(note.startswith("The estimation recordings fit without it") for note in first.notes)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from robot_axis import effect
 
-from diagnose.compare import Comparison
-from diagnose.look import APART
-from diagnose.search import Search
-from diagnose.search_options import SearchOptions
+from diagnose.evidence.held_out import Comparison
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.screening import APART
+from diagnose.structure.search import Search
 
 PLANT = {"Jm": 4.7e-4, "fm": 0.0345, "kg": 1.46e5, "ka": 0.458e5, "Ja": 1.66}
 STICKS = effect("static_friction", torque_Nm=0.15, peak=2.4)
@@ -78,7 +78,7 @@ def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_c
     monkeypatch.setattr(search, "compared", lambda *pair: Comparison(-1.0, 1.0))
     assert search._begun_from(before, after) is None, "it has come to the same numbers"
     search._begun_richer.clear()
-    monkeypatch.setattr("diagnose.judge.MOVED", 0.0)
+    monkeypatch.setattr("diagnose.structure.judge.MOVED", 0.0)
     begun = search._begun_from(before, after)
     assert begun is not None
     assert begun.chi2 < after.chi2 + search.options.entry

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.structure import WINDOWS, _shared
+from diagnose.evidence.predictable import WINDOWS, _shared
 
 DT, N, VELOCITY, ANGLE = 5e-4, 20_000, 0.05, 1e-4
 

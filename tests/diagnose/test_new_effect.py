@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mjsim.effects.registry as registry
-from diagnose.flow import Options, diagnose
+from diagnose.pipeline import Options, diagnose
 from diagnose.result import Verdict
 from mjsim.effects import registered
 from mjsim.mjcf import load_axis, write_corrected

@@ -9,8 +9,8 @@ import pytest
 from robot_axis import effect
 from scipy.signal import lfilter
 
-from diagnose.experiment import prepare
-from diagnose.noise import white_noise_level
+from diagnose.data.experiment import prepare
+from diagnose.data.noise import white_noise_level
 
 COLOURS = {
     "slow": [1.0, -0.95],

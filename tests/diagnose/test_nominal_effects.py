@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.candidates import candidates
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
-from diagnose.hypothesis import make
-from diagnose.view import MotionView
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.hypothesis import make
+from diagnose.problem.view import MotionView
+from diagnose.structure.candidates import candidates
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mujoco_run import run_literal
 from mjsim.ode import simulate

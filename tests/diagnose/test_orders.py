@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.orders import find_orders
-from diagnose.passes import _orders
-from diagnose.view import MotionView
+from diagnose.data.experiment import prepare
+from diagnose.evidence.orders import find_orders
+from diagnose.fit.fitter import Fitter
+from diagnose.problem.view import MotionView
+from diagnose.structure.passes import _orders
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import effect_class
 from mjsim.effects.base import Scales

@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from robot_axis import effect
 
-from diagnose import passes
-from diagnose.experiment import held_rows, prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
+from diagnose.data.experiment import held_rows, prepare
+from diagnose.evidence.predictable import motion_error, remaining_structure
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.whiten import settle
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
 from diagnose.progress import Progress
 from diagnose.result import Verdict
-from diagnose.search import Search
-from diagnose.search_options import SearchOptions
-from diagnose.structure import motion_error, remaining_structure
-from diagnose.view import MotionView
-from diagnose.whiten import settle
+from diagnose.structure import passes
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.search import Search
+from lab.benchmark.experiment import speed_multisine, trapezoid
+from lab.benchmark.laws import Laws
+from lab.benchmark.measurement import Measurement
+from lab.benchmark.plant import record as record_plant
+from lab.benchmark.seal import write_motion
 from mjsim.recording import load
-from simgap.benchmark.experiment import speed_multisine, trapezoid
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.measurement import Measurement
-from simgap.benchmark.plant import record as record_plant
-from simgap.benchmark.seal import write_motion
 
 # where a fit of the nominal structure to a closed-loop multisine ended, at 135 times the noise
 ELSEWHERE = {"Jm": 2.8e-4, "Jg": 13.7, "Ja": 2.9, "ka": 2.9e5, "dg": 128.0, "da": -7.4}

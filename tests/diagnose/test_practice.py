@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from diagnose.flow import Options
+from diagnose.pipeline import Options
 from diagnose.result import Verdict
 from mjsim.effects import effect_class
 from mjsim.models import shipped_model

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from numba import njit
 from robot_axis import effect
 
-from diagnose.flow import Options, diagnose
+from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Progress, Step
 from mjsim.models import shipped_model
 from simgap.cli import cli

@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 from robot_axis import effect
 from scipy.stats import wilcoxon
 
-from diagnose.candidates import Candidate, Screened, inherit, takes_place
-from diagnose.compare import Comparison, compare, signed_rank
-from diagnose.experiment import prepare
-from diagnose.fitted import Fitted, HeldOut
-from diagnose.fitter import FAR, Fitter
-from diagnose.flow import Options, diagnose
-from diagnose.judge import PUT_RIGHT
-from diagnose.least_squares import Status
-from diagnose.moves import at_limits, elsewhere, ground, named, promising, refines, simpler_at, with_other_laws
-from diagnose.search import PORTION, Search
-from diagnose.search_options import SearchOptions
-from diagnose.view import MotionView
-from diagnose.weighted import PRIOR
+from diagnose.data.experiment import prepare
+from diagnose.evidence.held_out import Comparison, compare, signed_rank
+from diagnose.fit.fitted import Fitted, HeldOut
+from diagnose.fit.fitter import FAR, Fitter
+from diagnose.fit.least_squares import Status
+from diagnose.fit.weighted import PRIOR
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.candidates import Candidate, Screened, inherit, takes_place
+from diagnose.structure.judge import PUT_RIGHT
+from diagnose.structure.moves import at_limits, elsewhere, ground, named, promising, refines, simpler_at, with_other_laws
+from diagnose.structure.search import PORTION, Search
 from mjsim.effects import effect_class
 
 N, BLOCKS = 20_000, 40

@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.second_encoder import TERMS, SecondEncoder, judge_second_encoder
+from diagnose.data.experiment import prepare
+from diagnose.explain.second_encoder import TERMS, SecondEncoder, judge_second_encoder
+from lab.benchmark.experiment import multisine
+from lab.benchmark.laws import Laws
+from lab.benchmark.plant import free_run
 from mjsim.axis import Axis
 from mjsim.recording import Recording
-from simgap.benchmark.experiment import multisine
-from simgap.benchmark.laws import Laws
-from simgap.benchmark.plant import free_run
 
 NOISE = 2e-5  # [rad], both encoders
 

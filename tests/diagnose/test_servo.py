@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from diagnose import judge
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import ForceView
 from diagnose.result import Verdict
-from diagnose.search import Search
-from diagnose.search_options import SearchOptions
-from diagnose.view import ForceView
+from diagnose.structure import judge
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.search import Search
 from mjsim.axis import Axis, Body, Chain
 from mjsim.effects import effect_class
 from mjsim.recording import Recording

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.side_by_side import Counted, SideBySide
+from diagnose.fit.workers import Counted, SideBySide
 from mjsim.ode import count_work
 
 

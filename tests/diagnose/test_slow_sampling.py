@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from robot_axis import effect
 
-from diagnose.flow import Options, diagnose
-from diagnose.view import MOST_SUBSTEPS, MotionView
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MOST_SUBSTEPS, MotionView
 from mjsim.ode import simulate
 from mjsim.recording import Recording
 

@@ -15,14 +15,14 @@ from hypothesis import given, settings
 from hypothesis.strategies import floats, integers
 from robot_axis import effect
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.flow import Options, diagnose
+from diagnose.data.experiment import prepare
+from diagnose.evidence.predictable import _dictionary
+from diagnose.explain.torque_map import _Problem, _Responses, _roughness, _solve, fit_map
+from diagnose.fit.fitter import Fitter
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
 from diagnose.report.page import render_report
 from diagnose.result import Verdict
-from diagnose.structure import _dictionary
-from diagnose.torque_map import _Problem, _Responses, _roughness, _solve, fit_map
-from diagnose.view import MotionView
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.law import INPUT, RATE, law
 from mjsim.effects.ports import BodyTorque
@@ -259,7 +259,7 @@ def test_nothing_is_told_by_an_axis_that_swings_up(robot, pair, monkeypatch):
     experiment, loose = fitter.experiments[0], robot.with_linear({"fm": -0.5})
     response = _Responses(fitter, best)._through(loose, 0, experiment, 0, np.ones((len(experiment.recording), 1)))
     assert np.isnan(response[-1]).all()
-    monkeypatch.setattr("diagnose.structure._clean_velocity", lambda *_: experiment.recording.velocity)
+    monkeypatch.setattr("diagnose.evidence.predictable._clean_velocity", lambda *_: experiment.recording.velocity)
     assert np.isfinite(_dictionary(fitter, loose, experiment, None)).all()
     monkeypatch.setattr(_Responses, "_through", lambda *_: np.full_like(_[-1], np.nan))
     assert fit_map(fitter, (best,), fitter.validate(best)) is None

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.view import MotionView
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.problem.view import MotionView
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import effect_class
 from mjsim.ode import simulate

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 from robot_axis import effect
 
-from diagnose.flow import Options, diagnose
+from diagnose.pipeline import Options, diagnose
 
 FEW = ("coulomb_friction", "hardening_stiffness", "torque_offset", "time_delay", "actuator_lag", "torque_ripple")
 HIDDEN = (

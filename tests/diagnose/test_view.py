@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.view import ForceView, clean_band
+from diagnose.data.experiment import prepare
+from diagnose.problem.view import ForceView, clean_band
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
-from diagnose.experiment import prepare
-from diagnose.fitter import Fitter
-from diagnose.least_squares import Status
-from diagnose.view import MotionView
-from diagnose.whiten import (
+from diagnose.data.experiment import prepare
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.least_squares import Status
+from diagnose.fit.whiten import (
     autoregression,
     effective_share,
     innovation,
@@ -26,6 +25,7 @@ from diagnose.whiten import (
     settle,
     whitening_filter,
 )
+from diagnose.problem.view import MotionView
 
 
 @settings(max_examples=40, deadline=None)

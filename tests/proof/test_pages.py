@@ -7,18 +7,18 @@ import json
 import numpy as np
 import pytest
 
+from lab.proof.concealed import AMPLITUDE, delayed, pushed
+from lab.proof.emps import SERVO
+from lab.proof.kuka import ripple_by_speed
+from lab.proof.page import Page, axes, table, write_page
+from lab.proof.servo import Servo, close_position_loop
+from lab.proof.summary import summary_page
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.ode import simulate
 from mjsim.recording import load
-from simgap.proof.concealed import AMPLITUDE, delayed, pushed
-from simgap.proof.emps import SERVO
-from simgap.proof.kuka import ripple_by_speed
-from simgap.proof.page import Page, axes, table, write_page
-from simgap.proof.servo import Servo, close_position_loop
-from simgap.proof.summary import summary_page
 
 
 def test_what_was_not_run_is_said(tmp_path):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from diagnose.experiment import prepare
-from diagnose.flow import Options, diagnose
+from diagnose.data.experiment import prepare
+from diagnose.explain.second_encoder import judge_second_encoder
+from diagnose.pipeline import Options, diagnose
 from diagnose.result import Verdict
-from diagnose.second_encoder import judge_second_encoder
+from lab.proof.emps import LEAD
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.recording import load
-from simgap.proof.emps import LEAD
 
 
 def pair(local_copy, folder, *files, model):

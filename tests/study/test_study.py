@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lab.study import claims as c
+from lab.study.cell import GRID_HZ, Cell, Experiment, Feature, Result, analyse, log, run_cell
+from lab.study.damping import first_zero, second_mode_hz, study_damping
+from lab.study.ledger import claims_json, ledger, say
+from lab.study.pipeline import BETTER, FAITHFUL, LADDER
+from lab.study.plants import FEATURE_NAMES, PLANTS, build, nominal, response
+from lab.study.robot import recorded_robot, robot_models
+from lab.study.store import Store, compute
+from lab.study.variants import AMPLITUDES, BASE, BASE_BETTER, robustness_map
 from mjsim.errors import InputError
-from simgap.study import claims as c
-from simgap.study.cell import GRID_HZ, Cell, Experiment, Feature, Result, analyse, log, run_cell
-from simgap.study.damping import first_zero, second_mode_hz, study_damping
-from simgap.study.ledger import claims_json, ledger, say
-from simgap.study.pipeline import BETTER, FAITHFUL, LADDER
-from simgap.study.plants import FEATURE_NAMES, PLANTS, build, nominal, response
-from simgap.study.robot import recorded_robot, robot_models
-from simgap.study.store import Store, compute
-from simgap.study.variants import AMPLITUDES, BASE, BASE_BETTER, robustness_map
 
 EXACT = {n: f.hz for n, f in c.physical_features().items()}
 TINY = Experiment(duration=5.0, high_hz=45.0)
@@ -262,7 +262,7 @@ def test_data_without_a_model_are_void() -> None:
 
 
 def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from simgap.study import store as module
+    from lab.study import store as module
 
     cells = [Cell(p, TINY, BETTER) for p in ("linear", "gap_1", "gap_5")]
     store = Store(tmp_path / "cells", "stamp")
@@ -289,7 +289,7 @@ def test_a_worker_ends_with_the_run_that_started_it() -> None:
     import subprocess
     import sys
 
-    code = "import time; from simgap.study.store import _end_with; _end_with({}); time.sleep({}); print('done')"
+    code = "import time; from lab.study.store import _end_with; _end_with({}); time.sleep({}); print('done')"
     alone = subprocess.run([sys.executable, "-c", code.format(1, 60)], capture_output=True, timeout=50, check=False)
     assert alone.returncode == 1
     kept = subprocess.run([sys.executable, "-c", code.format("__import__('os').getppid()", 2)], capture_output=True, check=False)
@@ -297,7 +297,7 @@ def test_a_worker_ends_with_the_run_that_started_it() -> None:
 
 
 def test_progress_is_told_where_no_terminal_is(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from simgap.study import show
+    from lab.study import show
 
     now = [0.0]
     monkeypatch.setattr(show.time, "monotonic", lambda: now[0])

@@ -1,0 +1,1 @@
+"""Recordings as experiments: samples that count, noise, scales."""

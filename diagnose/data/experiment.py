@@ -1,0 +1,220 @@
+"""Recordings made ready for a fit: which samples count, the noise on them, whether they start in motion."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagnose.data.noise import coloured_noise_level, white_noise_level
+from mjsim.errors import InputError
+from mjsim.recording import Recording
+from mjsim.signals import limits
+
+__all__ = [
+    "Experiment",
+    "held_rows",
+    "hold_out_blocks",
+    "measured_angle",
+    "measured_velocity",
+    "plain_step",
+    "prepare",
+    "whole_step",
+    "without_derived_velocity",
+]
+
+CHANCE = 3.0  # times the repeated rows that quantisation explains, beyond which a sensor held them
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A recording and the part of it that a fit counts.
+
+    counts (N) bool; sigma: noise rms of the judged output (weights recordings against each other); moving: the axis is
+    not at rest
+    at the first sample; before: torque held ahead of it; correction (N): added to the measured velocity where motion is compared;
+    kept: what views have made of it, by what they ask for.
+    """
+
+    recording: Recording
+    counts: np.ndarray
+    sigma: float
+    moving: bool
+    before: float
+    correction: np.ndarray | None = None
+    kept: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
+
+    def first(self, share: float) -> Experiment:
+        """The first part of it."""
+        n = max(200, math.ceil(share * len(self.recording)))
+        correction = None if self.correction is None else self.correction[:n]
+        return dataclasses.replace(self, recording=self.recording.slice(0, n), counts=self.counts[:n], correction=correction)
+
+
+def measured_velocity(recording: Recording) -> np.ndarray:
+    """The velocity channel, or the central difference of the angle where there is none [rad/s | m/s]."""
+    if recording.velocity is not None:
+        return recording.velocity
+    assert recording.angle is not None
+    return np.gradient(recording.angle, recording.dt)
+
+
+def measured_angle(recording: Recording) -> np.ndarray:
+    """The angle channel, or the integral of the velocity where there is none, from 0 [rad | m]."""
+    if recording.angle is not None:
+        return recording.angle
+    v = measured_velocity(recording)
+    return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
+
+
+CLIPPED = 0.05  # of the samples at a limit, from which a recording is refused
+DERIVED = 0.05  # of its own noise: a velocity that is that close to its angle's differences was computed from them
+
+
+def without_derived_velocity(recording: Recording) -> Recording:
+    """The recording without a velocity that is the backward, forward or central difference of its angle.
+
+    Such a channel says nothing that the angle does not, and with the same noise: half a sample late or early, it would be taken
+    for a delay, and its agreement with the angle for a proof of motion.
+    """
+    v, q = recording.velocity, recording.angle
+    if v is None or q is None or len(v) < 10:
+        return recording
+    steps = np.diff(q) / recording.dt
+    noise = white_noise_level(v)
+    made = ((v[1:], steps), (v[:-1], steps), (v[1:-1], 0.5 * (steps[1:] + steps[:-1])))
+    if any(np.sqrt(np.mean((a - b) ** 2)) < DERIVED * noise for a, b in made):
+        return dataclasses.replace(recording, velocity=None)
+    return recording
+
+
+def plain_step(v: np.ndarray) -> float:
+    """The step of a signal that mostly stands still between steps, so that differences see no noise in it; else 0.
+
+    It may move by several steps at once: where all moves are multiples of the smallest, that is the step, else their median.
+    """
+    steps = np.abs(np.diff(v))
+    moved = steps[steps > 0]
+    if len(moved) == 0 or len(moved) > 0.7 * len(steps):
+        return 0.0
+    return whole_step(moved) or float(np.median(moved))
+
+
+def whole_step(moves: np.ndarray) -> float:
+    """The smallest of some moves (N,) > 0 where all are multiples of it, refined by their sum; 0 where they are not."""
+    if len(moves) == 0:
+        return 0.0
+    times = moves / np.min(moves)
+    whole = np.round(times)
+    return float(np.sum(moves) / np.sum(whole)) if np.max(np.abs(times - whole)) < 0.1 else 0.0
+
+
+def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
+    """Rows (N,) bool that were not measured but hold the row before: velocity and angle repeat it to the last digit, in motion.
+
+    None where a channel stands still between coarse steps, or is alone: it may well repeat itself then. ``slow``: part of the
+    rms speed below which the axis may be at rest.
+    """
+    v, q = recording.velocity, recording.angle
+    held = np.zeros(len(recording), bool)
+    if v is None or q is None or plain_step(v) > 0 or plain_step(q) > 0:
+        return held
+    same = np.diff(v) == 0, np.diff(q) == 0
+    held[1:] = same[0] & same[1]
+    by_chance = float(np.mean(same[0][~same[1]])) * float(np.sum(same[1])) if not np.all(same[1]) else 0.0
+    if np.sum(held) <= CHANCE * (by_chance + math.sqrt(by_chance)):  # a quantised velocity repeats as often as the angle moves
+        return np.zeros(len(recording), bool)
+    speed = np.abs(v[~held])  # of each row that was measured, and of the one after it: neither is fast at rest
+    moves = np.maximum(speed, np.append(speed[1:], 0.0)) > slow * math.sqrt(float(np.mean(v**2)))
+    return held & moves[np.cumsum(~held) - 1]
+
+
+def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:
+    """Check a recording and make it an experiment; rows that were held and not measured do not count.
+
+    Raises InputError when it is too short, does not move, or is clipped flat for much of its length.
+    """
+    v = measured_velocity(recording)
+    n = len(v)
+    if n < minimum:
+        raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
+    noise = max(white_noise_level(v), plain_step(v) / np.sqrt(12.0))
+    spread = float(np.std(v))
+    if np.ptp(recording.torque) == 0:
+        raise InputError(recording.source, "the torque is constant", "an input that varies", "excite the axis")
+    if spread == 0 or spread < 1.5 * noise:
+        raise InputError(
+            recording.source, f"the motion (rms {spread:.3g}) does not rise above its noise (rms {noise:.3g})",
+            "a moving axis", "excite it with more torque",
+        )  # fmt: skip
+    for limit in limits(v):
+        if limit.share > CLIPPED:
+            raise InputError(
+                recording.source, f"velocity stands at its limit {limit.value:.4g} for {100 * limit.share:.0f} % of the time",
+                "an unclipped signal", "raise the sensor's range or lower the excitation",
+            )  # fmt: skip
+    if recording.velocity is None and recording.angle is not None:  # what central differences make of the angle's noise
+        q = recording.angle
+        noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)
+    _need_one_motion(recording)
+    moving = _starts_in_motion(v, noise, spread)
+    before = float(recording.torque[0]) if moving else 0.0
+    held = held_rows(recording)
+    if recording.velocity is not None and recording.angle is not None and not held.any():
+        q = recording.angle
+        angle_noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0))
+        noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
+    counts = ~held & (True if counts is None else counts)
+    return Experiment(recording, counts, max(noise, 1e-6 * spread), moving, before)
+
+
+def _need_one_motion(recording: Recording, window: float = 0.02) -> None:
+    """Refuse an angle that jumps (wrapped at a turn), or moves otherwise than the velocity says (unit, sign, side of a gear).
+
+    Both are averaged over ``window`` [s], so that the noise of neither matters; an offset of one is no contradiction.
+    """
+    v, q = recording.velocity, recording.angle
+    if q is None:
+        return
+    step = np.abs(np.diff(q))
+    jump = int(np.argmax(step))
+    if step[jump] > 0.5 * np.ptp(q) > 0:
+        raise InputError(
+            recording.source, f"the angle jumps by {step[jump]:.4g} at sample {jump + 2}", "an angle that goes on past a turn",
+            "unwrap it (numpy.unwrap) first",
+        )  # fmt: skip
+    if v is None:
+        return
+    k = max(2, min(round(window / recording.dt), (len(q) - 1) // 25))
+    count = (len(q) - 1) // k
+    if count < 20:
+        return
+    speed = (0.5 * (v[1:] + v[:-1]))[: count * k].reshape(count, k).mean(axis=1)
+    rate = np.diff(q[: count * k + 1 : k]) / (k * recording.dt)
+    if min(np.std(speed), np.std(rate)) == 0:
+        return
+    alike, times = float(np.corrcoef(speed, rate)[0, 1]), float(np.std(rate) / np.std(speed))
+    if abs(alike) > 0.95 and not (alike > 0 and 0.7 < times < 1.4):
+        raise InputError(
+            recording.source, f"the angle moves {math.copysign(times, alike):.4g} times as fast as the velocity says",
+            "both of the motor, in rad and rad/s (m and m/s)", "state units and gains in the binding (link side: second_angle)",
+        )  # fmt: skip
+
+
+def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray, np.ndarray]:
+    """Masks (estimation, held-out) of one recording: every third of ``blocks`` stretches of equal length is held out."""
+    index = np.minimum(np.arange(len(recording)) * blocks // len(recording), blocks - 1)
+    held = index % 3 == 2
+    return ~held, held
+
+
+def _starts_in_motion(v: np.ndarray, noise: float, spread: float) -> bool:
+    """Whether the speed at the first sample, extrapolated by a parabola, stands out of its noise and is no trifle."""
+    count = min(10, len(v) // 4)  # short: an excitation of 40 Hz turns within 20 samples at 2 kHz
+    k = np.arange(count)
+    basis = np.vander(k / count, 3, increasing=True)
+    start = np.linalg.lstsq(basis, v[:count], rcond=None)[0][0]
+    error = noise * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
+    return bool(abs(start) > 5 * error + 0.02 * spread)

@@ -1,0 +1,110 @@
+"""Typical sizes at each place of an axis, from a nominal run on the recordings: the starts of every fit are multiples of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, whole_step
+from mjsim.axis import Axis
+from mjsim.effects import Scales
+from mjsim.ode import DivergedError, simulate
+from mjsim.quantity import Motion
+
+__all__ = ["PLACES", "scales_by_place", "value_steps"]
+
+LINE = 40.0  # power of a line over its surroundings; 1e-13 by chance for N(0, 1) in quadrature, over some 1e4 frequencies
+
+TURNS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # orders of a motor's turn: eccentricity, coupling, pole pairs, and what follows from them
+
+PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
+    """Steps in which values (N,) may come: the one whose line is strongest and what it may be an overtone of; () for no line.
+
+    Where the rounding came last, all values lie on a grid, whose step is then the only one. Else:
+    The characteristic function |mean exp(2 pi i f v)| of rounded values has a line at f = 1/step, lower by exp(-2 pi^2 (s f)^2)
+    where noise of rms s came after the rounding. Steps from the noise up to an eighth of the range are looked at; coarser
+    ones show as values that stand still. Source: B. Widrow, I. Kollar, Quantization Noise (2008), ch. 4.
+    """
+    low, span = float(np.min(values)), float(np.ptp(values))
+    plain = plain_step(values)
+    if plain > 0:
+        return (plain,)
+    finest = max(noise, span / 4000)
+    grid = whole_step(np.diff(np.unique(values)))
+    if grid >= finest:
+        return (grid,)
+    if span < 16 * finest:
+        return ()
+    width = finest / 8
+    counts = np.bincount(((values - low) / width).astype(int))
+    length = 1 << int(np.ceil(np.log2(4 * len(counts))))
+    power = np.abs(np.fft.rfft(counts, length)) ** 2 / len(values)  # 1 in the mean for values of no step
+    frequency = np.arange(len(power)) / (length * width)
+    looked = (frequency >= 8 / span) & (frequency <= 1 / finest)
+    power = np.where(looked, power, 0.0)
+    # the values' own distribution is smooth: its power falls with the frequency, and a line stands out of its neighbours
+    around = 64
+    level = np.convolve(power, np.ones(2 * around + 1), "same") - np.convolve(power, np.ones(17), "same")
+    line = power / np.maximum(level / (2 * around - 16), 1.0)
+    # values rounded after the noise have overtones as strong as the fundamental: the lowest of the strong lines
+    strong = np.flatnonzero(line >= max(LINE, 0.3 * float(np.max(line))))
+    if len(strong) == 0:
+        return ()
+    near = slice(strong[0], strong[0] + 8)
+    step = 1.0 / float(frequency[near][np.argmax(line[near])])
+    # and it may be an overtone still
+    return tuple(k * step for k in (1, 2, 3, 4) if k * step <= span / 8)
+
+
+def scales_by_place(
+    axis: Axis, experiment: Experiment, orders: tuple[float, ...] = (), swung: tuple[float, ...] = (), *, turning: bool = True
+) -> dict[str, Scales]:
+    """Scales at every place; with ``turning``, whole orders of the motor's turn as well as those found.
+
+    ``orders``, ``swung``: over the motor's angle, of torques and of a varying inertia.
+
+    Where the nominal free run diverges, rigid-body estimates stand in for it.
+    """
+    r = experiment.recording
+    chain = axis.chain
+    v = measured_velocity(r)
+    q = measured_angle(r)
+    n = len(chain.bodies)
+    try:
+        y = simulate(axis, r.torque, r.dt, before=experiment.before)
+        torque, deflect = y.coupling_torque, [c.ratio * y.q[:, j] - y.q[:, j + 1] for j, c in enumerate(chain.couplings)]
+    except DivergedError:
+        accel = np.gradient(v, r.dt)
+        torque = np.empty((len(v), n - 1))
+        deflect = []
+        for j, c in enumerate(chain.couplings):
+            behind = sum(b.inertia * chain.total_ratio(i) for i, b in enumerate(chain.bodies) if i > j)
+            torque[:, j] = behind * accel
+            deflect.append(torque[:, j] / c.stiffness)
+    out = {}
+    steps = value_steps(v, experiment.sigma)
+    turning = turning and chain.motion is Motion.HINGE and len(orders) > 0
+    turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
+    for place in PLACES:
+        found = chain.body(place)
+        at: int = found if found is not None else 0
+        joint = chain.coupling(place)
+        load = torque[:, joint] if joint is not None else chain.gain * r.torque
+        if joint is None and n > 1 and place == "arm":
+            load = torque[:, -1]
+        ratio = chain.total_ratio(at)
+        out[place] = Scales(
+            torque=_rms(load), max_torque=float(np.max(np.abs(load))), velocity=ratio * _rms(v),
+            max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[joint]) if joint is not None else 1.0,
+            inertia=chain.bodies[at].inertia, stiffness=chain.couplings[joint].stiffness if joint is not None else 1.0,
+            travel=ratio * float(np.ptp(q)), input=_rms(r.torque), max_input=float(np.max(np.abs(r.torque))), output=_rms(v),
+            dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
+            swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
+        )  # fmt: skip
+    return out

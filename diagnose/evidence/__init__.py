@@ -1,0 +1,1 @@
+"""Tests of one fitted structure against another."""

@@ -1,0 +1,1 @@
+"""Where the mismatch is, and what else describes it."""

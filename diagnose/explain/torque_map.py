@@ -1,0 +1,515 @@
+"""What nobody has named, as a map: a smooth torque over one or two state variables, with which the model follows held-out data.
+
+Where the verdict is ``unexplained``, maps at every place of the chain and over every one and two of its variables are screened:
+the response of the judged channel to each spline, through the fitted linear axis, and a penalised regression of the residual on
+them. The best few are fitted in the model itself, by Gauss-Newton, together with all its numbers:
+
+    minimise |r(x, c)|^2 + lambda |S c|^2,        S: second differences of the coefficients along each variable
+
+lambda and the choice of the map are made by cross-validation over stretches of the estimation data. What the model's own numbers
+could say as well (viscous friction, stiffness, an offset that was found) is taken out of the map and left to them, since only
+their sum is determined. The one that is best there must then pay on held-out data, or none is given. Its bands are those of a
+smoothing spline (G. Wahba, J. R. Stat. Soc. B 45 (1983) 133), widened by the correlation of what is left.
+See docs/decisions/torque-map.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.evidence.held_out import compare
+from diagnose.evidence.orders import torque_to_velocity
+from diagnose.fit.fitted import Fitted, HeldOut
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, orthonormal
+from diagnose.fit.whiten import effective_share
+from diagnose.problem.hypothesis import Hypothesis
+from diagnose.progress import Progress
+from diagnose.result import MapResult, MapVariable
+from mjsim.axis import Axis
+from mjsim.ode import DivergedError, apply_input, simulate
+from mjsim.quantity import Quantity
+from mjsim.signals import lfilter
+from mjsim.system import assemble
+from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
+
+__all__ = ["Mapped", "fit_map"]
+
+INTERVALS = (12, 5)  # of a map of one variable, and of each of two
+LAMBDAS = np.geomspace(1e-4, 1e8, 25)  # times the mean diagonal of the regression
+FOLDS = 5
+STRETCHES = 20  # per recording, dealt to the folds in turn
+STRAIGHT = 1e-10  # of the largest second difference: that of a straight line, by rounding
+RIDGE = 1e-6  # of the square of a column, in the normal equations: what the other stretches do not show is left at nought
+MIMIC = 2e-3  # a direction of which the model's own numbers leave less than this is theirs
+RICHER = 0.05  # a second variable must lower the cross-validated cost of the first by so much
+TELLING = 5000  # samples by which maps are screened
+RUNS = 1500  # simulations after which no further map is tried, nor one fitted on
+TRIED = 3  # maps fitted in the model
+FAR = 1.25  # one whose screened cost is so many times that of the best fitted one is not
+STILL = 0.01  # the fit goes on while its cost falls by more than this share
+MATERIAL = 0.02  # least relative gain of held-out squared error
+P_MAP = 0.01  # largest one-sided p-value of that gain, over the maps tried
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A map that pays: the model with it, fitted, and what is told of it."""
+
+    fitted: Fitted
+    held_out: HeldOut
+    result: MapResult
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The regression at a map: residual r (N,) at coefficients c (k,), own sensitivities J (N, p), responses D (N, k) of the
+    coefficients, roughness S (m, k), fold of each row (-1: in all of them, never judged)."""
+
+    r: np.ndarray
+    c: np.ndarray
+    J: np.ndarray
+    D: np.ndarray
+    S: np.ndarray
+    fold: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """lambda, cross-validated cost over that without a map, directions V (k, l) of the coefficients, coefficients c (k,)."""
+
+    penalty: float
+    cost: float
+    V: np.ndarray
+    c: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A map without numbers, the model that it is laid on, and what the screen says of it; cost: cross-validated chi-square."""
+
+    start: Fitted
+    shape: TorqueMap
+    solution: _Solution
+
+    @property
+    def cost(self) -> float:
+        return self.solution.cost * self.start.chi2
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A map fitted in the model; problem: the regression at it; cost: cross-validated chi-square there."""
+
+    fitted: Fitted
+    shape: TorqueMap
+    solution: _Solution
+    problem: _Problem
+    cost: float
+
+
+def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, progress: Progress | None = None) -> Mapped | None:
+    """The map that pays on held-out data, or None.
+
+    ``starts``: models that it may be laid on, the refitted nominal one and the best that was found (named effects may have stood
+    in for what is mapped); ``before``: what it must beat.
+    """
+    if before is None or any(isinstance(e, TorqueMap) for e in fitter.nominal.effects):
+        return None
+    progress = progress or Progress()
+    progress.stage("map", "what is left, over each state variable")
+    ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
+    tried: list[_Refined] = []
+    began = fitter.runs
+    for candidate in ranked[:TRIED]:
+        if fitter.runs - began > RUNS or (tried and candidate.cost > FAR * min(t.cost for t in tried)):
+            break
+        progress.stage("map", f"fitting one {_words(candidate.shape)}")
+        refined = _refine(fitter, candidate, began + RUNS)
+        if refined is not None:
+            tried.append(refined)
+    for t in sorted(tried, key=lambda t: t.cost):
+        after = fitter.validate(t.fitted)
+        gain = compare(before, after)
+        p_value = min(1.0, gain.p_value * len(tried))
+        if after is not None and gain.relative_gain > MATERIAL and p_value < P_MAP:
+            return Mapped(t.fitted, after, _result(fitter, t, before, after, p_value))
+    return None
+
+
+def _words(shape: TorqueMap) -> str:
+    return f"{'in' if shape.coupling else 'at'} the {shape.place} over {' and '.join(a.variable for a in shape.axes)}"
+
+
+# what a map may depend on
+
+
+def _variables(fitter: Fitter, fitted: Fitted) -> list[dict[tuple[str, bool, str], np.ndarray]] | None:
+    """For each experiment (place, coupling, variable) -> values at every recorded sample; None when the model cannot be run."""
+    chain = fitted.axis.chain
+    places = [(p, i) for p in TorqueMap.places if (i := chain.body(p)) is not None and (i > 0 or p == "motor")]
+    joints = [(p, j) for p in TorqueMap.places if (j := chain.coupling(p)) is not None]
+    if len(chain.bodies) == 1:
+        places = places[:1]
+    out = []
+    for r, experiment in enumerate(fitter.experiments):
+        recording = experiment.recording
+        axis = fitted.hypothesis.axis(fitted.fit.x, r)
+        own: dict[tuple[str, bool, str], np.ndarray] = {}
+        if fitter.view.channel == "torque":
+            v, q = measured_velocity(recording), recording.angle
+            own[("motor", False, "velocity")] = _smooth(v, recording.dt)
+            own[("motor", False, "time")] = recording.time
+            if q is not None:
+                own[("motor", False, "angle")] = q
+            out.append(own)
+            continue
+        try:
+            y = simulate(
+                axis, recording.torque, recording.dt, initial=fitted.hypothesis.initial(fitted.fit.x, r), angle=recording.angle,
+                before=experiment.before,
+            )  # fmt: skip
+        except (DivergedError, ValueError):
+            return None
+        command = apply_input(assemble(axis), recording.torque)
+        shift = recording.angle - y.q[:, 0] if recording.angle is not None else np.zeros(len(recording))
+        for place, i in places:
+            # the model errs, hence is here: the motor's speed as measured
+            own[(place, False, "velocity")] = _smooth(measured_velocity(recording), recording.dt) if i == 0 else y.v[:, i]
+            own[(place, False, "angle")] = y.q[:, i] + chain.total_ratio(i) * shift
+            if i == 0:
+                own[(place, False, "torque command")] = command
+                own[(place, False, "time")] = recording.time - recording.time[0]
+            if len(chain.bodies) > 1:
+                own[(place, False, "load")] = (
+                    chain.couplings[0].ratio * y.coupling_torque[:, 0] if i == 0 else y.coupling_torque[:, i - 1]
+                )
+        for place, j in joints:
+            ratio = chain.couplings[j].ratio
+            own[(place, True, "deflection")] = ratio * y.q[:, j] - y.q[:, j + 1]
+            own[(place, True, "deflection rate")] = ratio * y.v[:, j] - y.v[:, j + 1]
+            own[(place, True, "angle")] = y.q[:, j] + chain.total_ratio(j) * shift
+        out.append(own)
+    return out
+
+
+def _smooth(v: np.ndarray, dt: float) -> np.ndarray:
+    width = max(3, int(0.002 / dt))
+    kernel = np.hanning(width + 2)[1:-1]
+    return np.convolve(v, kernel / kernel.sum(), mode="same")
+
+
+def _axis(variable: str, x: Sequence[np.ndarray], intervals: int) -> MapAxis | None:
+    """A variable's range over all experiments; speeds with more knots where they are small."""
+    every = np.concatenate(x)
+    low, high = (float(a) for a in np.quantile(every, (0.0005, 0.9995)))
+    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
+        return None
+    bend = 0.1 * max(abs(low), abs(high)) if VARIABLES[variable][1] is Quantity.VELOCITY and low < 0 < high else 0.0
+    return MapAxis(variable, low, high, intervals, bend)
+
+
+def _shapes(known: list[dict[tuple[str, bool, str], np.ndarray]]) -> list[TorqueMap]:
+    """Every map over one and over two variables of one place."""
+    keys = list(known[0])
+    out = []
+    for place, coupling in dict.fromkeys((p, c) for p, c, _ in keys):
+        names = [v for p, c, v in keys if (p, c) == (place, coupling)]
+        for chosen in [(v,) for v in names] + list(itertools.combinations(names, 2)):
+            intervals = INTERVALS[len(chosen) - 1]
+            axes = [_axis(v, [k[(place, coupling, v)] for k in known], intervals) for v in chosen]
+            found = tuple(a for a in axes if a is not None)
+            if len(found) == len(axes):
+                out.append(TorqueMap(place=place, axes=found, coefficients=(0.0,) * TorqueMap.count(found), coupling=coupling))
+    return out
+
+
+# the regression
+
+
+def _roughness(shape: TorqueMap) -> np.ndarray:
+    """Second differences of the coefficients along each variable (m, k)."""
+    counts = [a.count for a in shape.axes]
+    differences = [np.diff(np.eye(n), 2, axis=0) for n in counts]
+    if len(counts) == 1:
+        return differences[0]
+    return np.vstack([np.kron(differences[0], np.eye(counts[1])), np.kron(np.eye(counts[0]), differences[1])])
+
+
+def _solve(p: _Problem, without: float) -> _Solution:
+    """Penalty by cross-validation, and the coefficients on all data; ``without``: cost without a map."""
+    q = orthonormal(p.J)
+    # directions of the map that the model's own numbers can mimic are left to them
+    gram = p.D.T @ p.D
+    rest = gram - (q.T @ p.D).T @ (q.T @ p.D)
+    # a map that nothing answers to (a model that has run into its bounds) has a gram of zeros
+    gram = gram + max(1e-6 * float(np.trace(gram)) / len(gram), 1e-300) * np.eye(len(gram))
+    low = np.linalg.cholesky(gram)
+    inverse = np.linalg.inv(low)
+    share, u = np.linalg.eigh(inverse @ rest @ inverse.T)
+    V = inverse.T @ u[:, share > MIMIC]
+    k = p.J.shape[1]
+    # along the axes of the roughness: what is smooth is then not lost beside a large penalty of the rest
+    V = V / (np.linalg.norm(p.D @ V, axis=0) + 1e-300)
+    bends, turn = np.linalg.eigh((p.S @ V).T @ (p.S @ V))
+    V = V @ turn
+    X = np.column_stack([p.J / (np.linalg.norm(p.J, axis=0) + 1e-300), p.D @ V])
+    rough, bent = np.zeros(X.shape[1]), np.zeros(X.shape[1])
+    rough[k:] = np.where(bends > STRAIGHT * bends.max(initial=0.0), bends, 0.0)
+    bent[k:] = np.where(rough[k:] > 0.0, V.T @ (p.S.T @ (p.S @ p.c)), 0.0)
+    scale = 1.0 / max(float(np.mean(bends)) if len(bends) else 0.0, 1e-300)
+    grams = [X[p.fold == f].T @ X[p.fold == f] for f in range(-1, FOLDS)]
+    slopes = [X[p.fold == f].T @ p.r[p.fold == f] for f in range(-1, FOLDS)]
+    squares = [float(p.r[p.fold == f] @ p.r[p.fold == f]) for f in range(FOLDS)]
+    total_gram, total_slope = sum(grams), sum(slopes)
+    costs = np.zeros(len(LAMBDAS))
+    for i, penalty in enumerate(LAMBDAS):
+        for f in range(FOLDS):
+            b = _ridged(total_gram - grams[f + 1], penalty * scale * rough, total_slope - slopes[f + 1] + penalty * scale * bent)
+            costs[i] += squares[f] + 2 * float(slopes[f + 1] @ b) + float(b @ grams[f + 1] @ b)
+    best = int(np.argmin(costs))
+    penalty = float(LAMBDAS[best] * scale)
+    b = _ridged(total_gram, penalty * rough, total_slope + penalty * bent)
+    return _Solution(penalty, float(costs[best] / max(without, 1e-300)), V, p.c + V @ b[k:])
+
+
+def _ridged(gram: np.ndarray, penalties: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Coefficients (k,) of least squares by its normal equations, each with a penalty of its own (k,)."""
+    A = gram + np.diag(penalties + RIDGE)
+    size = np.sqrt(np.diag(A))
+    return np.asarray(-np.linalg.solve(A / np.outer(size, size), slope / size) / size)
+
+
+def _folds(fitter: Fitter, size: int) -> np.ndarray:
+    """Fold of each row of a residual vector: stretches of the recordings in turn; the prior's rows belong to none."""
+    parts = []
+    for experiment in fitter.experiments:
+        _, keep = fitter.whitened(np.zeros(len(fitter.counted(experiment))), experiment)
+        at = np.arange(len(keep)) * STRETCHES // len(keep) % FOLDS
+        parts.append(at[keep])
+    fold = np.concatenate(parts)
+    return np.concatenate([fold, np.full(size - len(fold), -1)])
+
+
+def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
+    """All maps by their cross-validated cost on the linearised model, the simpler ones before what gains little on them."""
+    known = _variables(fitter, best)
+    if known is None:
+        return []
+    fold = _folds(fitter, len(best.fit.residual))
+    respond = _Responses(fitter, best)
+    # which map is worth a fit so many rows tell; all of the prior's
+    own = best.hypothesis.told[0]
+    samples = len(fold) - own
+    rows = np.concatenate([np.arange(0, samples, max(1, samples // TELLING)), np.arange(samples, len(fold))])
+    r, J, fold = best.fit.residual[rows], best.fit.J[rows], fold[rows]
+    left = float(r @ r)
+
+    def judged(shape: TorqueMap) -> _Candidate | None:
+        D = respond.of(shape, known)[rows]
+        if not bounded(D).all():
+            return None
+        problem = _Problem(r, np.zeros(D.shape[1]), J, D, _roughness(shape), fold)
+        return _Candidate(best, shape, _solve(problem, left))
+
+    found = [c for c in fitter.map([partial(judged, shape) for shape in _shapes(known)]) if c is not None]
+    found.sort(key=lambda c: c.solution.cost)
+    found = [c for c in found if c.solution.cost < 1 - MATERIAL]
+    single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)
+    return [c for c in found if len(c.shape.axes) == 1 or c.solution.cost < (1 - RICHER) * single]
+
+
+class _Responses:
+    """Responses of the residual vector to the splines of a map, through the fitted linear axis."""
+
+    def __init__(self, fitter: Fitter, best: Fitted) -> None:
+        self.fitter, self.best = fitter, best
+        self.filters: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+    def _through(self, axis: Axis, r: int, experiment: Experiment, body: int, torque: np.ndarray) -> np.ndarray:
+        """Velocity of body 0 (N, k) that torques (N, k) on a body make; no number where it leaves all bounds."""
+        if (r, body) not in self.filters:
+            self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body)
+        response = lfilter(*self.filters[(r, body)], torque)
+        return np.where(bounded(response), response, np.nan)
+
+    def of(self, shape: TorqueMap, known: list[dict[tuple[str, bool, str], np.ndarray]]) -> np.ndarray:
+        """(N, k), in the residual's units and rows."""
+        fitter, chain = self.fitter, self.fitter.nominal.chain
+        parts = []
+        for r, experiment in enumerate(fitter.experiments):
+            axis = self.best.hypothesis.axis(self.best.fit.x, r)
+            torque = shape.row(*(known[r][(shape.place, shape.coupling, a.variable)] for a in shape.axes))
+            if fitter.view.channel == "torque":
+                e = torque[:: fitter.view.decimate] / chain.gain
+            elif shape.coupling:
+                j = chain.coupling(shape.place)
+                assert j is not None
+                ahead = self._through(axis, r, experiment, j, torque)
+                e = chain.couplings[j].ratio * ahead - self._through(axis, r, experiment, j + 1, torque)
+            else:
+                i = chain.body(shape.place)
+                assert i is not None
+                e = -self._through(axis, r, experiment, i, torque)
+            parts.append(_weighted(fitter, experiment, e))
+        own = len(self.best.fit.residual) - sum(len(p) for p in parts)
+        return np.concatenate([*parts, np.zeros((own, parts[0].shape[1]))])
+
+
+def _weighted(fitter: Fitter, experiment: Experiment, e: np.ndarray) -> np.ndarray:
+    columns = [fitter.whitened(e[:, i], experiment) for i in range(e.shape[1])]
+    return np.column_stack([w[keep] for w, keep in columns])
+
+
+# the fit in the model
+
+
+def _with(h: Hypothesis, shape: TorqueMap) -> Hypothesis:
+    """The hypothesis about an axis that has the map already; its vector stays the same."""
+    nominal = h.nominal
+    return dataclasses.replace(h, nominal=dataclasses.replace(nominal, effects=(*nominal.effects, shape)))
+
+
+def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) -> _Refined | None:
+    """Gauss-Newton in the model over its numbers and the coefficients, the penalty chosen anew at each linearisation.
+
+    ``until``: what the fitter may have simulated when another one is begun.
+    """
+    best, solution = candidate.start, candidate.solution
+    h = best.hypothesis
+    k = len(h.entries)
+    S = _roughness(candidate.shape)
+    fold = _folds(fitter, len(best.fit.residual))
+    lower, upper = h.bounds
+    x, c = best.fit.x, np.zeros(S.shape[1])
+    problem = _linearised(fitter, h, candidate.shape, x, float(np.max(np.abs(solution.c))), S, fold)
+    if problem is None:
+        return None
+    outcome: _Refined | None = None
+    for _ in range(rounds):
+        solution = _solve(problem, best.chi2)
+        V, root = solution.V, math.sqrt(solution.penalty)
+        amplitude = max(float(np.std(solution.c)), 1e-12)
+        unit = V / (np.max(np.abs(V), axis=0) + 1e-300) * amplitude
+
+        def residual(z: np.ndarray, c: np.ndarray = c, unit: np.ndarray = unit, root: float = root) -> np.ndarray | None:
+            coefficients = c + unit @ z[k:]
+            part = fitter.residual(_with(h, candidate.shape.with_coefficients(coefficients)))(z[:k])
+            return None if part is None else np.concatenate([part, root * (S @ coefficients)])
+
+        free = np.full(unit.shape[1], np.inf)
+        bounds = np.concatenate([lower, -free]), np.concatenate([upper, free])
+        step = np.concatenate([np.full(k, 1e-3), np.full(unit.shape[1], 1e-2)])
+        start = np.concatenate([x, np.zeros(unit.shape[1])])
+        known = np.vstack(
+            [np.column_stack([problem.J, problem.D @ unit]), np.column_stack([np.zeros((len(S), k)), root * S @ unit])]
+        )
+        fit = levenberg_marquardt(
+            residual, start, bounds, step=step, run=fitter.run, max_iterations=8, tolerance=1e-3, J0=known, secant=True
+        )
+        if fit.status is Status.FAILED:
+            break
+        x, c = fit.x[:k], c + unit @ fit.x[k:]
+        shape = candidate.shape.with_coefficients(c)
+        problem = _linearised(fitter, h, shape, x, float(np.max(np.abs(c))), S, fold)
+        if problem is None:
+            break
+        after = _solve(problem, best.chi2)
+        at = Linearised.known(problem.r, problem.J)
+        cost = float(problem.r @ problem.r)
+        fell = outcome is None or cost < (1 - STILL) * outcome.fitted.chi2
+        own = Fit(x, cost, at, fit.status, fit.iterations, fit.predicted_gain)
+        outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, after, problem, after.cost * best.chi2)
+        if not fell or fitter.runs > until:
+            break
+    return outcome
+
+
+def _linearised(
+    fitter: Fitter, h: Hypothesis, shape: TorqueMap, x: np.ndarray, amplitude: float, S: np.ndarray, fold: np.ndarray
+) -> _Problem | None:
+    """Residual and sensitivities in the model at a map; coefficients are moved by a hundredth of ``amplitude``."""
+    k, n = len(x), len(shape.coefficients)
+    amplitude = max(amplitude, 1e-12)
+    c = np.array(shape.coefficients)
+
+    def residual(z: np.ndarray) -> np.ndarray | None:
+        return fitter.residual(_with(h, shape.with_coefficients(c + amplitude * z[k:])))(z[:k])
+
+    z = np.concatenate([x, np.zeros(n)])
+    r = residual(z)
+    lower, upper = h.bounds
+    free = np.full(n, np.inf)
+    step = np.concatenate([np.full(k, 1e-3), np.full(n, 1e-2)])
+    if r is None:
+        return None
+    J = jacobian(residual, z, r, step, np.concatenate([lower, -free]), np.concatenate([upper, free]), fitter.run)
+    return None if J is None else _Problem(r, c, J[:, :k], J[:, k:] / amplitude, S, fold)
+
+
+# what is told of it
+
+
+def _result(fitter: Fitter, refined: _Refined, before: HeldOut, after: HeldOut, p_value: float) -> MapResult:
+    """Grid, values and bands."""
+    fitted, shape, solution, problem = refined.fitted, refined.shape, refined.solution, refined.problem
+    X = np.column_stack([problem.J, problem.D @ solution.V])
+    size = np.linalg.norm(X, axis=0) + 1e-300
+    rough = np.zeros((X.shape[1], X.shape[1]))
+    k = problem.J.shape[1]
+    scaled = problem.S @ solution.V / size[k:]
+    rough[k:, k:] = solution.penalty * scaled.T @ scaled
+    gram = (X / size).T @ (X / size)
+    variance = fitted.chi2 / max(fitted.n, 1) / max(effective_share(fitter, fitted), 1e-3)
+    covariance = variance * np.linalg.pinv(gram + rough, hermitian=True)[k:, k:]
+    W = solution.V / size[k:]
+    count = 41 if len(shape.axes) == 1 else 21
+    points = [a.points(count) for a in shape.axes]
+    rows = shape.row(*(g.ravel() for g in np.meshgrid(*points, indexing="ij")))
+    values = rows @ np.array(shape.coefficients)
+    half = 1.96 * np.sqrt(np.maximum(np.sum((rows @ W @ covariance) * (rows @ W), axis=1), 0.0))
+    motion = fitter.nominal.chain.motion
+    form = (count,) * len(points)
+    rms, seen = _visited(fitter, fitted, shape, points)
+    unit = Quantity.TORQUE.unit(motion)
+    own = len(fitted.hypothesis.carried)
+    return MapResult(
+        effect=shape,
+        element=fitter.nominal.chain.element(shape.place, coupling=shape.coupling),
+        sentence=f"{shape.describe(motion).removesuffix('.')}. On these recordings it is {rms:.3g} {unit} rms.",
+        variables=tuple(
+            MapVariable(a.variable, VARIABLES[a.variable][1].unit(motion), g) for a, g in zip(shape.axes, points, strict=True)
+        ),
+        unit=unit,
+        seen=seen,
+        values=values.reshape(form),
+        low=(values - half).reshape(form),
+        high=(values + half).reshape(form),
+        held_out_error_before=before.rms,
+        held_out_error_after=after.rms,
+        p_value=p_value,
+        linear=fitted.linear,
+        effects=fitted.axis.effects[own:],
+    )
+
+
+def _visited(fitter: Fitter, fitted: Fitted, shape: TorqueMap, points: list[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Rms of the map on the estimation recordings, and which points of its grid they come by."""
+    from scipy.ndimage import binary_dilation
+
+    seen = np.zeros(tuple(len(p) for p in points), bool)
+    edges = [0.5 * (p[1:] + p[:-1]) for p in points]
+    squares: list[float] = []
+    for own in _variables(fitter, fitted) or []:
+        x = [own[(shape.place, shape.coupling, a.variable)] for a in shape.axes]
+        seen[tuple(np.searchsorted(e, v) for e, v in zip(edges, x, strict=True))] = True
+        squares.append(float(np.mean(shape.torque(*x) ** 2)))
+    return float(np.sqrt(np.mean(squares))) if squares else math.nan, binary_dilation(seen)

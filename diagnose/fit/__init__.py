@@ -1,0 +1,1 @@
+"""Least squares, restarts and the cache of fits."""

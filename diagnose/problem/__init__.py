@@ -1,0 +1,1 @@
+"""What is fitted: the compared signals and the parameter vector of a structure."""

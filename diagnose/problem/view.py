@@ -1,0 +1,400 @@
+"""How a model is judged against a recording: by its free-run motion, or by the force that the recorded motion needs.
+
+Motion (output error): the model runs on the recorded torque and its velocity is compared. Efficient and unbiased when the
+noise is
+in the sensor, also under feedback, since the torque that acted is recorded.
+Force (inverse dynamics): the model is moved as recorded and the torque that this needs is compared. For recordings under a tight
+position loop, whose motion says nothing and whose free run drifts on any disturbance of the torque.
+Both are low-passed alike where they are filtered, so that a comparison is of like with like (docs/decisions/feedback.md).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.data.noise import white_noise_level
+from mjsim.axis import Axis
+from mjsim.effects import NotApplicableError
+from mjsim.effects.ports import StaticMap
+from mjsim.ode import DivergedError, apply_input, count_work, inverse, sensed, simulate
+from mjsim.recording import Recording
+from mjsim.signals import lfilter
+from mjsim.system import MOST_STEPS, STEP, System, assemble, state_matrix
+
+__all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "most_led"]
+
+
+ENOUGH = 4000  # samples that tell the noise ahead of a rounding
+DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
+LEAST_DELIVERED = 0.05  # of the commanded torque's variation: an actuator that delivers less moves nothing
+MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible, or to one so many times the nominal:
+STIFFER = 3
+SHAKES = 2.0  # times the sensor's noise by which a led model may be shaken
+KEPT = 8  # torques that draw a model to one recording: those of the structures that are fitted at a time
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What is compared, on one time grid (M): time [s], measured and predicted in the view's unit.
+
+    rounding (M): the part of the predicted by which a sensor rounds it to steps; None without.
+    """
+
+    time: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    rounding: np.ndarray | None = None
+
+
+def most_led(axis: Axis) -> float:
+    """The highest rate [1/s] at which a model may be led by its measured velocity; 0 where it cannot be run.
+
+    Ahead of a sensor's lag T the noise that leads it is rate T times as large: a body that would stick is shaken by that.
+    """
+    try:
+        lag = assemble(axis).output_lag
+    except (NotApplicableError, ValueError):
+        return 0.0
+    return SHAKES / lag if lag > 0 else math.inf
+
+
+def _delivered(s: System, torque: np.ndarray, dt: float, before: float) -> np.ndarray:
+    """What an actuator makes of a command (N,) held over each sample: its mean over the sample."""
+    u = apply_input(s, np.asarray(torque, float))
+    late = math.ceil(s.input_delay / dt - 1e-9)
+    if s.input_delay > 0:
+        split = late - s.input_delay / dt  # part of a sample over which the newer command acts
+        earlier = np.concatenate([np.full(late, before), u])
+        u = split * earlier[1 : len(u) + 1] + (1.0 - split) * earlier[: len(u)]
+    return _lagged(u, s.input_lag, dt, before)
+
+
+def _ahead(s: System, v: np.ndarray, dt: float) -> np.ndarray:
+    """The velocity (N,) of which the measured one was measured, in its mean over each sample."""
+    for m in s.output_maps:
+        v = v - m.c if m.map is StaticMap.ADD else v
+    following = np.append(v[1:], v[-1])
+    mean = 0.5 * (v + following) + s.output_lag / dt * (following - v)  # of y + T y', which a lag T shows as y
+    k = np.arange(len(v))
+    return np.interp(k + s.output_delay / dt, k, mean) if s.output_delay > 0 else mean
+
+
+class View(Protocol):
+    """A way to judge a model."""
+
+    @property
+    def channel(self) -> str:
+        """What is compared: velocity or torque."""
+
+    @property
+    def decimate(self) -> int:
+        """One compared sample for so many recorded ones."""
+
+    def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
+        """Measured and predicted, or None when the model cannot be run (diverged, or values outside its domain)."""
+
+    def counts(self, experiment: Experiment) -> np.ndarray:
+        """Which of the compared samples count (M) bool."""
+
+    def noise(self, experiment: Experiment) -> float | None:
+        """Noise rms of the compared signal where the recording tells it, else None."""
+
+
+def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.ndarray) -> np.ndarray:
+    """What a signal (N,) is in the mean once it has been rounded to steps, by the noise before the rounding that fits best.
+
+    Noise of a part r of a step turns the staircase into a smoother one, and beyond r = 0.6 into the signal itself (dither).
+    """
+    if step <= 0:
+        return clean
+    from scipy.special import ndtr  # loading it takes a sixth of the time until the first fit, and few sensors round
+
+    def mean(part: slice, r: float) -> np.ndarray:
+        level = np.round(clean[part] / step)
+        off = clean[part] / step - level
+        return np.asarray(step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r)))
+
+    some = slice(None, None, max(1, len(clean) // ENOUGH))
+    errors = [float(np.sum((measured[some] - mean(some, r))[counts[some]] ** 2)) for r in DITHER]
+    count_work(2 * len(clean))
+    return mean(slice(None), DITHER[int(np.argmin(errors))])
+
+
+def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np.ndarray:
+    """Velocity (N,) of a free run by its angle: averaged as the one that is measured by an encoder alone."""
+    return np.gradient(simulate(system, torque, dt, **how).angle, dt)
+
+
+@dataclass(frozen=True)
+class MotionView:
+    """Free run on the recorded torque, judged on motor velocity.
+
+    lead [1/s]: rate at which a torque draws the model to the recorded velocity, by its own motor inertia; 0 for a free run.
+    A led model has forgotten within 1/lead what it did before: events do not add up, and its error has fewer minima.
+    most_substeps: of a run, a sample; a model that needs more is not run. step [rad]: by which the fastest motion turns in one.
+    Source: C. P. Vyasarayani et al., Multibody Syst. Dyn. 26 (2011) 411.
+    """
+
+    channel: str = "velocity"
+    decimate: int = 1
+    lead: float = 0.0
+    most_substeps: int = MOST_SUBSTEPS
+    step: float = STEP
+
+    @classmethod
+    def of(cls, nominal: Axis, recordings: Sequence[Recording]) -> MotionView:
+        """For recordings of an axis: slow ones need many steps a sample."""
+        steps = math.ceil(STIFFER * max(r.dt for r in recordings) * assemble(nominal).omega / STEP)
+        return cls(most_substeps=max(MOST_SUBSTEPS, min(steps, MOST_STEPS)))
+
+    def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
+        """Velocity measured and simulated at every sample."""
+        r = experiment.recording
+        torque = r.torque
+        try:
+            system = assemble(self._led(axis))
+            if self.lead > 0:  # lead J (v - v_model): the first part is input, past the actuator, the second viscous friction
+                torque = self._drawn(system, experiment, axis)
+                system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
+            rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
+            if rounding:
+                rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
+                system = dataclasses.replace(system, output_maps=rest)
+            predicted = (sensed if r.velocity is not None else _mean_speed)(
+                system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before,
+                most_substeps=self.most_substeps, step=self.step,
+            )  # fmt: skip
+        except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
+            return None
+        measured = measured_velocity(r)
+        if experiment.correction is not None:
+            measured = measured + experiment.correction
+        smooth = predicted
+        for step in rounding:
+            predicted = _rounded(measured, predicted, step, experiment.counts)
+        return Signals(r.time, measured, predicted, predicted - smooth if rounding else None)
+
+    def _drawn(self, system: System, experiment: Experiment, axis: Axis) -> np.ndarray:
+        """The torque (N,) past the actuator that draws a model to a recording."""
+        delivered, velocity = self._path(system, experiment)
+        return delivered + self.lead * axis.chain.bodies[0].inertia / axis.chain.gain * velocity
+
+    def _path(self, system: System, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+        """What an actuator makes of the recorded torque, and the velocity ahead of a sensor, kept: a fit asks for few others."""
+        path = (
+            system.input_maps,
+            system.input_lag,
+            system.input_delay,
+            system.output_maps,
+            system.output_lag,
+            system.output_delay,
+        )
+        known = experiment.kept.get(path)
+        if known is None:
+            r = experiment.recording
+            known = _delivered(system, r.torque, r.dt, experiment.before), _ahead(system, measured_velocity(r), r.dt)
+            if len(experiment.kept) >= KEPT:
+                experiment.kept.clear()
+            experiment.kept[path] = known
+        return known
+
+    def _led(self, axis: Axis) -> Axis:
+        """The axis with the loss of the lead as viscous friction."""
+        if self.lead <= 0:
+            return axis
+        first, *others = axis.chain.bodies
+        first = dataclasses.replace(first, viscous=first.viscous + self.lead * first.inertia)
+        return dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=(first, *others)))
+
+    def counts(self, experiment: Experiment) -> np.ndarray:
+        """The experiment's own mask."""
+        return experiment.counts
+
+    def noise(self, experiment: Experiment) -> float | None:
+        """White noise of the measured velocity."""
+        return experiment.sigma
+
+
+@dataclass(frozen=True)
+class ForceView:
+    """Inverse dynamics along the recorded motion, judged on torque.
+
+    cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling
+    rate), then
+    decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of
+    friction is unknown
+    there), nor those around which the speed stays below ``rest`` times it for a fifth of a second (the axis stands).
+    """
+
+    cutoff_hz: float | None = None
+    decimate: int = 10
+    slow: float = 0.005
+    rest: float = 0.05
+    channel: str = "torque"
+    # what is kept of an experiment, by its id, and the experiment, so that no other has that id
+    _motions: dict[int, tuple[Experiment, tuple[np.ndarray, ...]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _counted: dict[int, tuple[Experiment, np.ndarray]] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, ...]:
+        """Angle, velocity, acceleration (low-passed, by central differences) and the torque as commanded."""
+        from scipy.signal import sosfiltfilt
+
+        if id(experiment) in self._motions:
+            return self._motions[id(experiment)][1]
+        r = experiment.recording
+        sos = self._sos(r.dt)
+        if r.angle is not None:
+            q = sosfiltfilt(sos, r.angle)
+            v = np.gradient(q, r.dt)
+        else:
+            v = sosfiltfilt(sos, measured_velocity(r))
+            q = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * r.dt])
+        # the command is held over each sample, so that it acts half a sample late on average
+        held = _shift(r.torque, -0.5 * r.dt, r.dt)
+        motion = q, v, np.gradient(v, r.dt), sosfiltfilt(sos, held)
+        self._motions[id(experiment)] = experiment, motion
+        return motion
+
+    def _sos(self, dt: float) -> np.ndarray:
+        from scipy.signal import butter
+
+        cutoff = self.cutoff_hz or 0.1 / dt
+        return np.asarray(butter(4, min(2 * cutoff * dt, 0.9), output="sos"))
+
+    def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
+        """Torque commanded (through the actuator effects) and torque needed, low-passed and decimated alike."""
+        from scipy.signal import sosfiltfilt
+
+        r = experiment.recording
+        q, v, a, commanded = self._filtered(experiment)
+        try:
+            s = assemble(axis)
+            if s.output_delay > 0:
+                q, v, a = (_shift(x, s.output_delay, r.dt) for x in (q, v, a))
+            if s.output_lag > 0:  # what a lag of the sensor T shows is y with y + T y' = x
+                T = s.output_lag
+                q, v, a = q + T * v, v + T * a, a + T * np.gradient(a, r.dt)
+            shifts = (m.c for m in s.output_maps if m.map is StaticMap.ADD)
+            offset = sum(shifts) if r.angle is None else 0.0  # the rate of an angle does not have it
+            needed = inverse(s, q, v - offset, a, r.dt)
+        except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
+            return None
+        sos = self._sos(r.dt)
+        every = slice(None, None, self.decimate)
+        needed = sosfiltfilt(sos, needed)
+        shrinking = [m for m in s.input_maps if m.map in (StaticMap.CLIP, StaticMap.DROOP)]
+        if not shrinking:
+            return Signals(r.time[every], commanded[every], self._command(s, needed, r.dt)[every])
+        # what these deliver does not tell the command: the command is taken through them
+        u = apply_input(s, r.torque)
+        late = _shift(_lagged(u, s.input_lag, r.dt, u[0]), -0.5 * r.dt - s.input_delay, r.dt)
+        acting = sosfiltfilt(sos, late)[every]
+        # an actuator that delivers next to nothing asks next to nothing of the model: the error is one of the command
+        keep = self.counts(experiment)
+        asked, delivered = (float(np.std(x[keep])) for x in (commanded[every], acting))
+        if not delivered > LEAST_DELIVERED * asked:
+            return None
+        return Signals(r.time[every], asked / delivered * acting, asked / delivered * needed[every])
+
+    def _command(self, s: System, needed: np.ndarray, dt: float) -> np.ndarray:
+        """The command (N,), low-passed, by which an actuator delivers the torque (N,) that the motion needs.
+
+        The recorded command is never changed: an error is part of it, and would go with it into whatever were made of it.
+        """
+        from scipy.signal import sosfiltfilt
+
+        command = needed
+        if s.input_lag > 0:
+            command = command + s.input_lag * np.gradient(command, dt)
+        if s.input_delay > 0:
+            command = _shift(command, s.input_delay, dt)
+        for m in reversed(s.input_maps):
+            if m.map is StaticMap.ADD:
+                command = command - m.c
+            elif m.map is StaticMap.DEAD:
+                command = command + sosfiltfilt(self._sos(dt), m.c * np.sign(command))
+        return command
+
+    def counts(self, experiment: Experiment) -> np.ndarray:
+        """The experiment's mask without the filter's ends and standstill."""
+        if id(experiment) not in self._counted:
+            self._counted[id(experiment)] = experiment, self._moving(experiment)
+        return self._counted[id(experiment)][1]
+
+    def _moving(self, experiment: Experiment) -> np.ndarray:
+        r = experiment.recording
+        _, v, _, _ = self._filtered(experiment)
+        from scipy.ndimage import maximum_filter1d
+
+        rms = math.sqrt(float(np.mean(v**2)))
+        # a sample at which the speed passes through zero, and a rest, during which the torque is whatever friction lets stand
+        rest = maximum_filter1d(np.abs(v), 2 * max(1, round(0.1 / r.dt)) + 1) < self.rest * rms
+        moving = (np.abs(v) > self.slow * rms) & ~rest
+        edge = math.ceil(2.0 / ((self.cutoff_hz or 0.1 / r.dt) * r.dt))
+        inside = np.zeros(len(r), bool)
+        inside[edge : len(r) - edge] = True
+        return (experiment.counts & moving & inside)[:: self.decimate]
+
+    def noise(self, experiment: Experiment) -> float | None:
+        """Not known beforehand: what acts on the torque is no sensor noise."""
+        return None
+
+
+def growth_when_held(axis: Axis) -> float:
+    """Rate [1/s] at which what is behind the driven body swings up while that body is moved as recorded; below 0: it settles."""
+    s = assemble(Axis(axis.chain))
+    if s.n == 1:
+        return -math.inf
+    behind = [i for i in range(2 * s.n) if i not in (0, s.n)]
+    return float(np.max(np.linalg.eigvals(state_matrix(s.f)[np.ix_(behind, behind)]).real))
+
+
+def clean_band(axis: Axis, recording: Recording, share: float = 1e-3) -> float:
+    """Highest frequency [Hz], up to a tenth of the sampling rate, below which the encoder's noise is no torque to speak of.
+
+    Twice differentiated and multiplied by the inertia, the noise of the angle (from its sixth differences, at least its rounding)
+    grows with the fourth power of the frequency; it may make ``share`` of the recorded torque's power.
+    """
+    from scipy.signal import welch
+
+    highest = 0.1 / recording.dt
+    if recording.angle is None:
+        y, power = measured_velocity(recording), 2
+    else:
+        y, power = recording.angle, 4
+    steps = np.abs(np.diff(y))
+    rounding = float(np.min(steps[steps > 0], initial=math.inf))
+    noise = max(white_noise_level(y), rounding / math.sqrt(12.0) if rounding > 1e-9 * np.ptp(y) else 0.0)
+    inertia = sum(b.inertia * axis.chain.total_ratio(i) ** 2 for i, b in enumerate(axis.chain.bodies))
+    segment = min(len(y), max(256, 2 ** int(np.log2(len(y) / 6))))
+    f, torque = welch(axis.chain.gain * recording.torque, 1 / recording.dt, nperseg=segment)
+    false = inertia**2 * (2 * np.pi * f) ** power * noise**2 * 2 * recording.dt
+    dirty = np.flatnonzero((np.cumsum(false) > share * np.cumsum(torque)) & (f <= highest))
+    # from the top down: at the lowest frequencies neither counts
+    return highest if len(dirty) == 0 or f[dirty[0]] > 0.8 * highest else float(max(f[dirty[0]], 0.02 * highest))
+
+
+def _lagged(u: np.ndarray, lag: float, dt: float, before: float) -> np.ndarray:
+    """What a first-order lag [s] makes of an input held over each sample, in its mean over the sample; settled at ``before``."""
+    if lag <= 0:
+        return u
+    decay = math.exp(-dt / lag)
+    ends = before + lfilter([0.0, 1.0 - decay], [1.0, -decay], u - before)  # at the beginning of each sample
+    return np.asarray(u + (ends - u) * (1.0 - decay) * lag / dt)
+
+
+def _shift(x: np.ndarray, lead: float, dt: float) -> np.ndarray:
+    """x(t + lead) by cubic interpolation, ends held."""
+    from scipy.interpolate import CubicSpline
+
+    t = dt * np.arange(len(x))
+    return np.asarray(CubicSpline(t, x)(np.clip(t + lead, t[0], t[-1])))

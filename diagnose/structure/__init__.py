@@ -1,0 +1,1 @@
+"""Search over structures: candidates, screening, moves."""

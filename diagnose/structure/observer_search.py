@@ -1,0 +1,98 @@
+"""A short search among models that the measured velocity leads closely: which structure to begin a free run from.
+
+Led, a model has hardly any minima but one, whatever else is missing. In a free run a gap, stiction or a hidden mode has many, so
+that the right one of a pair may be fitted ever so badly until the other is there, and other effects enter in its place.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from diagnose.fit.fitted import UNEXPLAINED, Fitted
+from diagnose.fit.fitter import CLOSELY, WRONG
+from diagnose.structure.judge import LACKS
+from diagnose.structure.moves import folded, formed, ground
+from diagnose.structure.multistart import begun_anew
+from diagnose.structure.search import Search
+
+__all__ = ["among_led"]
+
+ROUNDS = 2  # effects that are sought
+LITTLE = 0.7  # of the chi-square of a round before: a round that leaves more leads nowhere
+PART = 0.5  # of what the diagnosis may still take
+WIDTH = 6  # rivals of a round
+NEAR = 10.0 * LACKS  # times the noise variance below which an effect is refined
+MOMENTS = 1.2  # times the noise that the wrong moments of events leave of a closely led model
+ALIKE, MOST = 2.0, 3  # times the least chi-square of a led structure up to which others are let go as well, and how many
+
+
+def among_led(search: Search) -> None:
+    """Add to a search, as free runs, the structures that leave no more than moments of their events when they are led closely.
+
+    The simplest first, until one of them leaves no more than noise.
+    """
+    for led in _search(search):
+        free = search.fitter.fit(search.fitter.hypothesis(led.effects, led.linear, led.own), iterations=20)
+        search.keep(free)
+        missed = search.shake(free).chi2 > UNEXPLAINED * min(free.n, led.chi2)
+        if missed and led.chi2 < MOMENTS * led.n:  # else it lacks more than those, and is where to go on from
+            again = search.fitter.let_go(led, highest=CLOSELY)
+            search.keep(free if again is None else again)
+        known = search.pool.get(led.key)  # none where no free run of it could be fitted
+        if known is not None and known.chi2 < UNEXPLAINED * known.n:
+            break
+
+
+def _search(search: Search) -> list[Fitted]:
+    """The structures, led closely, those of the fewest numbers first."""
+    led = search.fitter.leading(CLOSELY, search.fitter.held_out)
+    led.guide = 1.0
+    led.work = search.fitter.work
+    led.most_runs = led.runs + PART * (search.fitter.most_runs - led.runs)
+    chosen = dataclasses.replace(search.options, width=WIDTH, beam=1, free=False)
+    other = Search(led, chosen, progress=search.progress, only_beside=search.only_beside)
+    other.candidates = search.candidates
+    best = other.nominal()
+    for _ in range(ROUNDS):
+        if not best.ok or led.spent or best.chi2 < WRONG * best.n:
+            break
+        before = other._guided(best)
+        base = ground(before, other.pool)
+        other.expand(base)
+        best = other._guided(_least(other))
+        if base.effects and set(base.key) < set(best.key):  # it may have missed the minimum to which what was added has led
+            other.keep(other._begun_at(best, base, 12))
+        refined: set[tuple[str, ...]] = set()
+        while best.key not in refined and WRONG < best.chi2 / best.n < NEAR and not led.spent:
+            refined.add(best.key)
+            other.refine(best)
+            best = other._guided(_least(other))
+        if WRONG < best.chi2 / best.n < NEAR and not led.spent:
+            other.keep(begun_anew(led, best, [e for e in best.effects if type(e).rough]))
+            best = other.pool[best.key]
+        if best.chi2 > LITTLE * before.chi2:
+            break
+        for effect in best.effects if best.chi2 > WRONG * best.n else ():
+            for simpler in other._simpler(best, effect):  # what is missing is sought beside the simplest form
+                simpler()
+    led.most_runs = search.fitter.most_runs
+    found = [f for f in other.pool.values() if f.effects and f.chi2 < min(LACKS * f.n, ALIKE * best.chi2)]
+    found = sorted(found, key=lambda f: (formed(f), len(f.hypothesis.entries), f.chi2))[:MOST]
+    found = [_spread(other, f) for f in found]
+    search.fitter.work = led.work
+    search.tested += other.tested
+    return found
+
+
+def _least(search: Search) -> Fitted:
+    """The best structure of a pool."""
+    return min(search.pool.values(), key=search.criterion)
+
+
+def _spread(search: Search, f: Fitted) -> Fitted:
+    """The best fit of a structure from points about it as well, where its error may have several minima."""
+    found = search.fitter.led(f, CLOSELY, 12, spread=12, keep=3) if folded(f) else None
+    if found is not None and found.chi2 < f.chi2:
+        search.keep(found)
+        return found
+    return f

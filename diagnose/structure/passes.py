@@ -1,0 +1,252 @@
+"""The search on plain errors and, where noise is coloured, again on whitened ones.
+
+Which filter is the noise's is a question of its own: a residual is coloured by its noise or by motion that the model misses.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from diagnose.data.experiment import measured_angle, measured_velocity
+from diagnose.evidence.force_orders import force_orders
+from diagnose.evidence.orders import find_orders, torque_to_velocity
+from diagnose.evidence.predictable import motion_error
+from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
+from diagnose.options import Options
+from diagnose.problem.view import MotionView
+from diagnose.progress import Progress
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.candidates import candidates
+from diagnose.structure.observer_search import among_led
+from diagnose.structure.search import Search
+from diagnose.verdict.decide import excluded_by_angle
+from mjsim.errors import InputError
+from mjsim.ode import simulate
+
+__all__ = ["searched"]
+
+MOST_FILTERS = 2  # whitened searches
+REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
+TAKEN = 4.0  # times the noise's mean square: noise taken for response lowers the fitted error: rms at most twice the noise's
+SWUNG = 3  # orders of a varying inertia
+OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
+
+
+def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Spatial orders of the residual of a fitted model on its first experiment: of torques, and of the arm's inertia."""
+    experiment = fitter.experiments[0]
+    r = experiment.recording
+    if fitter.view.channel == "torque":
+        orders, of_few_periods = force_orders(fitter, fitted)
+        return orders or of_few_periods, ()
+    initial = fitted.hypothesis.initial(fitted.fit.x, 0)
+    e = fitter.error(fitted.axis, experiment, initial)
+    if e is None:
+        return (), ()
+    find = partial(find_orders, e, dt=r.dt, keep=fitter.counted(experiment), run=fitter.map)
+    angle = measured_angle(r)
+    b, a = torque_to_velocity(fitted.axis, r.dt)
+    orders = find(angle, measured_velocity(r), b, a)
+    # a spring lets the arm swing otherwise than the motor: how, only a simulation tells
+    y = simulate(fitted.axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before)
+    arm = len(fitter.nominal.chain.bodies) - 1
+    ratio = fitter.nominal.chain.total_ratio(arm)
+    b, a = torque_to_velocity(fitted.axis, r.dt, arm)
+    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=SWUNG, inertia=True)
+
+
+def _search(
+    fitter: Fitter,
+    options: Options,
+    progress: Progress,
+    began: float,
+    settled_by: Callable[[Fitted], bool] | None = None,
+    known: Fitted | None = None,
+) -> tuple[Search, Fitted]:
+    """One search by the fitter's present weights; ``known``: a structure of an earlier one, which is a rival from the start."""
+    left = options.seconds - (time.monotonic() - began)
+    # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
+    chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
+    if not fitter.noise_known:
+        chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.02, p_enter=0.02)
+    search = Search(fitter, chosen, progress=progress, settled_by=settled_by)
+    base = search.nominal()
+    if not base.ok:
+        raise InputError(
+            fitter.experiments[0].recording.source, "the nominal model diverges on this input", "a model that can be run",
+            "check units, signs and the actuator's gain",
+        )  # fmt: skip
+    _need_same_sign(fitter, base)
+    if known is not None and known.effects:
+        search.know(known)
+    fitter.set_orders(*_orders(fitter, base))
+    search.only_beside = excluded_by_angle(fitter.experiments)
+    search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
+    search.orders_of = lambda f: _orders(fitter, f)
+    if fitter.noise_known and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
+        search.led_by = partial(among_led, search)
+    if not fitter.noise_known:
+        search.effective = effective_share(fitter, base)
+        search.effective_of = lambda f: effective_share(fitter, f)
+        search.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
+    return search, search.run()
+
+
+def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:
+    """Refuse a recording whose motion goes against its torque: a sign, and no physics.
+
+    The nominal model goes the other way, and refitted it does not follow either (which it does where a resonance was shifted).
+    """
+    for i, experiment in enumerate(fitter.experiments):
+        keep = fitter.counted(experiment)
+        alike = []
+        for axis in (fitter.nominal, base.hypothesis.axis(base.fit.x, i)):
+            s = fitter.view.signals(axis, experiment, None)
+            if s is not None and min(np.std(s.measured[keep]), np.std(s.predicted[keep])) > 0:
+                alike.append(float(np.corrcoef(s.measured[keep], s.predicted[keep])[0, 1]))
+        if alike and alike[0] < -clear and alike[-1] < clear:
+            raise InputError(
+                experiment.recording.source, f"the axis moves against its torque (correlation with the model {alike[0]:.2f})",
+                "torque and motion counted in one direction", "turn the sign of one: gain = -1 in the binding",
+            )  # fmt: skip
+
+
+def _whitening(fitter: Fitter, search: Search, best: Fitted) -> tuple[np.ndarray, bool]:
+    """The filter of the residual ([1] where it is white), and whether it is that of a structure that earns its own.
+
+    That of the refitted nominal model unless the best structure earns its own.
+    A structure that was found on plain errors may have taken the noise for physics, under feedback above all, and its filter then
+    keeps what it took. The two are compared by the likelihood of their innovations, each with its own filter.
+    """
+    settled = settle(fitter, best)
+    if settled is None:
+        return np.ones(1), False
+    if not best.effects:
+        return settled[0], False
+    nominal = settle(fitter, search.nominal())
+    if nominal is None or search.criterion(nominal[1]) - search.criterion(settled[1]) > search.options.entry:
+        return settled[0], True
+    return nominal[0], False
+
+
+def _settled_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitted], bool]) -> Fitted | None:
+    """The nominal structure settled with its own filter, where it leaves noise alone; None where it does not, or is white.
+
+    Begun where its nominal parameters hold it. What the estimation recordings leave open is asked of all recordings together.
+    """
+    fitter.guide = guide_of(fitter, base)
+    try:
+        held = fitter.fit(fitter.hypothesis(()))
+    finally:
+        fitter.guide = 1.0
+    settled = settle(fitter, held)
+    if settled is None or noise_only(settled[1]):
+        return None if settled is None else settled[1]
+    kept, fitter.whitening = fitter.whitening, settled[0]
+    try:
+        pooled = fitter.pooled(settled[1])
+    finally:
+        fitter.whitening = kept
+    return settled[1] if noise_only(pooled) else None
+
+
+def searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
+    """The search on plain errors and, where these are coloured by noise, again on whitened ones; whether they were whitened.
+
+    A residual is coloured by its noise or by motion that the model misses; only noise may be whitened away. Once the angle shows
+    that a structure misses no motion, and its residual is coloured, nothing is sought beside it on plain errors: there the
+    colour counts as mismatch. Under feedback a fit on plain errors takes the colour for response: the nominal structure is
+    asked as it settles with its own filter, too. A structure found on whitened errors may bear out another filter, or none:
+    then it is sought once more.
+    """
+
+    def noise_only(f: Fitted, unknown: bool) -> bool:
+        missed = motion_error(fitter, f)
+        return unknown if missed is None else missed < options.missed
+
+    surely = partial(noise_only, unknown=False)
+
+    def settled_by(f: Fitted) -> bool:
+        # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
+        if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
+            return False
+        missed = motion_error(fitter, f)
+        if missed is None or missed < options.missed:
+            return missed is not None
+        fitted_to = motion_error(fitter, f, on=fitter.experiments)
+        if f.effects and (fitted_to is None or fitted_to >= options.missed):
+            return False
+        if surely(fitter.pooled(f)):  # or the excitation leaves parameters open, which noise has settled
+            return True
+        may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TAKEN
+        return may_be_noise and _settled_from_nominal(fitter, f, surely) is not None
+
+    known = fitter.noise_known
+    search, best = _search(fitter, options, progress, began, settled_by if known else None)
+    if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
+        # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
+        settled = _settled_from_nominal(fitter, search.nominal(), surely) if known else None
+        if settled is None:
+            return search, best, False
+        best = settled
+    for turn in range(MOST_FILTERS):
+        spent = fitter.spent
+        if spent and (turn or not best.effects):  # a search that could not look would find nothing
+            break
+        filter_, earned = _whitening(fitter, search, best)
+        if alike(filter_, fitter.whitening / fitter.whitening[0]) or (spent and earned):
+            break
+        progress.stage("search", "again on whitened errors, since the residual is coloured")
+        filter_before, fitter.whitening = fitter.whitening, _scaled(fitter, best, filter_)
+        before, found = search, best
+        search, best = _search(fitter, options, progress, began, known=best if turn or earned else None)
+        search.tested += before.tested
+        if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
+            fitter.whitening = filter_before
+            return before, found, len(filter_before) > 1
+    return (*_less_coloured(fitter, options, progress, began, search, best), len(fitter.whitening) > 1)
+
+
+def _scaled(fitter: Fitter, f: Fitted, filter_: np.ndarray) -> np.ndarray:
+    """A filter that leaves what a structure leaves at rms one."""
+    return filter_ / innovation(fitter, f, filter_) if len(filter_) > 1 else filter_
+
+
+def _less_coloured(
+    fitter: Fitter, options: Options, progress: Progress, began: float, search: Search, best: Fitted
+) -> tuple[Search, Fitted]:
+    """The search once more by the filter of a structure that held-out data refused by the filter of a poorer one.
+
+    A filter from a residual with a missed effect in it takes the effect for noise: it lets little of it through, on held-out data
+    too. What the estimation data want all the same may bear out another filter, under which it pays; else all stays as it was.
+    """
+    rivals = [f for f in search.pool.values() if set(best.key) < set(f.key)]
+    refused = min(rivals, key=search.criterion, default=None)
+    if (
+        len(fitter.whitening) == 1
+        or fitter.spent
+        or refused is None
+        or search.gain(best, refused) < REFUSED * search.options.entry
+    ):
+        return search, best
+    settled = settle(fitter, refused)
+    filter_ = np.ones(1) if settled is None else settled[0]
+    if alike(filter_, fitter.whitening / fitter.whitening[0]):
+        return search, best
+    progress.stage("search", "again, since a structure that was refused leaves less colour")
+    kept = fitter.whitening
+    fitter.whitening = _scaled(fitter, refused, filter_)
+    again, better = _search(fitter, options, progress, began, known=refused)
+    again.tested += search.tested
+    if better.effects and len(better.effects) > len(best.effects):
+        return again, better
+    fitter.whitening = kept
+    search.tested = again.tested
+    return search, best

@@ -1,0 +1,1 @@
+"""From fitted structures to a verdict."""
