@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ident.checks import check_estimation_data
 from ident.data import IOData, frozen
+from ident.descent import Descents, Scaled, best_state, covariance_of, radius
 from ident.model import PolyModel
-from ident.options import Focus, InitialCondition, Options, SearchOptions
-from ident.search import MARGIN, factor, residual, search
-from ident.start import first_models, noise_model, stabilised
+from ident.options import Focus, InitialCondition, Options
+from ident.start import first_models, noise_model
 from ident.structure import Structure
 from mjsim.errors import InputError
 from mjsim.signals import lfilter
@@ -81,128 +81,6 @@ class Estimate:
         return self.model.structure.n_parameters
 
 
-def _sizes(s: Structure, with_state: bool) -> NDArray:
-    state = (s.n_plant_state, s.n_noise_state) if with_state else (0, 0)
-    return np.array([s.na, s.nb, s.nc, s.nd, s.nf, *state])
-
-
-def _buffers(size: int) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-    pulse = np.zeros(size)
-    pulse[0] = 1.0
-    return np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((8, size)), pulse
-
-
-def _state_columns(s: Structure) -> slice:
-    return slice(s.n_parameters, s.n_parameters + s.n_plant_state + s.n_noise_state)
-
-
-def _best_state(s: Structure, theta: NDArray, u: NDArray, y: NDArray) -> tuple[NDArray, float, float]:
-    """Least-squares initial conditions at theta (linear): [I, K], loss without, loss with."""
-    n = _sizes(s, True)
-    full = np.r_[theta, np.zeros(n[5] + n[6])]
-    w, v, e, signals, pulse = _buffers(y.size)
-    before = residual(full, n, s.nk, u, y, w, v, e, _radius(1.0))
-    if not np.isfinite(before):
-        return np.zeros(n[5] + n[6]), before, before
-    r = factor(full, n, s.nk, u, y, w, v, e, signals, pulse)
-    block = r[:, _state_columns(s)]
-    scale = np.maximum(np.linalg.norm(block, axis=0), 1e-300)
-    step = np.linalg.lstsq(block / scale, r[:, -1], rcond=1e-10)[0] / scale
-    after = float(np.sum((r[:, -1] - block @ step) ** 2))
-    return -step, float(before), after
-
-
-def _uses_state(s: Structure, kind: InitialCondition, before: float, after: float, size: int) -> bool:
-    if kind is InitialCondition.ZERO:
-        return False
-    if kind is not InitialCondition.AUTO:
-        return True
-    from scipy.stats import f as f_distribution
-
-    m = s.n_plant_state + s.n_noise_state
-    free = size - s.n_parameters - m
-    if m == 0 or free <= 0 or after <= 0.0:
-        return False
-    return bool((before - after) / m / (after / free) > f_distribution.ppf(0.999, m, free))
-
-
-STAGES = (0.95, 0.98, 0.995)
-"""Limits on the roots of C, released one after the other where the limit binds."""
-
-
-def _radius(noise: float) -> NDArray:
-    """Largest root radius per polynomial for the search; only those of C and F are read."""
-    radius = np.full(7, 1.0 - MARGIN)
-    radius[2] = min(noise, 1.0 - MARGIN)
-    return radius
-
-
-def _descend(
-    first: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
-) -> tuple[NDArray, float, int, int, NDArray]:
-    """One start to its minimum: theta, loss, iterations, code, factor.
-
-    Levenberg-Marquardt in the coefficients themselves. Where that ends other than at a minimum inside the limits of stability,
-    the start is followed again in coordinates that can slide along the limit, C held within the first of the ``STAGES``.
-    """
-    theta, loss, iterations, code, _, r = search(
-        first, n, s.nk, u, y, free, how.max_iterations, how.tolerance, False, _radius(how.noise_radius)
-    )
-    c = _c_columns(s)
-    if code == 0 or not np.all(free[c]):
-        return theta, loss, int(iterations), int(code), r
-    total = int(iterations)
-    x = first.copy()
-    x[c] = stabilised(np.r_[1.0, x[c]], min(STAGES[0], how.noise_radius) - 0.01)[1:]
-    for radius in [r_ for r_ in STAGES if r_ < how.noise_radius] + [how.noise_radius]:
-        x, end, more, code_x, _, r_x = search(
-            x, n, s.nk, u, y, free, 2 * how.max_iterations, how.tolerance, True, _radius(radius)
-        )
-        total += int(more)
-        if end < loss:
-            theta, loss, code, r = x, end, code_x, r_x
-        if s.nc == 0 or np.max(np.abs(np.roots(np.r_[1.0, x[c]]))) < radius - 0.005:
-            break
-    return theta, loss, total, int(code), r
-
-
-def _backcast(
-    theta: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
-) -> tuple[NDArray, float, int, int, NDArray]:
-    """Alternate: initial conditions by least squares at the present coefficients, then the coefficients with these held.
-
-    As ``_descend``. A step of one kind never raises the loss, so that the pair ends at a minimum of the joint problem.
-    """
-    count = s.n_parameters
-    held = free.copy()
-    held[count:] = 0
-    total, previous = 0, np.inf
-    theta, loss, iterations, code, r = _descend(theta, n, s, u, y, held, how)
-    for _ in range(how.max_iterations):
-        total += iterations
-        if previous - loss <= how.tolerance * loss:
-            break
-        previous = loss
-        state = _best_state(s, theta[:count], u, y)[0]
-        theta, loss, iterations, code, r = _descend(np.r_[theta[:count], state], n, s, u, y, held, how)
-    return theta, loss, total, code, r
-
-
-def _c_columns(s: Structure) -> slice:
-    return slice(s.na + s.nb, s.na + s.nb + s.nc)
-
-
-def _covariance(r: NDArray, n: int, variance: float) -> tuple[NDArray, bool]:
-    """Parameter covariance from the factor of the gradient; the pseudo-inverse where the data leave directions open."""
-    block = r[:-1, :-1]
-    scale = np.linalg.norm(block, axis=0)
-    scale[scale == 0.0] = 1.0
-    _, values, vt = np.linalg.svd(block / scale)
-    keep = values > 1e-9 * values[0]
-    half = (vt[keep].T / values[keep]) / scale[:, None]
-    return variance * (half @ half.T)[:n, :n], not bool(np.all(keep))
-
-
 def _prefiltered(data: IOData, options: Options) -> IOData:
     if options.prefilter is None:
         return data
@@ -226,104 +104,72 @@ def pem(data: IOData, structure: Structure, options: Options | None = None, star
     return _fit(data, structure, options, began, start, None)
 
 
+def _first_candidates(
+    s: Structure, scaled: Scaled, options: Options, start: NDArray | None, fixed: bool, source: str
+) -> list[tuple[float, str, NDArray]]:
+    """Stable first models as (loss, route, theta), the least loss first; ``fixed``: only the given ``start`` is used."""
+    proposals = [] if fixed else list(first_models(s, scaled.u, scaled.y))
+    if start is not None:
+        proposals.insert(0, ("given", start))
+    stable = [(scaled.loss(s, theta), route, theta) for route, theta in proposals]
+    stable = [c for c in stable if np.isfinite(c[0])]
+    if not stable:
+        raise InputError(source, f"no stable first model of {s} was found", "data of a stable system", "lower the orders")
+    if options.initial_condition is not InitialCondition.ZERO:
+        stable = [(best_state(s, theta, scaled.u, scaled.y)[2], route, theta) for _, route, theta in stable]
+    return sorted(stable, key=lambda c: c[0])
+
+
+def _status(code: int, deficient: bool) -> Status:
+    status = {0: Status.CONVERGED, 1: Status.ITERATION_LIMIT}.get(code, Status.NO_DESCENT)
+    return Status.RANK_DEFICIENT if deficient and status is not Status.ITERATION_LIMIT else status
+
+
 def _fit(data: IOData, s: Structure, options: Options, began: float, start: PolyModel | None, held: NDArray | None) -> Estimate:
-    """The search proper on data scaled to unit size; ``held`` marks coefficients of theta that stay as they start."""
+    """Search on data scaled to unit size; ``held`` marks coefficients of theta that keep their start values."""
     us, ys = float(np.std(data.u)) or 1.0, float(np.std(data.y)) or 1.0
-    u, y = np.asarray(data.u) / us, np.asarray(data.y) / ys
+    scaled = Scaled(np.asarray(data.u) / us, np.asarray(data.y) / ys, radius(options.search.noise_radius))
     gain = np.ones(s.n_parameters)
     gain[s.na : s.na + s.nb] = ys / us
     size = len(data)
 
-    candidates: list[tuple[float, str, NDArray]] = []
-    proposals = [] if held is not None else list(first_models(s, u, y))
-    if start is not None:
-        proposals.insert(0, ("given", start.theta / gain))
-    limit = _radius(options.search.noise_radius)
-    w, v, e, *_ = _buffers(size)
-    n0 = _sizes(s, False)
-    for route, theta in proposals:
-        loss = residual(theta, n0, s.nk, u, y, w, v, e, limit)
-        if np.isfinite(loss):
-            candidates.append((loss, route, theta))
-    if not candidates:
-        raise InputError(data.source, f"no stable first model of {s} was found", "data of a stable system", "lower the orders")
-    if options.initial_condition is not InitialCondition.ZERO:
-        candidates = [(_best_state(s, t, u, y)[2], r, t) for _, r, t in candidates]
-    candidates.sort(key=lambda c: c[0])
-
-    kind = options.initial_condition
-    free0 = np.ones(s.n_parameters, np.int64) if held is None else (~held).astype(np.int64)
-    log: list[Start] = []
-    ends: list[tuple[float, NDArray, int, NDArray, bool]] = []
-    with_state: bool | None = None
-
-    def follow(before: float, route: str, first: NDArray) -> None:
-        nonlocal with_state
-        state, zero_loss, state_loss = _best_state(s, first, u, y)
-        if with_state is None:
-            with_state = _uses_state(s, kind, zero_loss, state_loss, size)
-        n = _sizes(s, with_state)
-        theta = np.r_[first, state] if with_state else first
-        free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
-        if kind is InitialCondition.BACKCAST:
-            theta, loss, iterations, code, r = _backcast(theta, n, s, u, y, free, options.search)
-        else:
-            theta, loss, iterations, code, r = _descend(theta, n, s, u, y, free, options.search)
-        if kind is InitialCondition.AUTO and not with_state and not ends:
-            _, zero_loss, state_loss = _best_state(s, theta, u, y)
-            if _uses_state(s, kind, zero_loss, state_loss, size):
-                with_state = True
-                n = _sizes(s, True)
-                theta = np.r_[theta, _best_state(s, theta, u, y)[0]]
-                free = np.r_[free0, np.ones(theta.size - free0.size, np.int64)]
-                theta, loss, more, code, r = _descend(theta, n, s, u, y, free, options.search)
-                iterations += more
-        log.append(Start(route, before / size * ys**2, loss / size * ys**2, int(iterations)))
-        ends.append((float(loss), theta, int(code), r, with_state))
-
-    def agreed() -> bool:
-        losses = sorted(x[0] for x in ends)
-        return len(losses) > 1 and losses[1] <= losses[0] * (1 + 1e-6) + 1e-24 * size
-
+    given = None if start is None else start.theta / gain
+    candidates = _first_candidates(s, scaled, options, given, held is not None, data.source)
+    free = np.ones(s.n_parameters, np.int64) if held is None else (~held).astype(np.int64)
+    descents = Descents(s, scaled, options, free)
     for candidate in candidates[: options.search.starts]:
-        follow(*candidate)
-        if agreed():
+        descents.follow(*candidate)
+        if descents.agreed():
             break
-    if held is None and options.search.starts > 1 and not agreed() and s.name == "bj":
+    if held is None and options.search.starts > 1 and not descents.agreed() and s.name == "bj":
         for route, theta in _nested(data, s, options, began, gain):
-            loss = residual(theta, n0, s.nk, u, y, w, v, e, limit)
+            loss = scaled.loss(s, theta)
             if np.isfinite(loss):
-                follow(loss, route, theta)
+                descents.follow(loss, route, theta)
 
-    loss, theta, code, r, used = min(ends, key=lambda x: x[0])
-    n = _sizes(s, used)
-    residual(theta, n, s.nk, u, y, w, v, e, limit)
+    end = descents.best()
+    residuals = scaled.residuals(s, end.theta, end.with_state)
     count = s.n_parameters
-    degrees = max(1, size - int(np.sum(free0)) - (theta.size - count))
-    variance = loss / degrees
-    keep = np.r_[free0.astype(bool), np.ones(theta.size - count, bool), True]
-    covariance = np.zeros((count, count))
-    inner, deficient = _covariance(_columns(r, keep), int(np.sum(free0)), variance)
-    index = np.flatnonzero(free0)
-    covariance[np.ix_(index, index)] = inner
+    degrees = max(1, size - int(np.sum(free)) - (end.theta.size - count))
+    variance = end.loss / degrees
+    covariance, deficient = covariance_of(end.factor, free, end.theta.size - count, variance)
     covariance *= np.outer(gain, gain)
-    status = {0: Status.CONVERGED, 1: Status.ITERATION_LIMIT}.get(code, Status.NO_DESCENT)
-    if deficient and status is not Status.ITERATION_LIMIT:
-        status = Status.RANK_DEFICIENT
-    model = PolyModel.from_theta(s, theta[:count] * gain, data.dt, variance * ys**2, covariance)
-    used_kind = InitialCondition.ZERO if not used else kind if kind is not InitialCondition.AUTO else InitialCondition.ESTIMATE
-    ni = s.n_plant_state if used else 0
+    model = PolyModel.from_theta(s, end.theta[:count] * gain, data.dt, variance * ys**2, covariance)
+    kind = options.initial_condition
+    used_kind = kind if kind is not InitialCondition.AUTO else InitialCondition.ESTIMATE
+    ni = s.n_plant_state if end.with_state else 0
+    unit = ys**2 / size
     return Estimate(
         model=model,
         data=data,
-        residuals=frozen(e * ys),
-        loss=loss / size * ys**2,
-        status=status,
+        residuals=frozen(residuals * ys),
+        loss=end.loss * unit,
+        status=_status(end.code, deficient),
         options=options,
-        initial_condition=used_kind,
-        initial_plant=frozen(theta[count : count + ni] * ys),
-        initial_noise=frozen(theta[count + ni :] * ys),
-        starts=tuple(log),
+        initial_condition=used_kind if end.with_state else InitialCondition.ZERO,
+        initial_plant=frozen(end.theta[count : count + ni] * ys),
+        initial_noise=frozen(end.theta[count + ni :] * ys),
+        starts=tuple(Start(d.route, d.before * unit, d.loss * unit, d.iterations) for d in descents.ends),
         seconds=time.perf_counter() - began,
     )
 
@@ -346,10 +192,6 @@ def _nested(data: IOData, s: Structure, options: Options, began: float, gain: ND
         ("simulation", np.r_[b, c[1:], d[1:], f] / gain),
         ("simulation, white noise", np.r_[b, *plain_noise, f] / gain),
     ]
-
-
-def _columns(r: NDArray, keep: NDArray) -> NDArray:
-    return np.asarray(np.linalg.qr(r[:, keep], mode="r"))
 
 
 def _by_simulation(data: IOData, s: Structure, options: Options, began: float) -> Estimate:

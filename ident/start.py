@@ -168,6 +168,18 @@ def noise_model(v: NDArray, nc: int, nd: int) -> tuple[NDArray, NDArray]:
     return stabilised(np.r_[1.0, theta[:nc]], 0.99), stabilised(np.r_[1.0, theta[nc:]])
 
 
+def _denoised(u: NDArray, y: NDArray, order: int, nk: int) -> tuple[NDArray, NDArray]:
+    """Whitening filter and output (N,) of a long ARX model driven by the input; ([1], y) where there is none."""
+    try:
+        whiten, gain = _long_arx(u, y, order, nk)
+        denoised = lfilter(gain, stabilised(whiten, 0.9999), u, nk)
+    except np.linalg.LinAlgError:
+        return _ONE, y
+    if not np.all(np.isfinite(whiten)) or not np.all(np.isfinite(denoised)):
+        return _ONE, y
+    return whiten, denoised
+
+
 def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, NDArray]]:
     """Named starts (label, theta) with theta = [a, b, c, d, f]; a route that fails is left out."""
     order = s.na + s.nf
@@ -190,15 +202,7 @@ def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, ND
     if order == 0 or s.name == "arx":
         pass
     else:
-        denoised = y
-        if long > order + 2:
-            try:
-                whiten, gain = _long_arx(u, y, long, s.nk)
-                denoised = lfilter(gain, stabilised(whiten, 0.9999), u, s.nk)
-            except np.linalg.LinAlgError:
-                whiten = _ONE
-        if not np.all(np.isfinite(whiten)) or not np.all(np.isfinite(denoised)):
-            whiten, denoised = _ONE, y
+        whiten, denoised = _denoised(u, y, long, s.nk) if long > order + 2 else (_ONE, y)
         if simple is not None:
             f0 = simple[0]
             raw = attempt("steiglitz", lambda: _steiglitz(u, y, f0, s.nb, s.nk))
