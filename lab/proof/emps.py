@@ -343,7 +343,7 @@ Recordings and reference values: Janot, Gautier, Brunot, "Data Set and Reference
 {hashes}
 
 The nominal model (`models/emps.xml`) has a mass of 95 kg and viscous friction of 200 N s/m and nothing else. The position loop is
-tight, so the diagnosis judges by force ([why](../decisions/feedback.md)).
+tight, so the diagnosis judges by force ([why](../decisions/motion-and-force.md)).
 
 **Verdict: `{result.verdict.value}`.** {result.summary}
 
@@ -392,7 +392,7 @@ of PULSES. Averaged over {edges["edges"]} edges the residual swings by {edges["p
 after steps of the force. A flexibility of screw, coupling or frame does that, and so does a command that acts a fraction of a sample
 sooner or later than it is logged; one mass tells neither. Asked directly, a further flexible mode on top of the found model comes out at
 {number(flexible["inertia_kg"], 3)} kg and {number(flexible["frequency_hz"], 3)} Hz and {"lowers" if flexible["held_out_gain"] > 0 else "raises"} the held-out squared error by {100 * abs(flexible["held_out_gain"]):.1f} %. To be named
-it would have to lower it by 2 % ([why](../decisions/false-alarms.md)).
+it would have to lower it by 2 % ([why](../decisions/evidence.md)).
 
 ![ringing](emps/ringing.png)
 """

@@ -81,7 +81,7 @@ which do not yet](../examples/README.md), is said there and held by `tests/test_
 - Which cases were looked at while the search was mended, and are left out of the figures (`--skip`), is written down in
   [the benchmark's decisions](decisions/benchmark.md).
 - One axis at a time. Two machines are two machines: both are under position control, neither was excited near a resonance.
-- The thresholds under *force* were chosen with EMPS in view ([false alarms](decisions/false-alarms.md)); KUKA was not used for them, though the way in which
+- The thresholds under *force* were chosen with EMPS in view ([false alarms](decisions/evidence.md)); KUKA was not used for them, though the way in which
   samples are counted was corrected when KUKA's friction was missed.
 - Published values are other people's estimates, not the truth.
 """
