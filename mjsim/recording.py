@@ -297,7 +297,7 @@ def load(path: str | Path, *, model: str | Path | None = None, binding: Binding 
     units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
     if is_default:
         units = dict(DEFAULT_UNITS)
-    flat = {k: v for k, v in table.items() if v.ndim == 1 and len(v) == count}
+    flat = table.of_length(count)
     return Recording(
         time=arrays["time"], torque=arrays["torque"], velocity=arrays.get("velocity"), angle=arrays.get("angle"), dt=dt,
         source=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest(), columns=flat,
