@@ -1,6 +1,7 @@
 """Numbers from data: filter, decimate, prediction-error models with their uncertainty, residual tests, nonparametric checks."""
 
 from ident.bode import Bode, Extremum, bode
+from ident.compare import Comparison, compare
 from ident.data import Detrend, IOData
 from ident.estimate import Estimate, Status, ararx, armax, arx, bj, oe, pem
 from ident.filter import Decimation, Design, LowPass, Phase, decimate, low_pass, shared_filter
@@ -10,7 +11,7 @@ from ident.nonlinearity import AmplitudeTest, BestLinearApproximation, amplitude
 from ident.options import Focus, InitialCondition, Options, SearchOptions
 from ident.order import OrderSelection, select_order
 from ident.polezero import PoleZero, pole_zero
-from ident.predict import Comparison, compare, predicted, simulated
+from ident.predict import predicted, simulated
 from ident.quality import Quality, fit_percent, nrmse, quality
 from ident.residuals import ResidualTests, check_residuals, residual_tests
 from ident.serial import load, save

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ident.bode import Bode
+from ident.compare import Comparison
 from ident.estimate import Estimate
 from ident.polezero import PoleZero, Root
-from ident.predict import Comparison
 from ident.quality import Quality
 from ident.verdict import Verdict, excited_band
 

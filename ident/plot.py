@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ident.bode import Bode
+from ident.compare import Comparison
 from ident.order import OrderSelection
 from ident.polezero import PoleZero
-from ident.predict import Comparison
 from ident.residuals import ResidualTests, p_text
 from ident.spectral import SpectralEstimate
 

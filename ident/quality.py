@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from ident.data import IOData
 from ident.estimate import Estimate
+from ident.predict import simulated
 from mjsim.errors import InputError
 
 __all__ = ["Quality", "fit_percent", "input_effect_p", "nrmse", "quality"]
@@ -60,8 +61,6 @@ def information(loss: float, n: int, d: int) -> tuple[float, float, float, float
 
 def quality(estimate: Estimate) -> Quality:
     """Figures of merit of an estimate."""
-    from ident.predict import simulated
-
     y = estimate.data.y
     fpe, aic, bic, naic = information(estimate.loss, len(estimate.data), estimate.n_free)
     simulation = simulated(estimate.model, estimate.data)

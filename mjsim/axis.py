@@ -1,159 +1,16 @@
-"""The axis: a chain of inertias joined by geared spring-dampers, and the effects laid on it. Models compose by ``+``."""
+"""The axis: a chain and the effects laid on it. Models compose by ``+``."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
+from mjsim.chain import Body, Chain, Coupling, LinearParameter
 from mjsim.effects.base import Effect
 from mjsim.effects.ports import BacklashLaw
-from mjsim.quantity import Motion, Quantity
 
 __all__ = ["Axis", "Body", "Chain", "Coupling", "LinearParameter"]
-
-
-@dataclass(frozen=True)
-class Body:
-    """An inertia [kg m^2 | kg] with viscous friction to ground [N m s/rad | N s/m]; ``joint`` is its MJCF element."""
-
-    place: str
-    inertia: float
-    viscous: float
-    joint: str
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """A spring-damper between body j and body j+1, on the side of body j+1: torque k d + damping d', d = ratio q_j - q_{j+1}."""
-
-    place: str
-    ratio: float
-    stiffness: float
-    damping: float
-    joint: str
-
-
-@dataclass(frozen=True)
-class LinearParameter:
-    """A parameter of the linear structure: name (Jm, fm, kg ...), where it stands, its value and quantity."""
-
-    name: str
-    kind: str
-    index: int
-    value: float
-    quantity: Quantity
-
-
-@dataclass(frozen=True)
-class Chain:
-    """A single-axis chain: N bodies, N-1 couplings; torque acts on body 0, which is also the measured one.
-
-    ``gain`` is the actuator's gear: generalised torque on body 0 per unit of input. Viscous friction is free at body 0 and
-    wherever the model carries some.
-    """
-
-    bodies: tuple[Body, ...]
-    couplings: tuple[Coupling, ...]
-    motion: Motion = Motion.HINGE
-    gain: float = 1.0
-    actuator: str = "motor_torque"
-    velocity_sensor: str = "motor_velocity"
-    angle_sensor: str = "motor_angle"
-
-    def __post_init__(self) -> None:
-        if not self.bodies or len(self.couplings) != len(self.bodies) - 1:
-            raise ValueError(f"a chain of {len(self.bodies)} bodies needs {len(self.bodies) - 1} couplings")
-        for body in self.bodies:
-            if not body.inertia > 0:
-                raise ValueError(f"inertia of {body.joint!r} is {body.inertia}; expected > 0")
-
-    def body(self, place: str) -> int | None:
-        """Index of the body at a place (``motor`` first, ``arm`` last, ``gearbox`` in between), or None when there is none."""
-        n = len(self.bodies)
-        return {"motor": 0, "arm": n - 1, "gearbox": 1 if n >= 3 else None}.get(place)
-
-    def coupling(self, place: str) -> int | None:
-        """Index of the coupling at a place: ``gearbox`` the first, ``arm`` the last of two or more."""
-        n = len(self.couplings)
-        return {"gearbox": 0 if n >= 1 else None, "arm": n - 1 if n >= 2 else None}.get(place)
-
-    def element(self, place: str, *, coupling: bool = False) -> str:
-        """MJCF element that stands for a place."""
-        if place == "actuator":
-            return self.actuator
-        if place == "sensor":
-            return self.velocity_sensor
-        j = self.coupling(place) if coupling else None
-        if j is not None:
-            return self.couplings[j].joint
-        i = self.body(place)
-        return self.bodies[i if i is not None else 0].joint
-
-    def total_ratio(self, body: int) -> float:
-        """Angle of a body per angle of body 0 when nothing deflects."""
-        ratio = 1.0
-        for coupling in self.couplings[:body]:
-            ratio *= coupling.ratio
-        return ratio
-
-    def linear_parameters(self) -> tuple[LinearParameter, ...]:
-        """The free numbers of the linear structure: J, f (where the model has one), k, d."""
-        return self._linear
-
-    @cached_property
-    def _linear(self) -> tuple[LinearParameter, ...]:
-        suffix = _suffixes([b.place for b in self.bodies])
-        csuffix = _suffixes([c.place for c in self.couplings])
-        out = [
-            LinearParameter(f"J{s}", "inertia", i, b.inertia, Quantity.INERTIA)
-            for i, (b, s) in enumerate(zip(self.bodies, suffix, strict=True))
-        ]
-        out += [
-            LinearParameter(f"f{s}", "viscous", i, b.viscous, Quantity.DAMPING)
-            for i, (b, s) in enumerate(zip(self.bodies, suffix, strict=True))
-            if i == 0 or b.viscous != 0
-        ]
-        out += [
-            LinearParameter(f"k{s}", "stiffness", i, c.stiffness, Quantity.STIFFNESS)
-            for i, (c, s) in enumerate(zip(self.couplings, csuffix, strict=True))
-        ]
-        out += [
-            LinearParameter(f"d{s}", "damping", i, c.damping, Quantity.DAMPING)
-            for i, (c, s) in enumerate(zip(self.couplings, csuffix, strict=True))
-        ]
-        return tuple(out)
-
-    @cached_property
-    def _linear_by_name(self) -> dict[str, LinearParameter]:
-        return {p.name: p for p in self._linear}
-
-    def with_linear(self, values: Mapping[str, float]) -> Chain:
-        """A copy with some linear parameters replaced, by name."""
-        known = self._linear_by_name
-        bodies: dict[int, dict[str, Any]] = {}
-        couplings: dict[int, dict[str, Any]] = {}
-        for name, value in values.items():
-            if name not in known:
-                raise KeyError(f"unknown linear parameter {name!r}; choose from {', '.join(known)}")
-            p = known[name]
-            changed = bodies if p.kind in ("inertia", "viscous") else couplings
-            changed.setdefault(p.index, {})[p.kind] = float(value)
-        return dataclasses.replace(
-            self,
-            bodies=tuple(dataclasses.replace(b, **bodies[i]) if i in bodies else b for i, b in enumerate(self.bodies)),
-            couplings=tuple(
-                dataclasses.replace(c, **couplings[i]) if i in couplings else c for i, c in enumerate(self.couplings)
-            ),
-        )
-
-
-def _suffixes(places: list[str]) -> list[str]:
-    """First letters when they are unique, else underscore and whole names."""
-    letters = [p[0] for p in places]
-    return letters if len(set(letters)) == len(letters) else [f"_{p}" for p in places]
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from mjsim.effects.ports import BodyTorque, CouplingTorque, Port
 from mjsim.quantity import Motion, Quantity
 
 if TYPE_CHECKING:
-    from mjsim.axis import Chain
+    from mjsim.chain import Chain
 
 __all__ = ["VARIABLES", "MapAxis", "TorqueMap", "basis"]
 

@@ -12,7 +12,7 @@ from lab.study.plants import FEATURE_NAMES, PLANTS
 if TYPE_CHECKING:
     from lab.study.cell import Feature, Result
     from lab.study.ledger import Entry
-    from lab.study.run import Study
+    from lab.study.study import Study
 
 __all__ = ["page_html", "page_markdown"]
 

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,39 +16,22 @@ from lab.study.cell import DT, GRID_HZ, Cell, Experiment, Result, band, log
 from lab.study.claims import Group, physical_features
 from lab.study.damping import DampingStudy, study_damping
 from lab.study.ledger import Entry, claims_json, ledger
+from lab.study.page import page_html, page_markdown
 from lab.study.pipeline import BETTER, FAITHFUL, LADDER
 from lab.study.plants import PLANTS, nominal, response
 from lab.study.robot import Robot, RobotResult, recorded_robot, robot_models, surrogate_robot
 from lab.study.store import Store, compute, stamp
+from lab.study.study import Study
 from lab.study.variants import BASE, BASE_BETTER, cells, robustness_map
 from mjsim.errors import InputError
 
-__all__ = ["Study", "run_study"]
+__all__ = ["run_study"]
 
 _SEEDS = (1, 2, 3, 4, 5)
 COLUMN_TITLES = (
     "as published: chirp to 30 Hz, 5 ms,\nlow-pass 40 Hz, [5 5 5 5 1]",
     "better: chirp to 45 Hz, 2.5 ms,\nno low-pass, [7 5 5 6 0]",
 )
-
-
-@dataclass(frozen=True)
-class Study:
-    """What the study found."""
-
-    entries: tuple[Entry, ...]
-    base: Group
-    better: Group
-    ladder: tuple[Mapping[str, Any], ...]
-    damping: DampingStudy
-    robot: Robot
-    robot_results: tuple[RobotResult, ...]
-    pictures: tuple[fig.Picture, ...]
-    claims: list[dict[str, Any]]
-    cells: int
-    computed: int
-    quick: bool
-    seconds: float
 
 
 def run_study(
@@ -235,7 +217,6 @@ def _top(torque: np.ndarray, dt: float) -> float:
 
 def _write(study: Study, out: Path) -> None:
     from ident.serial import write_set
-    from lab.study.page import page_html, page_markdown
 
     contents: dict[Path, str | bytes] = {}
     for picture in study.pictures:

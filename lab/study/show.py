@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from lab.study.page import page_markdown
-from lab.study.run import Study
+from lab.study.study import Study
 from mjsim.errors import InputError
 
 __all__ = ["progress", "show", "write_docs"]

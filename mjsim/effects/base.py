@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from mjsim.quantity import Motion, Quantity
 
 if TYPE_CHECKING:
-    from mjsim.axis import Chain
+    from mjsim.chain import Chain
     from mjsim.effects.ports import Port
     from mjsim.mjcf import MjcfEditor
 

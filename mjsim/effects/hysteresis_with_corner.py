@@ -18,7 +18,7 @@ from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
-    from mjsim.axis import Chain
+    from mjsim.chain import Chain
 
 __all__ = ["HysteresisWithCorner"]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjsim.axis import Body, Chain, Coupling
+from mjsim.chain import Body, Chain, Coupling
 from mjsim.mjcf.layout import Layout, Mass, Passive, motion_of, outside, parallel
 
 __all__ = ["Found", "Part", "find_chain"]

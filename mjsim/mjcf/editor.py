@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from mjsim.axis import Chain
+from mjsim.chain import Chain
 from mjsim.effects.base import Effect
 from mjsim.effects.ports import BacklashLaw
 from mjsim.errors import InputError

@@ -131,6 +131,7 @@ def command(
     grid = _scan(scan) if scan else None
     from ident.bode import bode, default_frequencies
     from ident.checks import check_clipping, check_moving, check_recording
+    from ident.compare import compare
     from ident.data import Detrend, IOData
     from ident.estimate import bj
     from ident.filter import Decimation, LowPass, Phase, shared_filter
@@ -140,7 +141,6 @@ def command(
     from ident.page import png, render_page
     from ident.plot import plot_bode, plot_comparison, plot_orders, plot_pole_zero, plot_residuals
     from ident.polezero import pole_zero
-    from ident.predict import compare
     from ident.quality import quality
     from ident.residuals import residual_tests
     from ident.serial import to_dict, write_set
