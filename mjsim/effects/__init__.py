@@ -7,7 +7,7 @@ from its own module (``from mjsim.effects.backlash import Backlash``) or by its 
 import importlib
 import pkgutil
 
-from mjsim.effects.base import Effect, NotApplicableError, ParameterSpec, Scales
+from mjsim.effects.base import Effect, NotApplicableError, ParameterSpec, PlaceError, Scales
 from mjsim.effects.ports import BacklashLaw
 from mjsim.effects.registry import effect_class, register, registered
 
@@ -16,6 +16,7 @@ __all__ = [
     "Effect",
     "NotApplicableError",
     "ParameterSpec",
+    "PlaceError",
     "Scales",
     "effect_class",
     "register",

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.native import DriveLimit, Native, Value
 from mjsim.effects.ports import InputMap, Port, StaticMap
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["ActuatorSaturation"]
 
@@ -40,10 +40,14 @@ class ActuatorSaturation(Effect):
         """Where the law acts."""
         return (InputMap(StaticMap.CLIP, self.limit_Nm),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.limit_input(self.limit_Nm)
-        return None
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((DriveLimit(self.limit_Nm),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        return cls(limit_Nm=value.limit) if isinstance(value, DriveLimit) else None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import DIRECTION, law
+from mjsim.effects.native import DriveTorque, DryFriction, Native
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["AsymmetricFriction"]
 
@@ -68,12 +68,10 @@ class AsymmetricFriction(Effect):
             return None
         return cls(place=friction.place, torque_Nm=friction.values["torque_Nm"], asymmetry_Nm=-offset.values["torque_Nm"])
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
         # F sign(v) + A, also at rest, is Coulomb friction F beside a constant torque -A
-        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
-        editor.offset(-self.asymmetry_Nm)
-        return None
+        return Native((DryFriction(need_body(chain, self.place), self.torque_Nm), DriveTorque(-self.asymmetry_Nm)))
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

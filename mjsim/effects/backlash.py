@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
-from mjsim.effects.ports import BacklashLaw, Gap, Port
+from mjsim.effects.native import Native, Slack, Value
+from mjsim.effects.ports import Gap, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["Backlash"]
 
@@ -44,12 +44,16 @@ class Backlash(Effect):
         """Where the law acts."""
         return (Gap(need_coupling(chain, self.place), self.gap_rad),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.gap(need_coupling(editor.chain, self.place), self.gap_rad)
-        if editor.backlash_law is BacklashLaw.UNGATED:
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((Slack(need_coupling(chain, self.place), self.gap_rad),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, Slack):
             return None
-        return "the gated law of backlash: its gap is there, but its damper acts inside the gap too (law 'ungated')"
+        return cls(place=chain.couplings[value.coupling].place, gap_rad=value.width)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

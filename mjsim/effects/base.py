@@ -14,17 +14,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from mjsim.chain import Chain
+from mjsim.effects.native import Native, Value
 from mjsim.quantity import Motion, Quantity
 
 if TYPE_CHECKING:
-    from mjsim.chain import Chain
     from mjsim.effects.ports import Port
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = [
     "Effect",
     "NotApplicableError",
     "ParameterSpec",
+    "PlaceError",
     "Scales",
     "bristle_stiffnesses",
     "need_body",
@@ -35,6 +36,16 @@ __all__ = [
 
 class NotApplicableError(ValueError):
     """The chain has nothing at the place where the effect would act."""
+
+
+class PlaceError(ValueError):
+    """The effect is not known at this place."""
+
+    def __init__(self, effect: str, place: str, places: Sequence[str]) -> None:
+        super().__init__(f"{effect}: place {place!r}; choose from {', '.join(places)}")
+        self.effect = effect
+        self.place = place
+        self.places = tuple(places)
 
 
 def need_body(chain: Chain, place: str) -> int:
@@ -163,7 +174,7 @@ class Effect(abc.ABC):
         if not self.place:
             object.__setattr__(self, "place", self.places[0])
         if self.place not in self.places:
-            raise ValueError(f"{self.id}: place {self.place!r}; choose from {', '.join(self.places)}")
+            raise PlaceError(self.id, self.place, self.places)
         for spec in self.specs():
             value = float(getattr(self, spec.name))
             if not spec.lower <= value <= spec.upper:
@@ -229,10 +240,19 @@ class Effect(abc.ABC):
         """Other effects of fewer numbers, not among those that it refines, which it comes to at an edge of its own; () for none."""
         return ()
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """Write the effect into an MJCF by its own elements.
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for the effect on this chain, and what they lack of it.
 
-        Returns None when all of it was written natively, else one line that says what plain MuJoCo lacks (the parameters
-        then travel in the model's ``<custom>`` element, which simgap reads back).
+        What is lacking travels in the model's ``<custom>`` element, which simgap reads back.
         """
-        return f"{self.id.replace('_', ' ')} at the {self.place}: MJCF has no element for it"
+        return Native((), f"{self.subject}: MJCF has no element for it")
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for; None when it is none of this effect."""
+        return None
+
+    @property
+    def subject(self) -> str:
+        """Name and place in words."""
+        return f"{self.id.replace('_', ' ')} at the {self.place}"

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
 from mjsim.effects.law import law
+from mjsim.effects.native import DryFriction, Native, Value
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["CoulombFriction"]
 
@@ -53,10 +53,16 @@ class CoulombFriction(Effect):
             raise NotApplicableError("a rigid axis has one body: its friction stands at the motor")
         return (Friction(body, level, (self.torque_Nm,)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
-        return None
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((DryFriction(need_body(chain, self.place), self.torque_Nm),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, DryFriction):
+            return None
+        return cls(place=chain.bodies[value.body].place, torque_Nm=value.level)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

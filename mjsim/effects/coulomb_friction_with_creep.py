@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
 from mjsim.effects.law import RATE, law
+from mjsim.effects.native import DryFriction, Native
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["CoulombFrictionWithCreep"]
 
@@ -61,10 +61,10 @@ class CoulombFrictionWithCreep(Effect):
             raise NotApplicableError("a rigid axis has one body: its friction stands at the motor")
         return (BodyTorque(body, torque, (self.torque_Nm, self.creep_velocity_rad_s)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
-        return f"how the friction at the {self.place} fades in: frictionloss holds at rest"
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        level = DryFriction(need_body(chain, self.place), self.torque_Nm)
+        return Native((level,), f"how the friction at the {self.place} fades in: frictionloss holds at rest")
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.native import Native, SplitBody
 from mjsim.effects.ports import Port, SplitInertia
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["ExtraFlexibleMode"]
 
@@ -53,12 +53,10 @@ class ExtraFlexibleMode(Effect):
         body = need_body(chain, self.place)
         return (SplitInertia(body, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        body = need_body(editor.chain, self.place)
-        if editor.split(body, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad):
-            return None
-        return f"the flexible mode of the {self.place}: its body has no joint of its own"
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        body = need_body(chain, self.place)
+        return Native((SplitBody(body, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad),))
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -8,21 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
 from mjsim.effects.law import ANGLE, law
+from mjsim.effects.native import Native, Value, Weight
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Motion, Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["GravityLoad"]
-
-TURNED = 1e-3  # [rad] by which a weight may hang otherwise than in the file without a word
 
 
 @law
@@ -56,14 +54,14 @@ class GravityLoad(Effect):
             raise NotApplicableError("the weight of a slide does not depend on its position: use torque_offset")
         return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm, self.phase_rad)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks: the weight of a body that has one in the file is changed."""
-        own = editor.holds.get(self.key)
-        if own is None:
-            return "gravity load at the arm: MJCF has no element for it where no body of the file has a weight"
-        editor.weight(self.torque_Nm / own.values["torque_Nm"])
-        turned = math.remainder(self.phase_rad - own.values["phase_rad"], 2 * math.pi)
-        return f"the angle at which the weight hangs, off by {turned:.3g} rad" if abs(turned) > TURNED else None
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((Weight(need_body(chain, self.place), self.torque_Nm, self.phase_rad),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        return cls(torque_Nm=value.torque, phase_rad=value.phase) if isinstance(value, Weight) else None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import POSITION, law
+from mjsim.effects.native import CubicSpring, Native, Value
 from mjsim.effects.ports import CouplingTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["HardeningStiffness"]
 
@@ -50,11 +50,16 @@ class HardeningStiffness(Effect):
         """Where the law acts."""
         return (CouplingTorque(need_coupling(chain, self.place), torque, (self.coefficient_Nm_rad3,)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        if editor.cubic(need_coupling(editor.chain, self.place), self.coefficient_Nm_rad3):
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((CubicSpring(need_coupling(chain, self.place), self.coefficient_Nm_rad3),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, CubicSpring):
             return None
-        return f"the hardening of the {self.place}: no one element carries its spring"
+        return cls(place=chain.couplings[value.coupling].place, coefficient_Nm_rad3=value.coefficient)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

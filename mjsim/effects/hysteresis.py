@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import RATE, STATE, law
+from mjsim.effects.native import CouplingBristle, Native, Value
 from mjsim.effects.ports import CouplingTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["Hysteresis"]
 
@@ -55,10 +55,16 @@ class Hysteresis(Effect):
         """Where the law acts."""
         return (CouplingTorque(need_coupling(chain, self.place), torque, (self.torque_Nm, self.stiffness_Nm_rad), state=True),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.bristle_coupling(need_coupling(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad)
-        return None
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((CouplingBristle(need_coupling(chain, self.place), self.torque_Nm, self.stiffness_Nm_rad),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, CouplingBristle):
+            return None
+        return cls(place=chain.couplings[value.coupling].place, torque_Nm=value.level, stiffness_Nm_rad=value.stiffness)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import ANGLE, law
+from mjsim.effects.native import DryFriction, Native
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["PositionDependentFriction"]
 
@@ -57,10 +57,10 @@ class PositionDependentFriction(Effect):
         p = (self.torque_Nm, self.relative_amplitude, self.cycles_per_rev, self.phase_rad)
         return (Friction(need_body(chain, self.place), level, p),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
-        return "the variation of friction over the angle: frictionloss has its mean"
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        level = DryFriction(need_body(chain, self.place), self.torque_Nm)
+        return Native((level,), "the variation of friction over the angle: frictionloss has its mean")
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

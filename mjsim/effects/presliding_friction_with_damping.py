@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
 from mjsim.effects.law import RATE, STATE, law
+from mjsim.effects.native import BodyBristle, Native, Value
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["PreslidingFrictionWithDamping"]
 
@@ -58,11 +58,18 @@ class PreslidingFrictionWithDamping(Effect):
         p = (self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad)
         return (BodyTorque(need_body(chain, self.place), torque, p, state=True),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        if editor.bristle_body(need_body(editor.chain, self.place), self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad):
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        body = need_body(chain, self.place)
+        return Native((BodyBristle(body, self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, BodyBristle) or not value.damping or value.extra:
             return None
-        return f"presliding friction with damping at the {self.place}: its angle is not one joint's"
+        place = chain.bodies[value.body].place
+        return cls(place=place, torque_Nm=value.level, stiffness_Nm_rad=value.stiffness, damping_Nms_rad=value.damping)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

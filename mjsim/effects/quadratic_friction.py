@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import RATE, law
+from mjsim.effects.native import Native, SquareDrag, Value
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["QuadraticFriction"]
 
@@ -49,11 +49,16 @@ class QuadraticFriction(Effect):
         """Where the law acts."""
         return (BodyTorque(need_body(chain, self.place), torque, (self.coefficient_Nm_s2_rad2,)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        if editor.drag(need_body(editor.chain, self.place), self.coefficient_Nm_s2_rad2):
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((SquareDrag(need_body(chain, self.place), self.coefficient_Nm_s2_rad2),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, SquareDrag):
             return None
-        return f"quadratic friction at the {self.place}: its angle is not one joint's"
+        return cls(place=chain.bodies[value.body].place, coefficient_Nm_s2_rad2=value.coefficient)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

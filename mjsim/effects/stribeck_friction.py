@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import FADED, RATE, law
+from mjsim.effects.native import DryFriction, Native
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["StribeckFriction"]
 
@@ -66,10 +66,10 @@ class StribeckFriction(Effect):
         peak = 1.0 + self.extra_static_torque_Nm / self.torque_Nm
         return (StaticFriction(place=self.place, torque_Nm=self.torque_Nm, peak=peak),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.friction(need_body(editor.chain, self.place), self.torque_Nm)
-        return "the higher friction at low speed: frictionloss has the level at high speed only"
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        level = DryFriction(need_body(chain, self.place), self.torque_Nm)
+        return Native((level,), "the higher friction at low speed: frictionloss has the level at high speed only")
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -8,17 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
 from mjsim.effects.law import FADED, RATE, STATE, law
+from mjsim.effects.native import BodyBristle, Native, Value
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["StribeckFrictionWithBristles"]
 
@@ -66,12 +66,20 @@ class StribeckFrictionWithBristles(Effect):
         )  # fmt: skip
         return (BodyTorque(need_body(chain, self.place), torque, p, state=True),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
         levels = (self.torque_Nm, self.stiffness_Nm_rad, self.damping_Nms_rad, self.extra_static_torque_Nm)
-        if editor.bristle_body(need_body(editor.chain, self.place), *levels, self.stribeck_velocity_rad_s):
+        return Native((BodyBristle(need_body(chain, self.place), *levels, self.stribeck_velocity_rad_s),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, BodyBristle) or not value.extra:
             return None
-        return f"Stribeck friction with bristles at the {self.place}: its angle is not one joint's"
+        return cls(
+            place=chain.bodies[value.body].place, torque_Nm=value.level, extra_static_torque_Nm=value.extra,
+            stribeck_velocity_rad_s=value.speed, stiffness_Nm_rad=value.stiffness, damping_Nms_rad=value.damping,
+        )  # fmt: skip
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

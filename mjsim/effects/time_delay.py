@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.native import DriveDelay, Native, SensorDelay, Value
 from mjsim.effects.ports import InputDelay, OutputDelay, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["TimeDelay"]
 
@@ -40,12 +40,19 @@ class TimeDelay(Effect):
         """Where the law acts."""
         return (InputDelay(self.delay_s),) if self.place == "actuator" else (OutputDelay(self.delay_s),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        if self.place == "actuator":
-            editor.delay_input(self.delay_s)
-            return None
-        return None if editor.delay_output(self.delay_s) else "the delay of the measurement: the model has no sensor for it"
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((DriveDelay(self.delay_s) if self.place == "actuator" else SensorDelay(self.delay_s),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        match value:
+            case DriveDelay(delay):
+                return cls(place="actuator", delay_s=delay)
+            case SensorDelay(delay):
+                return cls(place="sensor", delay_s=delay)
+        return None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import law
+from mjsim.effects.native import DriveTorque, Native, Value
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["TorqueOffset"]
 
@@ -49,10 +49,14 @@ class TorqueOffset(Effect):
         """Where the law acts."""
         return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm,)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.offset(self.torque_Nm)
-        return None
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((DriveTorque(self.torque_Nm),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        return cls(torque_Nm=value.torque) if isinstance(value, DriveTorque) else None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

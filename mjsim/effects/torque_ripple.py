@@ -8,17 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import ANGLE, law
+from mjsim.effects.native import Cogging, Native, Value
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["TorqueRipple"]
 
@@ -54,15 +54,20 @@ class TorqueRipple(Effect):
         p = (self.amplitude_Nm, self.cycles_per_rev, self.phase_rad)
         return (BodyTorque(need_body(chain, self.place), torque, p, spatial=self.cycles_per_rev),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
         cycles = round(self.cycles_per_rev)
         if abs(cycles - self.cycles_per_rev) > 1e-9:
-            return f"torque ripple of {self.cycles_per_rev:.6g} periods per turn: <dcmotor> takes whole numbers"
+            return Native((), f"torque ripple of {self.cycles_per_rev:.6g} periods per turn: <dcmotor> takes whole numbers")
         # cogging drives forward, the law here opposes: half a turn of phase
-        if editor.cogging(self.amplitude_Nm, cycles, self.phase_rad + math.pi):
+        return Native((Cogging(self.amplitude_Nm, cycles, self.phase_rad + math.pi),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        if not isinstance(value, Cogging):
             return None
-        return "torque ripple: the motor's angle is not one joint's"
+        return cls(amplitude_Nm=value.amplitude, cycles_per_rev=value.cycles, phase_rad=value.phase - math.pi)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
 from mjsim.effects.law import RATE, law
+from mjsim.effects.native import Native, ViscousDamping
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
-    from mjsim.mjcf import MjcfEditor
 
 __all__ = ["ViscousFriction"]
 
@@ -55,10 +55,9 @@ class ViscousFriction(Effect):
             raise NotApplicableError("the nominal model has viscous friction there: it is a linear parameter")
         return (BodyTorque(body, torque, (self.coefficient_Nms_rad,)),)
 
-    def native(self, editor: MjcfEditor) -> str | None:
-        """MJCF's own elements, or what plain MuJoCo lacks."""
-        editor.viscous(need_body(editor.chain, self.place), self.coefficient_Nms_rad)
-        return None
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((ViscousDamping(need_body(chain, self.place), self.coefficient_Nms_rad),))
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import tempfile
 import tomllib
 from collections.abc import Mapping
@@ -14,13 +13,15 @@ import mujoco
 import numpy as np
 
 from mjsim.axis import Axis
-from mjsim.effects import BacklashLaw, Effect, effect_class
+from mjsim.chain import Chain
+from mjsim.effects import BacklashLaw, Effect, PlaceError, registered
+from mjsim.effects.native import Value
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
 from mjsim.mjcf.chain import Found, find_chain
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.layout import lay_out, outside
-from mjsim.quantity import Motion
+from mjsim.mjcf.native_read import read_native
 from mjsim.recording import Binding
 
 __all__ = ["Model", "carried_binding", "load_axis", "load_model"]
@@ -63,13 +64,13 @@ def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[
     layout = lay_out(model, path, actuator or bound.get("actuator"), carried.ignored if carried else ())
     found = find_chain(layout, path, (_sensor(model, path, bound, "velocity"), _sensor(model, path, bound, "angle")))
     _linear_only(found, path, carried)
-    _passive_actuators(model, path, carried)
+    _ignored_only(model, path, carried)
     _no_contact(model, path)
     _at_rest(found, path, carried)
     if carried is not None:
         axis = _carried_axis(found, carried, path)
     else:
-        axis = Axis(found.chain, tuple(_native_effects(found, path)), _law(found))
+        axis = Axis(found.chain, tuple(_effect_of(v, found.chain, path) for v in read_native(found, path)), _law(found))
     return Model(path, found, axis, carried)
 
 
@@ -138,7 +139,7 @@ def _carried(model: mujoco.MjModel, path: Path) -> custom.Carried | None:
 
 
 def _linear_only(found: Found, path: Path, carried: custom.Carried | None) -> None:
-    """Polynomial coefficients that no effect stands for are outside (those of `_native_effects` are read there)."""
+    """Polynomial coefficients that no effect stands for are outside (those of `read_native` are read there)."""
     if carried is not None:
         return
     for j, parts in enumerate(found.on_coupling):
@@ -157,10 +158,13 @@ def _linear_only(found: Found, path: Path, carried: custom.Carried | None) -> No
                 )
 
 
-def _passive_actuators(model: mujoco.MjModel, path: Path, carried: custom.Carried | None) -> None:
+def _ignored_only(model: mujoco.MjModel, path: Path, carried: custom.Carried | None) -> None:
+    """In a corrected file the actuators without input are those that the correction wrote."""
+    if carried is None:
+        return
     for a in range(model.nactuator):
         name = model.actuator(a).name
-        if model.actuator_ctrlnum[a] == 0 and (carried is None or name not in carried.ignored):
+        if model.actuator_ctrlnum[a] == 0 and name not in carried.ignored:
             raise outside(path, f"actuator {name!r} acts by itself", "remove it")
 
 
@@ -200,91 +204,14 @@ def _law(found: Found) -> BacklashLaw:
     return BacklashLaw.UNGATED if any(found.gaps) else BacklashLaw.GATED
 
 
-def _make(path: Path, name: str, place: str, **values: float) -> Effect:
-    cls = effect_class(name)
-    if place not in cls.places:
-        raise outside(path, f"{name.replace('_', ' ')} at {place!r}", f"it is known at {', '.join(cls.places)}")
-    return cls(place=place, **values)
-
-
-def _native_effects(found: Found, path: Path) -> list[Effect]:
-    """Effects that the file expresses by its own elements."""
-    out: list[Effect] = []
-    chain, model, drive = found.chain, found.layout.model, found.layout.drive
-    for i, parts in enumerate(found.on_body):
-        level = sum(abs(p.scale) * p.element.friction for p in parts)
-        if level:
-            out.append(_make(path, "coulomb_friction", chain.bodies[i].place, torque_Nm=level))
-        drag = sum(p.element.damping[1] * abs(p.scale) ** 3 for p in parts)
-        if drag:
-            out.append(_make(path, "quadratic_friction", chain.bodies[i].place, coefficient_Nm_s2_rad2=drag))
-    for j, gaps in enumerate(found.gaps):
-        width = sum(w for _, _, w in gaps)
-        if width:
-            out.append(_make(path, "backlash", chain.couplings[j].place, gap_rad=width))
-        cubic = sum(p.element.stiffness[2] * p.scale**4 for p in found.on_coupling[j])
-        if cubic:
-            out.append(_make(path, "hardening_stiffness", chain.couplings[j].place, coefficient_Nm_rad3=cubic))
-    limit = _limit(found, path)
-    if limit is not None:
-        out.append(_make(path, "actuator_saturation", "actuator", limit_Nm=limit))
-    a = drive.id
-    if model.actuator_delay[a] > 0:
-        out.append(_make(path, "time_delay", "actuator", delay_s=float(model.actuator_delay[a])))
-    dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[a]))
-    if dyntype in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
-        out.append(_make(path, "actuator_lag", "actuator", time_constant_s=float(model.actuator_dynprm[a, 0])))
-    elif dyntype != mujoco.mjtDyn.mjDYN_NONE:
-        raise outside(path, f"actuator {drive.name!r} has dynamics other than a first-order filter", 'use dyntype="filter"')
-    bias = 0.0
-    if int(model.actuator_biastype[a]) == mujoco.mjtBias.mjBIAS_AFFINE:
-        bias = float(model.actuator_biasprm[a, 0]) * chain.gain / drive.gain
-    return [*out, *_gravity(found, path, bias)]
-
-
-def _limit(found: Found, path: Path) -> float | None:
-    """Smallest symmetric limit of the input [unit of the input]."""
-    model, drive = found.layout.model, found.layout.drive
-    a = drive.id
-    ranges = []
-    if model.actuator_ctrllimited[a]:
-        ranges.append(("ctrlrange", model.actuator_ctrlrange[a], 1.0))
-    if model.actuator_forcelimited[a]:
-        ranges.append(("forcerange", model.actuator_forcerange[a], abs(drive.gain)))
-    for name, (low, high), _ in ranges:
-        if abs(low + high) > 1e-9 * abs(high - low):
-            raise outside(path, f"{name} of actuator {drive.name!r} is {low:g} .. {high:g}", "a range symmetric about zero")
-    return min((float(r[1]) / scale for _, r, scale in ranges), default=None)
-
-
-def _gravity(found: Found, path: Path, bias: float) -> list[Effect]:
-    """Constant torque at the motor and the weight on the last body, from the actuator's bias and MuJoCo's gravity."""
-    model, n = found.layout.model, len(found.chain.bodies)
-    data = mujoco.MjData(model)
-    to_q = found.base()
-    samples = 16
-    force = np.zeros((samples, n))
-    angle = 2 * math.pi * np.arange(samples) / samples
-    rigid = np.array([found.chain.total_ratio(i) for i in range(n)]) / found.chain.total_ratio(n - 1)
-    for k in range(samples):
-        data.qpos[:] = model.qpos0 + to_q @ rigid * angle[k]
-        mujoco.mj_forward(model, data)
-        force[k] = -to_q.T @ data.qfrc_bias
-    mean = force.mean(axis=0)
-    small = 1e-9 * max(1.0, float(np.sum(model.body_mass)) * float(np.linalg.norm(model.opt.gravity)))
-    sine, cosine = 2 * np.sin(angle) @ force / samples, 2 * np.cos(angle) @ force / samples
-    rest = force - mean - np.outer(np.sin(angle), sine) - np.outer(np.cos(angle), cosine)
-    if np.max(np.abs(rest)) > small * 1e3 or np.any(np.hypot(sine, cosine)[:-1] > small) or np.any(np.abs(mean[1:]) > small):
-        raise outside(path, "gravity loads more than the last body of the chain", "balance it, or switch gravity off")
-    out = []
-    offset = bias + (float(mean[0]) if abs(mean[0]) > small else 0.0)
-    if offset:
-        out.append(_make(path, "torque_offset", "motor", torque_Nm=offset))
-    # force = -T sin(angle + phase) = -T cos(phase) sin(angle) - T sin(phase) cos(angle)
-    weight = float(np.hypot(sine[-1], cosine[-1]))
-    if weight > small:
-        if found.chain.motion is not Motion.HINGE:
-            raise outside(path, "gravity varies along a slide", "keep the slide straight")
-        phase = math.atan2(-float(cosine[-1]), -float(sine[-1]))
-        out.append(_make(path, "gravity_load", "arm", torque_Nm=weight, phase_rad=phase))
-    return out
+def _effect_of(value: Value, chain: Chain, path: Path) -> Effect:
+    """The effect that a native value stands for; raises InputError where that effect is not known at the place."""
+    try:
+        for cls in registered().values():
+            effect = cls.read(value, chain)
+            if effect is not None:
+                return effect
+    except PlaceError as error:
+        name = error.effect.replace("_", " ")
+        raise outside(path, f"{name} at {error.place!r}", f"it is known at {', '.join(error.places)}") from None
+    raise outside(path, f"no effect stands for {value}", "leave it out")

@@ -16,7 +16,10 @@ from mjsim.errors import InputError
 from mjsim.mjcf import custom
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.editor import MjcfEditor
+from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.load import Model, load_model
+from mjsim.mjcf.native_read import read_native
+from mjsim.mjcf.native_write import NativeWriter
 from mjsim.mjcf.xmltext import XmlText
 
 __all__ = ["Written", "write_corrected"]
@@ -43,15 +46,8 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
     with tempfile.TemporaryDirectory() as work:
         if source.carried is not None:
             source = _restored(source, Path(work) / "nominal.xml")
-        editor = MjcfEditor(source.path, source.found, axis.chain, axis.backlash_law, source.axis.effects)
-        editor.linear()
-        own = {e.key: e for e in source.axis.effects}
-        for e in own.values():
-            if e.key not in {kept.key for kept in axis.effects}:  # another law has taken its place
-                e.with_values(dict.fromkeys(type(e).amplitudes, 0.0)).native(editor)
-        # what the author wrote by MJCF's own elements and still holds stands there already
-        said = [(e.key, e.native(editor)) for e in axis.effects if own.get(e.key) != e]
-        lacks = tuple((key, line) for key, line in said if line is not None)
+        editor = MjcfEditor(source.path, source.found)
+        lacks = _write_axis(editor, source, axis)
         editor.relocate(out)
         beside = nominal.with_suffix(".toml")
         binding = source.carried.binding if source.carried else ""
@@ -72,6 +68,29 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
     return Written(out, tuple(line for _, line in lacks))
 
 
+def _write_axis(editor: MjcfEditor, source: Model, axis: Axis) -> tuple[tuple[str, str], ...]:
+    """Write the linear parameters and the effects of an axis; returns (effect, line) for what plain MuJoCo lacks of them."""
+    linear = LinearWriter(editor, axis.chain)
+    linear.write()
+    writer = NativeWriter(editor, linear, axis.backlash_law, read_native(source.found, source.path))
+    own, kept = {e.key: e for e in source.axis.effects}, {e.key for e in axis.effects}
+    for e in own.values():
+        if e.key not in kept:  # another law has taken its place
+            for value in e.with_values(dict.fromkeys(type(e).amplitudes, 0.0)).native(source.axis.chain).values:
+                writer.write(value)
+    lacks = []
+    for e in axis.effects:
+        native = e.native(axis.chain)
+        if own.get(e.key) == e:  # what the author wrote by MJCF's own elements and still holds stands there already
+            for value in native.values:
+                writer.keep(value)
+            continue
+        said = [native.lacks, *(f"{e.subject}: {line}" for line in map(writer.write, native.values) if line)]
+        lacks += [(e.key, line) for line in said if line]
+    writer.close()
+    return tuple(lacks)
+
+
 def _same_shape(path: Path, nominal: Axis, axis: Axis) -> None:
     a, b = nominal.chain, axis.chain
     names = [[x.joint for x in c.bodies] + [x.joint for x in c.couplings] for c in (a, b)]
@@ -85,7 +104,7 @@ def _same_shape(path: Path, nominal: Axis, axis: Axis) -> None:
 def _restored(source: Model, at: Path) -> Model:
     """The file before its correction, written to ``at``."""
     assert source.carried is not None
-    editor = MjcfEditor(source.path, source.found, source.axis.chain)
+    editor = MjcfEditor(source.path, source.found)
     editor.undo_all(list(source.carried.undo), list(source.carried.added))
     drop(editor.xml)
     editor.relocate(at)

@@ -229,7 +229,7 @@ def spring(name: str, one: str, two: str, extra: str = "") -> str:
         (bodies(ONE, TWO, actuator=MOTOR, tendon=spring("s", "a", "b", 'springlength="0.1"')), "loaded in the zero position"),
         (bodies(ONE, actuator='<motor name="m" joint="a" ctrllimited="true" ctrlrange="0 1"/>'), "symmetric about zero"),
         (
-            bodies(ONE, actuator=MOTOR + '<dcmotor joint="a" input="none" resistance="1" motorconst="0 0" cogging="1 8 0"/>'),
+            bodies(ONE, actuator=MOTOR + '<dcmotor joint="a" input="none" resistance="1" motorconst="0 0" cogging="1 8.5 0"/>'),
             "acts by itself",
         ),
     ],

@@ -1,0 +1,197 @@
+"""MJCF elements -> native values: what a file says of friction, gaps, weights, limits, delays and passive motors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mjsim.effects import native as N  # noqa: N812
+from mjsim.mjcf.chain import Found
+from mjsim.mjcf.layout import outside
+from mjsim.quantity import Motion
+
+__all__ = ["PassiveMotor", "passive_motors", "read_native"]
+
+_TOL = 1e-9
+
+
+def read_native(found: Found, path: Path) -> tuple[N.Value, ...]:
+    """The values that a file holds beside its linear chain, in the units of the chain; raises InputError for what is none."""
+    return (
+        *_on_bodies(found),
+        *_on_couplings(found),
+        *_on_drive(found, path),
+        *_on_sensors(found, path),
+        *_on_passive_motors(found, path),
+        *_gravity(found, path),
+    )
+
+
+def _on_bodies(found: Found) -> Iterator[N.Value]:
+    for i, parts in enumerate(found.on_body):
+        level = sum(abs(p.scale) * p.element.friction for p in parts)
+        if level:
+            yield N.DryFriction(i, level)
+        drag = sum(p.element.damping[1] * abs(p.scale) ** 3 for p in parts)
+        if drag:
+            yield N.SquareDrag(i, drag)
+
+
+def _on_couplings(found: Found) -> Iterator[N.Value]:
+    for j, gaps in enumerate(found.gaps):
+        width = sum(w for _, _, w in gaps)
+        if width:
+            yield N.Slack(j, width)
+        cubic = sum(p.element.stiffness[2] * p.scale**4 for p in found.on_coupling[j])
+        if cubic:
+            yield N.CubicSpring(j, cubic)
+
+
+def _on_drive(found: Found, path: Path) -> Iterator[N.Value]:
+    model, drive = found.layout.model, found.layout.drive
+    a = drive.id
+    limit = _limit(found, path)
+    if limit is not None:
+        yield N.DriveLimit(limit)
+    if model.actuator_delay[a] > 0:
+        yield N.DriveDelay(float(model.actuator_delay[a]))
+    dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[a]))
+    if dyntype in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
+        yield N.DriveLag(float(model.actuator_dynprm[a, 0]))
+    elif dyntype != mujoco.mjtDyn.mjDYN_NONE:
+        raise outside(path, f"actuator {drive.name!r} has dynamics other than a first-order filter", 'use dyntype="filter"')
+
+
+def _limit(found: Found, path: Path) -> float | None:
+    """Smallest symmetric limit of the input [unit of the input]."""
+    model, drive = found.layout.model, found.layout.drive
+    a = drive.id
+    ranges = []
+    if model.actuator_ctrllimited[a]:
+        ranges.append(("ctrlrange", model.actuator_ctrlrange[a], 1.0))
+    if model.actuator_forcelimited[a]:
+        ranges.append(("forcerange", model.actuator_forcerange[a], abs(drive.gain)))
+    for name, (low, high), _ in ranges:
+        if abs(low + high) > 1e-9 * abs(high - low):
+            raise outside(path, f"{name} of actuator {drive.name!r} is {low:g} .. {high:g}", "a range symmetric about zero")
+    return min((float(r[1]) / scale for _, r, scale in ranges), default=None)
+
+
+def _on_sensors(found: Found, path: Path) -> Iterator[N.Value]:
+    """The delay of the bound sensors, one for both."""
+    model, bound = found.layout.model, (found.chain.velocity_sensor, found.chain.angle_sensor)
+    delays = {float(model.sensor_delay[s]) for s in range(model.nsensor) if model.sensor(s).name in bound}
+    if len(delays) > 1:
+        raise outside(path, f"sensors {' and '.join(map(repr, bound))} have different delays", "give them one delay")
+    yield from (N.SensorDelay(delay) for delay in delays if delay > 0)
+
+
+@dataclass(frozen=True)
+class PassiveMotor:
+    """An actuator without input: its name, the values that it stands for and its travel over that of their place."""
+
+    name: str
+    values: tuple[N.Value, ...]
+    scale: float
+
+
+def passive_motors(found: Found) -> list[PassiveMotor]:
+    """Actuators without input. A <dcmotor> with cogging or a bristle and no electric part has values; others have none."""
+    model = found.layout.model
+    return [_motor(found, a) for a in range(model.nactuator) if model.actuator_ctrlnum[a] == 0]
+
+
+def _on_passive_motors(found: Found, path: Path) -> Iterator[N.Value]:
+    for motor in passive_motors(found):
+        if not motor.values:
+            raise outside(path, f"actuator {motor.name!r} acts by itself", "remove it")
+        yield from motor.values
+
+
+def _motor(found: Found, a: int) -> PassiveMotor:
+    model = found.layout.model
+    name = str(model.actuator(a).name)
+    gain, bias, dynamics = model.actuator_gainprm[a], model.actuator_biasprm[a], model.actuator_dynprm[a]
+    electric = np.any(gain[1:]) or np.any(bias[6:]) or np.any(dynamics[:5]) or np.any(dynamics[7:])
+    share = _share(found, a)
+    where = np.flatnonzero(share)
+    if int(model.actuator_biastype[a]) != mujoco.mjtBias.mjBIAS_DCMOTOR or electric or not len(where):
+        return PassiveMotor(name, (), 1.0)
+    scale = abs(float(share[where[-1]]))
+    parts = [*_cogging(share, bias), *_bristle(found, share, bias, dynamics)]
+    return PassiveMotor(name, () if None in parts else tuple(p for p in parts if p is not None), scale)
+
+
+def _cogging(share: np.ndarray, bias: np.ndarray) -> Iterator[N.Value | None]:
+    """Cogging, None when it is not on the driven body's own angle in whole periods."""
+    amplitude, cycles, phase = map(float, bias[:3])
+    if amplitude:
+        own = share[0] == 1.0 and not np.any(share[1:]) and abs(cycles - round(cycles)) < _TOL
+        yield N.Cogging(amplitude, round(cycles), phase) if own else None
+
+
+def _bristle(found: Found, share: np.ndarray, bias: np.ndarray, dynamics: np.ndarray) -> Iterator[N.Value | None]:
+    """A bristle on a body or across a coupling, None when it is neither."""
+    where = [int(i) for i in np.flatnonzero(share)]
+    level, rest, speed = map(float, bias[3:6])
+    stiffness, damping = map(float, dynamics[5:7])
+    s = abs(float(share[where[-1]]))
+    if not stiffness:
+        return
+    if len(where) == 1:
+        yield N.BodyBristle(where[0], level * s, stiffness * s * s, damping * s * s, (rest - level) * s, speed / s)
+    elif len(where) == 2 and where[1] == where[0] + 1 and rest == level and not damping:
+        across = np.isclose(share[where[0]], -share[where[1]] * found.chain.couplings[where[0]].ratio, rtol=1e-7)
+        yield N.CouplingBristle(where[0], level * s, stiffness * s * s) if across else None
+    else:
+        yield None
+
+
+def _share(found: Found, a: int) -> np.ndarray:
+    """Transmission of an actuator (n,) over the coordinates of the bodies, zeros when it is not constant."""
+    model = found.layout.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moment = np.zeros((model.nactuator, model.nv))
+    mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    share = moment[a] @ found.base()
+    share[np.abs(share) < 1e-10 * np.max(np.abs(share), initial=0.0)] = 0.0
+    return np.asarray(share)
+
+
+def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
+    """Constant torque at the motor and the weight on the last body, from the actuator's bias and MuJoCo's gravity."""
+    model, drive, n = found.layout.model, found.layout.drive, len(found.chain.bodies)
+    bias = 0.0
+    if int(model.actuator_biastype[drive.id]) == mujoco.mjtBias.mjBIAS_AFFINE:
+        bias = float(model.actuator_biasprm[drive.id, 0]) * found.chain.gain / drive.gain
+    data = mujoco.MjData(model)
+    to_q = found.base()
+    samples = 16
+    force = np.zeros((samples, n))
+    angle = 2 * math.pi * np.arange(samples) / samples
+    rigid = np.array([found.chain.total_ratio(i) for i in range(n)]) / found.chain.total_ratio(n - 1)
+    for k in range(samples):
+        data.qpos[:] = model.qpos0 + to_q @ rigid * angle[k]
+        mujoco.mj_forward(model, data)
+        force[k] = -to_q.T @ data.qfrc_bias
+    mean = force.mean(axis=0)
+    small = 1e-9 * max(1.0, float(np.sum(model.body_mass)) * float(np.linalg.norm(model.opt.gravity)))
+    sine, cosine = 2 * np.sin(angle) @ force / samples, 2 * np.cos(angle) @ force / samples
+    rest = force - mean - np.outer(np.sin(angle), sine) - np.outer(np.cos(angle), cosine)
+    if np.max(np.abs(rest)) > small * 1e3 or np.any(np.hypot(sine, cosine)[:-1] > small) or np.any(np.abs(mean[1:]) > small):
+        raise outside(path, "gravity loads more than the last body of the chain", "balance it, or switch gravity off")
+    offset = bias + (float(mean[0]) if abs(mean[0]) > small else 0.0)
+    if offset:
+        yield N.DriveTorque(offset)
+    # force = -T sin(angle + phase) = -T cos(phase) sin(angle) - T sin(phase) cos(angle)
+    weight = float(np.hypot(sine[-1], cosine[-1]))
+    if weight > small:
+        if found.chain.motion is not Motion.HINGE:
+            raise outside(path, "gravity varies along a slide", "keep the slide straight")
+        yield N.Weight(n - 1, weight, math.atan2(-float(cosine[-1]), -float(sine[-1])))

@@ -1,0 +1,341 @@
+"""Native values -> MJCF elements: one writer for each kind of value, at the place of the chain that the value names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjsim.effects import native as N  # noqa: N812
+from mjsim.effects.ports import BacklashLaw
+from mjsim.errors import InputError
+from mjsim.mjcf.editor import MjcfEditor, element, number, row
+from mjsim.mjcf.linear import LinearWriter
+from mjsim.mjcf.native_read import PassiveMotor, passive_motors
+from mjsim.quantity import Motion
+
+__all__ = ["NativeWriter"]
+
+# largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf-native.md)
+FRICTION_STEP = 1e-4
+SLACK_STEP = 5e-5
+DELAY_STEP = 1e-4
+SLACK_ARMATURE = 5e-4
+IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
+
+NOT_ONE_JOINT = "its angle is not one joint's"
+
+
+class NativeWriter:
+    """Writes native values through an editor. ``held``: the values that the author's file has.
+
+    Dry friction of one body and constant torques of the drive add up over the values that are written and those that are kept.
+    """
+
+    def __init__(self, editor: MjcfEditor, linear: LinearWriter, law: BacklashLaw, held: Sequence[N.Value]) -> None:
+        self.editor = editor
+        self.linear = linear
+        self.law = law
+        self.held = tuple(held)
+        self._motors = passive_motors(editor.found)
+        editor.ignored += [m.name for m in self._motors]
+        self._friction: dict[int, float] = {}
+        self._torque = 0.0
+        self._writers: dict[type, Callable[[Any], str]] = {
+            N.DryFriction: self._dry_friction,
+            N.ViscousDamping: self._viscous_damping,
+            N.SquareDrag: self._square_drag,
+            N.BodyBristle: self._body_bristle,
+            N.CouplingBristle: self._coupling_bristle,
+            N.Slack: self._slack,
+            N.CubicSpring: self._cubic_spring,
+            N.SplitBody: self._split_body,
+            N.Weight: self._weight,
+            N.Cogging: self._cogging,
+            N.DriveTorque: self._drive_torque,
+            N.DriveLimit: self._drive_limit,
+            N.DriveLag: self._drive_lag,
+            N.DriveDelay: self._drive_delay,
+            N.SensorDelay: self._sensor_delay,
+        }
+
+    def write(self, value: N.Value) -> str:
+        """Write a value; returns what plain MuJoCo lacks of it then, "" when nothing."""
+        return self._writers[type(value)](value)
+
+    def keep(self, value: N.Value) -> None:
+        """A value that the file has and that stays as it is."""
+        if isinstance(value, N.DryFriction):
+            self._friction[value.body] = self._friction.get(value.body, 0.0) + value.level
+        elif isinstance(value, N.DriveTorque):
+            self._torque += value.torque
+
+    def close(self) -> None:
+        """Write the constant torque of the drive, whose parts add up: what a weight along a slide gives is taken off."""
+        editor, drive = self.editor, self.editor.found.layout.drive
+        present = float(editor.model.actuator_biasprm[drive.id, 0])
+        per_torque = drive.gain / editor.chain.gain
+        held = sum(v.torque for v in self.held if isinstance(v, N.DriveTorque))
+        pull = held - present / per_torque
+        if editor.chain.motion is Motion.SLIDE:
+            pull *= self.linear.target.bodies[0].inertia / editor.chain.bodies[0].inertia
+        bias = (self._torque - pull) * per_torque
+        if abs(bias - present) > 1e-12 * max(abs(bias), abs(present), abs(pull * per_torque)):
+            editor.set("actuator", editor.general(), biastype="affine", biasprm=f"{number(bias)} 0 0")
+
+    # ---- bodies -----------------------------------------------------------------------------------------------------------
+
+    def _dry_friction(self, value: N.DryFriction) -> str:
+        """A frictionloss that sticks."""
+        self.keep(value)
+        self.editor.step(FRICTION_STEP)
+        self.editor.follow(lambda: self._write_friction(value.body, self._friction[value.body]))
+        return ""
+
+    def _write_friction(self, body: int, level: float) -> None:
+        editor = self.editor
+        runge_kutta = int(editor.model.opt.integrator) == mujoco.mjtIntegrator.mjINT_RK4
+        rate = (2.5 if runge_kutta else 1.0) / editor.timestep
+        attributes = {
+            "frictionloss": number(level),
+            "solreffriction": f"-1 {number(-float(f'{rate:.6g}'))}",
+            "solimpfriction": IMPEDANCE,
+        }
+        joint = editor.joint_of(body)
+        for part in editor.found.on_body[body]:  # what the file has elsewhere is in the level
+            if part.element.friction and (part.element.kind, part.element.name) != ("joint", joint):
+                editor.set(part.element.kind, part.element.name, frictionloss="0")
+        if joint is not None:
+            editor.set("joint", joint, **attributes)
+            return
+        name = f"{editor.chain.bodies[body].joint}_friction"
+        if ("tendon", name) in editor.added:
+            for key, text in attributes.items():
+                editor.xml.set(editor.node("tendon", name), key, text)
+        else:
+            editor.absolute_tendon(body, "friction", chain=False, **attributes)
+
+    def _viscous_damping(self, value: N.ViscousDamping) -> str:
+        """Damping of a tendon along the body's absolute angle, where the chain has none."""
+        self.editor.absolute_tendon(value.body, "viscous", chain=False, damping=number(value.coefficient))
+        return ""
+
+    def _square_drag(self, value: N.SquareDrag) -> str:
+        """The second coefficient of a joint's damping."""
+        editor, joint = self.editor, self.editor.joint_of(value.body)
+        if joint is None:
+            return NOT_ONE_JOINT
+        now = editor.node("joint", joint).attributes.get("damping")
+        dof = int(editor.model.jnt_dofadr[editor.model.joint(joint).id])
+        linear = float(now.split()[0]) if now else float(editor.model.dof_damping[dof])
+        editor.set("joint", joint, damping=row([linear, value.coefficient]))
+        return ""
+
+    def _body_bristle(self, value: N.BodyBristle) -> str:
+        joint = self.editor.joint_of(value.body)
+        if joint is None:
+            return NOT_ONE_JOINT
+        self._bristle(value, value, (f"{joint}_bristle", "joint", joint))
+        return ""
+
+    def _split_body(self, value: N.SplitBody) -> str:
+        """A further body below, on a joint of its own."""
+        editor, model = self.editor, self.editor.model
+        heavy = max((m for m, _ in editor.found.masses[value.body] if m.kind == "body"), key=lambda m: m.value)
+        if not heavy.name or not model.body_jntnum[heavy.id]:
+            return "its body has no joint of its own"
+        self.linear.scale(value.body, 1.0 - value.inertia / self.linear.target.bodies[value.body].inertia)
+        joint = int(model.body_jntadr[heavy.id])
+        name = editor.fresh("body", f"{editor.chain.bodies[value.body].joint}_extra")
+        place, axis = (row(list(v[joint])) for v in (model.jnt_pos, model.jnt_axis))
+        motion = editor.chain.motion
+        weight, tensor = (value.inertia, 1.0) if motion is Motion.SLIDE else (1.0, value.inertia)
+        lines = [
+            element("body", close=False, name=name),
+            "  " + element("joint", name=name, type=motion.value, pos=place, axis=axis,
+                           stiffness=number(value.stiffness), damping=number(value.damping)),
+            "  " + element("inertial", pos=place, mass=number(weight), diaginertia=row([tensor] * 3)),
+            "</body>",
+        ]  # fmt: skip
+        editor.xml.append(editor.node("body", heavy.name), lines)
+        editor.added.append(("body", name))
+        editor.ignored.append(name)
+        return ""
+
+    def _weight(self, value: N.Weight) -> str:
+        """Mass and centre of the body, whose inertia stays, where the file has a weight there."""
+        own = next((v for v in self.held if isinstance(v, N.Weight) and v.body == value.body), None)
+        if own is None:
+            return "MJCF has no element for it where no body of the file has a weight"
+        turn = math.remainder(value.phase - own.phase, 2 * math.pi)
+        self.linear.weigh(value.body, value.torque / own.torque, turn)
+        return ""
+
+    # ---- couplings --------------------------------------------------------------------------------------------------------
+
+    def _slack(self, value: N.Slack) -> str:
+        """The range of a slack joint where the coupling has one, else a dead band in place of its spring."""
+        editor, slack = self.editor, self._slack_joint(value.coupling)
+        if slack is None:
+            self._dead_band(value.coupling, value.width)
+        else:
+            editor.step(SLACK_STEP)
+            half = math.degrees(0.5 * value.width) if editor.degrees() else 0.5 * value.width
+            span = row([-half, half])
+            editor.set("joint", slack, limited="true", range=span, armature=number(SLACK_ARMATURE), solimplimit=IMPEDANCE)
+            editor.follow(lambda: editor.set("joint", slack, solreflimit=_stiffest(editor.timestep)))
+            self._release(slack)
+        if self.law is BacklashLaw.UNGATED:
+            return ""
+        return "its gap is there, but its damper acts inside the gap too (law 'ungated')"
+
+    def _release(self, slack: str) -> None:
+        """Switch off the equality that holds a slack joint."""
+        model = self.editor.model
+        for e in range(model.neq):
+            if int(model.eq_type[e]) != mujoco.mjtEq.mjEQ_JOINT or int(model.eq_obj2id[e]) >= 0:
+                continue
+            if model.joint(int(model.eq_obj1id[e])).name == slack:
+                self.editor.set("equality", model.equality(e).name, active="false")
+
+    def _slack_joint(self, coupling: int) -> str | None:
+        """A joint of the file that is nothing but slack of this coupling, open or held."""
+        found, model = self.editor.found, self.editor.model
+        for kind, joint, _ in found.gaps[coupling]:
+            if kind == "joint":
+                return str(model.joint(joint).name)
+        along = found.chain.couplings[coupling].ratio * found.rows[coupling] - found.rows[coupling + 1]
+        used = {p.element.id for p in (*sum(found.on_coupling, ()), *sum(found.on_body, ())) if p.element.kind == "joint"}
+        for j in range(model.njnt):
+            dof = int(model.jnt_dofadr[j])
+            held = not np.any(found.layout.base[dof])
+            if held and model.jnt_limited[j] and j not in used and abs(abs(float(along[dof])) - 1.0) < 1e-9:
+                return str(model.joint(j).name)
+        return None
+
+    def _dead_band(self, coupling: int, width: float) -> None:
+        editor = self.editor
+        parts = [p for p in editor.found.on_coupling[coupling] if p.element.stiffness[0]]
+        if len(parts) != 1:
+            raise InputError(
+                editor.path, f"{editor.chain.couplings[coupling].joint!r} has {len(parts)} springs", "one", "merge them"
+            )
+        spring, half = parts[0].element, 0.5 * width * abs(parts[0].scale)
+        if spring.kind == "tendon":
+            rest = 0.5 * float(np.sum(editor.model.tendon_lengthspring[spring.id]))
+            editor.set("tendon", spring.name, springlength=row([rest - half, rest + half]))
+            return
+        stiffness = editor.node("joint", spring.name).attributes.get("stiffness") or number(spring.stiffness[0])
+        editor.set("joint", spring.name, stiffness="0")
+        name = editor.fresh("tendon", f"{spring.name}_spring")
+        editor.tendon(name, spring.row, chain=True, stiffness=stiffness, springlength=row([-half, half]))
+
+    def _cubic_spring(self, value: N.CubicSpring) -> str:
+        """The third coefficient of the spring's stiffness."""
+        editor = self.editor
+        parts = [p for p in editor.found.on_coupling[value.coupling] if p.element.stiffness[0]]
+        if len(parts) != 1:
+            return "no one element carries its spring"
+        p = parts[0]
+        kind, name = p.element.kind, p.element.name
+        moved = next((n for k, n in editor.added if k == "tendon" and n.rstrip("_") == f"{name}_spring"), None)
+        if moved is not None:
+            kind, name = "tendon", moved
+        now = editor.node(kind, name).attributes.get("stiffness")
+        linear = float(now.split()[0]) if now else p.element.stiffness[0]
+        editor.set(kind, name, stiffness=row([linear, 0.0, value.coefficient / p.scale**4]))
+        return ""
+
+    def _coupling_bristle(self, value: N.CouplingBristle) -> str:
+        """A bristle on the element that carries the spring."""
+        editor, parts = self.editor, self.editor.found.on_coupling[value.coupling]
+        p = next((p for p in parts if p.element.stiffness[0]), parts[0])
+        where, target = p.element.kind, p.element.name
+        joint = editor.chain.couplings[value.coupling].joint
+        if where == "actuator":
+            target = editor.fresh("tendon", f"{joint}_across")
+            where = "tendon"
+            editor.tendon(target, p.element.row, chain=False)
+        as_body = N.BodyBristle(value.coupling, value.level, value.stiffness)
+        self._bristle(value, as_body, (f"{joint}_hysteresis", where, target), abs(p.scale))
+        return ""
+
+    # ---- actuator and sensors ---------------------------------------------------------------------------------------------
+
+    def _bristle(self, value: N.Value, b: N.BodyBristle, new: tuple[str, str, str], scale: float = 1.0) -> None:
+        """``scale``: travel of the element over that of the value's place. The Stribeck velocity does nothing at equal levels."""
+        motor = self._motor_of(value)
+        s = motor.scale if motor is not None else scale
+        self.editor.step(FRICTION_STEP)
+        levels = (b.level / s, (b.level + b.extra) / s)
+        lugre = row((b.stiffness / s**2, b.damping / s**2, *levels, b.speed * s)) if b.level + b.extra > 0 else None
+        self._passive_motor(motor, new, lugre=lugre)
+
+    def _cogging(self, value: N.Cogging) -> str:
+        joint = self.editor.joint_of(0)
+        if joint is None:
+            return NOT_ONE_JOINT
+        cogging = row((value.amplitude, value.cycles, value.phase))
+        self._passive_motor(self._motor_of(value), (f"{joint}_cogging", "joint", joint), cogging=cogging)
+        return ""
+
+    def _motor_of(self, value: N.Value) -> PassiveMotor | None:
+        """The passive motor of the author's file that stands for a value of this kind at this place."""
+
+        def place(v: N.Value) -> tuple[type, object]:
+            return type(v), getattr(v, "body", getattr(v, "coupling", None))
+
+        return next((m for m in self._motors if place(value) in map(place, m.values)), None)
+
+    def _passive_motor(self, motor: PassiveMotor | None, new: tuple[str, str, str], **attributes: str | None) -> None:
+        """Change a passive motor of the file, or add a <dcmotor> without input and electric part (name, element, its name)."""
+        if motor is not None:
+            self.editor.set("actuator", motor.name, **attributes)
+            return
+        name = self.editor.fresh("actuator", new[0])
+        given = {"name": name, new[1]: new[2], "input": "none", "resistance": "1", "motorconst": "0 0"}
+        given |= {key: text for key, text in attributes.items() if text is not None}
+        self.editor.add("actuator", "actuator", name, [element("dcmotor", close=True, **given)])
+
+    def _drive_torque(self, value: N.DriveTorque) -> str:
+        """A part of the actuator's bias, which `close` writes."""
+        self._torque += value.torque
+        return ""
+
+    def _drive_limit(self, value: N.DriveLimit) -> str:
+        name = self.editor.found.layout.drive.name
+        self.editor.set("actuator", name, ctrllimited="true", ctrlrange=row([-value.limit, value.limit]))
+        return ""
+
+    def _drive_lag(self, value: N.DriveLag) -> str:
+        if value.time_constant > 0:
+            self.editor.set("actuator", self.editor.general(), dyntype="filter", dynprm=number(value.time_constant))
+        return ""
+
+    def _drive_delay(self, value: N.DriveDelay) -> str:
+        """In whole steps."""
+        if value.delay > 0:
+            self.editor.step(DELAY_STEP)
+            self.editor.follow(lambda: self._delay("actuator", self.editor.found.layout.drive.name, value.delay))
+        return ""
+
+    def _sensor_delay(self, value: N.SensorDelay) -> str:
+        """At the bound sensors."""
+        editor, chain = self.editor, self.editor.chain
+        known = {editor.model.sensor(s).name for s in range(editor.model.nsensor)}
+        names = sorted({chain.velocity_sensor, chain.angle_sensor} & known)
+        for name in names:
+            editor.follow(lambda name=name: self._delay("sensor", name, value.delay, interp="linear"))  # type: ignore[misc]
+        return "" if names else "the model has no sensor for it"
+
+    def _delay(self, kind: str, name: str, delay: float, **more: str) -> None:
+        samples = math.ceil(delay / self.editor.timestep - 1e-9) + 1
+        self.editor.set(kind, name, delay=number(delay), nsample=str(samples), **more)
+
+
+def _stiffest(timestep: float) -> str:
+    """solref of a limit that is critically damped and as stiff as the step allows."""
+    return row([-float(f"{1 / timestep**2:.6g}"), -float(f"{2 / timestep:.6g}")])
