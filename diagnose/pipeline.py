@@ -331,8 +331,8 @@ def _carried(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:
 
 
 def _element(fitter: Fitter, effect: Effect) -> str:
-    coupling = type(effect).family == "coupling" or type(effect).name() == "transmission_error"
-    return fitter.nominal.chain.element(effect.place, coupling=coupling)
+    chain = fitter.nominal.chain
+    return chain.element(effect.place, coupling=effect.on_coupling(chain))
 
 
 def _unit(fitter: Fitter) -> str:

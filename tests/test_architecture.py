@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from mjsim.effects import registered
+
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("mjsim", "ident", "diagnose", "simgap", "lab")  # each may import those before it and itself
 # commands that load the lab when they are called, and not before
@@ -54,6 +56,92 @@ def test_imports_go_one_way():
                 continue
             if top in LAYERS and LAYERS.index(top) > own:
                 wrong.append(f"{relative(path)}:{line} imports {module}")
+    assert not wrong
+
+
+def imported_files(path: Path, files: dict[str, Path]) -> set[Path]:
+    """The files that a file imports: a module, or the package that hands the name on."""
+    out = set()
+    for _, module in imported(path):
+        found = files.get(module) or files.get(module.rpartition(".")[0])
+        if found is not None and found != path:
+            out.add(found)
+    return out
+
+
+def circles(graph: dict[Path, set[Path]]) -> list[list[Path]]:
+    """Strongly connected components of more than one file (Tarjan)."""
+    index: dict[Path, int] = {}
+    low: dict[Path, int] = {}
+    stack: list[Path] = []
+    out: list[list[Path]] = []
+
+    def visit(node: Path) -> None:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in graph[node]:
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            at = stack.index(node)
+            if len(stack) - at > 1:
+                out.append(stack[at:])
+            del stack[at:]
+
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return out
+
+
+def test_no_files_import_each_other_in_a_circle():
+    """Imports inside functions and for types alone count too."""
+    files = {name_of(p): p for p in SOURCES}
+    found = circles({p: imported_files(p, files) for p in SOURCES})
+    assert [sorted(map(relative, c)) for c in found] == []
+
+
+def test_a_circle_is_found():
+    a, b, c = Path("a"), Path("b"), Path("c")
+    assert circles({a: {b}, b: {c}, c: {b}}) == [[b, c]]
+    assert circles({a: {b, c}, b: {c}, c: set()}) == []
+
+
+# files outside mjsim/effects that hold an effect's identifier as text, and why
+NAMES_AN_EFFECT = {
+    "diagnose/explain/second_encoder.py": "terms of its own model of a second encoder, which bear the names of the contract",
+    "lab/proof/concealed.py": "conceals known effects in real recordings",
+    "lab/proof/emps.py": "published values of named effects",
+    "lab/proof/kuka.py": "published values of named effects",
+    "lab/proof/summary.py": "published values of named effects",
+}
+
+
+def test_nothing_asks_for_an_effect_by_its_name():
+    """What a consumer needs to know of an effect is declared in the effect's own file."""
+    ids = "|".join(registered())
+    named = re.compile(rf"({ids})(@\w+)?")
+    found = {
+        relative(path)
+        for path in SOURCES
+        if not relative(path).startswith(("mjsim/effects/", "lab/benchmark/"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and named.fullmatch(node.value)
+    }
+    assert found == set(NAMES_AN_EFFECT)
+
+
+def test_effects_know_no_mjcf():
+    wrong = [
+        f"{relative(path)}:{line} imports {module}"
+        for path in SOURCES
+        if relative(path).startswith("mjsim/effects/") or relative(path) == "mjsim/chain.py"
+        for line, module in imported(path)
+        if module.startswith(("mjsim.mjcf", "mjsim.axis", "mujoco"))
+    ]
     assert not wrong
 
 

@@ -89,7 +89,7 @@ def conflicts(candidate: Candidate, present: Sequence[Effect]) -> bool:
     """Whether a candidate says again what a present effect says: the same one, or one that refines or is refined by it."""
     cls = effect_class(candidate.id)
     for e in present:
-        if e.key == candidate.key or (e.id == candidate.id == "time_delay"):
+        if e.key == candidate.key or (cls.once and e.id == candidate.id):
             return True
         if e.place != candidate.place:
             continue

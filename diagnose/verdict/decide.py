@@ -14,7 +14,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.result import Estimate, Finding
 from diagnose.structure.search import ALIKE_C, Search
 from mjsim.axis import Axis
-from mjsim.effects import Effect
+from mjsim.effects import Effect, registered
 from mjsim.ode import DivergedError, simulate
 
 __all__ = ["equivalents", "estimates", "excluded_by_angle", "next_experiment", "p_values", "unphysical"]
@@ -94,9 +94,11 @@ def excluded_by_angle(experiments: Sequence[Experiment]) -> dict[str, str]:
         error = float(np.std(blocks, ddof=1)) / math.sqrt(BLOCKS) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
         offset = float(np.mean(d))
         verdicts.append(abs(offset) > 5 * error)
+    known = registered()
+    shown = [name for name, cls in known.items() if cls.shown_by_angle]
     if verdicts and all(verdicts):
-        return {"torque_offset": "sensor_offset"}
-    return {"sensor_offset": ""} if verdicts and not any(verdicts) else {}
+        return {name: other for name, cls in known.items() for other in cls.taken_for if other in shown}
+    return dict.fromkeys(shown, "") if verdicts and not any(verdicts) else {}
 
 
 def unphysical(axis: Axis) -> tuple[str, ...]:
@@ -170,10 +172,7 @@ def _loaded(axis: Axis, load: float) -> Axis:
         return axis
     *others, last = axis.chain.bodies
     chain = dataclasses.replace(axis.chain, bodies=(*others, dataclasses.replace(last, inertia=load * last.inertia)))
-    effects = tuple(
-        e.with_values({"torque_Nm": load * e.values["torque_Nm"]}) if e.id == "gravity_load" else e for e in axis.effects
-    )
-    return dataclasses.replace(axis, chain=chain, effects=effects)
+    return dataclasses.replace(axis, chain=chain, effects=tuple(e.with_load(load) for e in axis.effects))
 
 
 def _rival_of(search: Search, best: Fitted, finding: Finding, name: str) -> Fitted | None:

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from mjsim.effects.backlash import Backlash
+from mjsim.effects.coulomb_friction import CoulombFriction
+from mjsim.effects.static_friction import StaticFriction
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -28,15 +32,15 @@ class Plant:
 
 
 def _coulomb(torque: float) -> tuple[tuple[str, tuple[tuple[str, float], ...]], ...]:
-    return (("coulomb_friction", (("torque_Nm", torque),)),)
+    return ((CoulombFriction.id, (("torque_Nm", torque),)),)
 
 
 def _static(peak: float) -> tuple[tuple[str, tuple[tuple[str, float], ...]], ...]:
-    return (("static_friction", (("torque_Nm", 0.1), ("peak", peak))),)
+    return ((StaticFriction.id, (("torque_Nm", 0.1), ("peak", peak))),)
 
 
 def _gap(gap: float) -> tuple[tuple[str, tuple[tuple[str, float], ...]], ...]:
-    return (("backlash", (("gap_rad", gap),)),)
+    return ((Backlash.id, (("gap_rad", gap),)),)
 
 
 _ALL = (

@@ -53,7 +53,8 @@ class RobotResult:
 def surrogate_robot(high_hz: float, duration: float = 20.0) -> Robot:
     """A simulated robot: drawn linear parameters, damping of the gearbox positive, friction and slack, noise; in MuJoCo."""
     from mjsim import accurate
-    from mjsim.effects import effect_class
+    from mjsim.effects.backlash import Backlash
+    from mjsim.effects.coulomb_friction import CoulombFriction
     from mjsim.excitation import chirp
 
     rng = np.random.default_rng(_SEED)
@@ -63,7 +64,7 @@ def surrogate_robot(high_hz: float, duration: float = 20.0) -> Robot:
     values = {n: known[n] * s for n, s in scale.items()} | {"dg": float(rng.uniform(10.0, 60.0))}
     friction, gap = float(rng.uniform(0.02, 0.08)), float(rng.uniform(2e-5, 8e-5))
     axis = nominal().with_linear(values)
-    axis = axis + effect_class("coulomb_friction")(torque_Nm=friction) + effect_class("backlash")(gap_rad=gap)  # type: ignore[call-arg]
+    axis = axis + CoulombFriction(torque_Nm=friction) + Backlash(gap_rad=gap)
     e = Experiment(high_hz=high_hz, duration=duration)
     torque = chirp(e.duration, DT, e.amplitude, LOW_HZ, e.high_hz)
     velocity = np.asarray(accurate.simulate(axis, torque, DT).velocity) + 0.05 * rng.standard_normal(torque.size)

@@ -12,14 +12,12 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from mjsim.chain import Chain
 from mjsim.effects.native import Native, Value
+from mjsim.effects.ports import CouplingTorque, Gap, Port, Twist
 from mjsim.quantity import Motion, Quantity
-
-if TYPE_CHECKING:
-    from mjsim.effects.ports import Port
 
 __all__ = [
     "Effect",
@@ -151,7 +149,9 @@ class Effect(abc.ABC):
     jumps as a parameter moves), ``rounds`` (whether it rounds what is measured, so that a small step of a parameter turns single
     samples), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
     whose angle a periodic law follows, its own when empty), ``form_of`` (the contract identifier that it is named by, where it is
-    another law for the same effect).
+    another law for the same effect), ``once`` (whether its places cannot be told apart, so that a model has it at one of them
+    only), ``shown_by_angle`` (whether a measured velocity contradicts the measured angle by it), ``taken_for`` (identifiers of
+    such effects that make the same change of a velocity: where the angle shows one, this effect explains nothing without it).
     """
 
     id: ClassVar[str]
@@ -167,6 +167,9 @@ class Effect(abc.ABC):
     amplitudes: ClassVar[tuple[str, ...]] = ()
     angle_of: ClassVar[str] = ""
     form_of: ClassVar[str] = ""
+    once: ClassVar[bool] = False
+    shown_by_angle: ClassVar[bool] = False
+    taken_for: ClassVar[tuple[str, ...]] = ()
 
     place: str = ""
 
@@ -251,6 +254,14 @@ class Effect(abc.ABC):
     def read(cls, value: Value, chain: Chain) -> Self | None:
         """The effect that a native value of a file stands for; None when it is none of this effect."""
         return None
+
+    def on_coupling(self, chain: Chain) -> bool:
+        """Whether it acts in a coupling of this chain, and not on a body or a signal."""
+        return any(isinstance(port, CouplingTorque | Gap | Twist) for port in self.ports(chain))
+
+    def with_load(self, factor: float) -> Self:
+        """The effect when the load on the last body, its inertia and its mass, is ``factor`` times what it was."""
+        return self
 
     @property
     def subject(self) -> str:

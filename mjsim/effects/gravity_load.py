@@ -63,6 +63,10 @@ class GravityLoad(Effect):
         """The effect that a native value of a file stands for, or None."""
         return cls(torque_Nm=value.torque, phase_rad=value.phase) if isinstance(value, Weight) else None
 
+    def with_load(self, factor: float) -> Self:
+        """The weight grows with the load that hangs on the body."""
+        return self.with_values({"torque_Nm": factor * self.torque_Nm})
+
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""

@@ -27,6 +27,7 @@ class SensorOffset(Effect):
 
     id: ClassVar[str] = "sensor_offset"
     places: ClassVar[tuple[str, ...]] = ("sensor",)
+    shown_by_angle: ClassVar[bool] = True
     sentence: ClassVar[str] = "The sensor reads {value} when the axis stands still (offset)."
     citation: ClassVar[str] = "ISO 5725"
     tolerance: ClassVar[float] = 1e-5

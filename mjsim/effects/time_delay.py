@@ -28,6 +28,7 @@ class TimeDelay(Effect):
 
     id: ClassVar[str] = "time_delay"
     places: ClassVar[tuple[str, ...]] = ("actuator", "sensor")
+    once: ClassVar[bool] = True
     sentence: ClassVar[str] = "A time delay of {delay_s} at the {place} (bus, buffer or filter)."
     citation: ClassVar[str] = "Normey-Rico, Camacho, Control of Dead-time Processes (2007)"
     tolerance: ClassVar[float] = 1e-5

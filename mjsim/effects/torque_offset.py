@@ -42,6 +42,7 @@ class TorqueOffset(Effect):
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
     family: ClassVar[str] = "offset"
+    taken_for: ClassVar[tuple[str, ...]] = ("sensor_offset",)
 
     torque_Nm: float = parameter(Quantity.TORQUE, "offset, positive drives forward")
 

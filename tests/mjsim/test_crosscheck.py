@@ -59,7 +59,7 @@ def test_energy_balances(engine: object) -> None:
 
 
 def test_a_miss_is_named_and_ends_with_check_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from mjsim import crosscheck as module
+    from mjsim.crosscheck import run as module
 
     strict = [dataclasses.replace(CASES[0], accurate=1e-12, literal=None)]
     monkeypatch.setattr(module, "study_cases", lambda axis: strict)

@@ -1,0 +1,132 @@
+"""What a cross-check says: rows of engines against a truth, as text, for JSON and as a picture."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Cell", "Report", "Row", "Status", "plot", "table"]
+
+
+class Status(enum.Enum):
+    """How a comparison ended."""
+
+    HOLDS = "holds"
+    MISSED = "MISSED"
+    CHAOTIC = "chaotic"
+    ABSENT = "not expressible"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One engine on one case."""
+
+    engine: str
+    error: float
+    limit: float
+    status: Status
+    seconds: float = 0.0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case: its truth, what the truth is worth, and the engines against it."""
+
+    name: str
+    truth: str
+    truth_error: float
+    sensitivity: float
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """The rows, and what was left out with its reason."""
+
+    rows: tuple[Row, ...]
+    skipped: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Every comparison that missed its limit, in words."""
+        return tuple(
+            f"{row.name}: {c.engine} {c.error:.2g} > {c.limit:.2g}"
+            for row in self.rows for c in row.cells if c.status is Status.MISSED
+        )  # fmt: skip
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        rows = [
+            {
+                "case": r.name, "truth": r.truth, "truth_error": r.truth_error, "sensitivity": r.sensitivity,
+                "engines": {
+                    c.engine: {"error": c.error if math.isfinite(c.error) else None, "limit": c.limit, "status": c.status.value,
+                               "seconds": round(c.seconds, 3), **({"note": c.note} if c.note else {})}
+                    for c in r.cells
+                },
+            }
+            for r in self.rows
+        ]  # fmt: skip
+        return {"rows": rows, "skipped": [{"case": n, "why": w} for n, w in self.skipped], "missed": list(self.missed)}
+
+
+def table(rows: Sequence[Row]) -> list[str]:
+    """The rows as text."""
+    engines = ("exact", "kernel", "accurate", "batch", "literal")
+    width = max(len(r.name) for r in rows)
+    head = f"{'case':{width}s}  {'truth':10s} {'own err':>8s} {'sensit.':>8s} " + " ".join(f"{e:>16s}" for e in engines)
+    out = [head, "-" * len(head)]
+    for row in rows:
+        by = {c.engine: c for c in row.cells}
+        cells = []
+        for engine in engines:
+            c = by.get(engine)
+            if c is None:
+                cells.append(f"{'':>16s}")
+            elif c.status is Status.ABSENT:
+                cells.append(f"{'not in MJCF':>16s}")
+            else:
+                mark = {Status.HOLDS: " ", Status.MISSED: "!", Status.CHAOTIC: "~"}[c.status]
+                cells.append(f"{c.error:7.1e}/{c.limit:.0e} {mark}")
+        out.append(f"{row.name:{width}s}  {row.truth:10s} {row.truth_error:8.1e} {row.sensitivity:8.1e} " + " ".join(cells))
+    out += ["", "error / limit, relative RMS of motor velocity; ! missed, ~ chaotic (sensitivity above 1e-6: shown, not judged)"]
+    return out
+
+
+def plot(report: Report, path: Path) -> None:
+    """Errors of the engines by case, with their limits, on a log scale."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = report.rows
+    figure = Figure(figsize=(9.5, 0.24 * len(rows) + 1.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    colours = {"exact": "#777777", "kernel": "#0072B2", "accurate": "#009E73", "batch": "#56B4E9", "literal": "#D55E00"}
+    marks = {"exact": "D", "kernel": "o", "accurate": "s", "batch": "x", "literal": "^"}
+    y = np.arange(len(rows))
+    for engine, colour in colours.items():
+        at = [(i, c) for i, r in enumerate(rows) for c in r.cells if c.engine == engine and math.isfinite(c.error)]
+        if not at:
+            continue
+        where = [i for i, _ in at]
+        axes.plot([max(c.error, 1e-15) for _, c in at], where, marks[engine], color=colour, ms=5, label=engine, mew=1.4)
+        axes.plot([c.limit for _, c in at], where, "|", color=colour, ms=11, mew=1.6, alpha=0.7)
+    seen = [(i, r.sensitivity) for i, r in enumerate(rows) if r.sensitivity > 0]
+    axes.plot([s for _, s in seen], [i for i, _ in seen], ".", color="#BBBBBB", ms=6, label="sensitivity to 1e-10 rad", zorder=0)
+    axes.set_xscale("log")
+    axes.set_yticks(y, [r.name for r in rows], fontsize=8)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(axis="x", color="#E0E0E0")
+    axes.set_axisbelow(True)
+    axes.set_xlabel("relative RMS error of motor velocity (bars: limits)")
+    axes.set_title("MuJoCo and the kernel against the analytic equations", fontsize=11)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
+    figure.savefig(path, dpi=130)

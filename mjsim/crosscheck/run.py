@@ -1,0 +1,56 @@
+"""All cases of a model, in a batch together and each alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from mjsim.batch import Drive, Engine, rollout
+from mjsim.crosscheck.cases import DT, Case, effect_cases, study_cases
+from mjsim.crosscheck.engines import compare
+from mjsim.crosscheck.laws import energy_rows, scaling_row
+from mjsim.crosscheck.report import Report, Row
+from mjsim.excitation import chirp
+from mjsim.mjcf import load_axis
+from mjsim.mjcf.compile import caught_warnings
+from mjsim.models import shipped_model
+from mjsim.ode import Trajectory
+
+__all__ = ["check_all"]
+
+
+def check_all(model: str | Path | None = None, *, duration: float = 10.0, amplitude: float = 1.0) -> Iterator[Row | Report]:
+    """Run every case; yields each row as it is done and last the report.
+
+    ``model``: a file, or the shipped robot axis when None. ``duration`` [s] and ``amplitude`` [N m | N] are those of the chirp,
+    0.5 to 30 Hz. The study's cases and the laws run on the robot axis only.
+    """
+    path = shipped_model("robot_axis1") if model is None else Path(model)
+    axis = load_axis(path)
+    u = chirp(duration, DT, amplitude, 0.5, 30.0)
+    robot = axis == load_axis(shipped_model("robot_axis1"))
+    cases = study_cases(axis) if robot else [Case("the model as it is", axis, 1e-4, literal=None)]
+    more, skipped = effect_cases(axis, u)
+    cases += more
+    rows = []
+    # in the batch, together; then each alone
+    factors = sorted({c.drive for c in cases})
+    together = rollout([c.axis for c in cases], [Drive(f * u, DT) for f in factors], engine=Engine.ACCURATE)
+
+    def one(at: int) -> Row:
+        batched = together[at][factors.index(cases[at].drive)]
+        if not isinstance(batched, Trajectory):
+            raise batched
+        return compare(cases[at], path, cases[at].drive * u, DT, batched)
+
+    with caught_warnings(), ThreadPoolExecutor(os.cpu_count()) as pool:
+        for row in pool.map(one, range(len(cases))):
+            rows.append(row)
+            yield row
+    if robot:
+        for row in (scaling_row(axis, path, u, DT), *energy_rows(axis, path)):
+            rows.append(row)
+            yield row
+    yield Report(tuple(rows), tuple(skipped))
