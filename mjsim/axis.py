@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from mjsim.chain import Body, Chain, Coupling, LinearParameter
 from mjsim.effects.base import Effect
 from mjsim.effects.ports import BacklashLaw
+from mjsim.site import Site
 
 __all__ = ["Axis", "Body", "Chain", "Coupling", "LinearParameter"]
 
@@ -40,6 +41,10 @@ class Axis:
     def kept_beside(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
         """Its effects that none of some others refines at its place: one that refines an effect takes its place."""
         return tuple(e for e in self.effects if not any(e.place == f.place and e.id in type(f).refines for f in effects))
+
+    def at(self, site: Site) -> tuple[Effect, ...]:
+        """Its effects at a site of the chain."""
+        return tuple(e for e in self.effects if e.site(self.chain) == site)
 
     def without(self, key: str) -> Axis:
         """The axis without the effect of this key (``id@place``)."""

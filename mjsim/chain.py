@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from mjsim.quantity import Motion, Quantity
+from mjsim.site import Side, Site
 
 __all__ = ["Body", "Chain", "Coupling", "LinearParameter"]
 
@@ -89,6 +90,32 @@ class Chain:
             return self.couplings[j].joint
         i = self.body(place)
         return self.bodies[i if i is not None else 0].joint
+
+    def sites(self) -> tuple[Site, ...]:
+        """Every site of the chain: its bodies from the motor on, its couplings, its actuator and its sensor."""
+        bodies = (Site(b.joint, Side.LINK if i else Side.MOTOR) for i, b in enumerate(self.bodies))
+        couplings = (Site(c.joint, Side.COUPLING) for c in self.couplings)
+        driven = self.bodies[0].joint
+        return (*bodies, *couplings, Site(driven, Side.ACTUATOR), Site(driven, Side.SENSOR))
+
+    def site(self, place: str, *, coupling: bool = False) -> Site | None:
+        """Site of a place, of its coupling or of its body; None when this chain has no such place."""
+        if place in ("actuator", "sensor"):
+            return Site(self.bodies[0].joint, Side(place))
+        if coupling:
+            j = self.coupling(place)
+            return None if j is None else Site(self.couplings[j].joint, Side.COUPLING)
+        i = self.body(place)
+        return None if i is None else Site(self.bodies[i].joint, Side.LINK if i else Side.MOTOR)
+
+    def place(self, site: Site) -> str:
+        """Place string of a site. Raises KeyError, naming the sites that there are, when it is none of this chain."""
+        if site not in self.sites():
+            raise KeyError(f"no site {str(site)!r}; choose from {', '.join(map(str, self.sites()))}")
+        if site.side in (Side.ACTUATOR, Side.SENSOR):
+            return site.side.value
+        parts: tuple[Body, ...] | tuple[Coupling, ...] = self.couplings if site.side is Side.COUPLING else self.bodies
+        return next(part.place for part in parts if part.joint == site.joint)
 
     def total_ratio(self, body: int) -> float:
         """Angle of a body per angle of body 0 when nothing deflects."""

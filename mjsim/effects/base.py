@@ -18,6 +18,7 @@ from mjsim.chain import Chain
 from mjsim.effects.native import Native, Value
 from mjsim.effects.ports import CouplingTorque, Gap, Port, Twist
 from mjsim.quantity import Motion, Quantity
+from mjsim.site import Site
 
 __all__ = [
     "Effect",
@@ -258,6 +259,13 @@ class Effect(abc.ABC):
     def on_coupling(self, chain: Chain) -> bool:
         """Whether it acts in a coupling of this chain, and not on a body or a signal."""
         return any(isinstance(port, CouplingTorque | Gap | Twist) for port in self.ports(chain))
+
+    def site(self, chain: Chain) -> Site:
+        """Where it acts on this chain. Raises NotApplicableError when the chain has no such place."""
+        found = chain.site(self.place, coupling=self.on_coupling(chain))
+        if found is None:
+            raise NotApplicableError(f"this chain of {len(chain.bodies)} bodies has no {self.place!r}")
+        return found
 
     def with_load(self, factor: float) -> Self:
         """The effect when the load on the last body, its inertia and its mass, is ``factor`` times what it was."""
