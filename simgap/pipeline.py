@@ -21,7 +21,7 @@ from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
 from mjsim.axis import Axis
 from mjsim.errors import InputError
-from mjsim.mjcf import load_axis, write_corrected
+from mjsim.mjcf import check_writable, load_axis, write_corrected
 from mjsim.ode import load_kernel
 from mjsim.recording import Recording, load
 from simgap.following import following
@@ -82,6 +82,7 @@ def diagnose_files(
             return diagnose_files(recordings, model, out, held_out, options, progress=progress, truth=truth, draw=drawers)
     _need_folder(out)
     nominal = load_axis(model)
+    check_writable(model, nominal)
     for name in options.effects:
         _need_place(name, nominal, model)
     loaded = [load(p, model=model) for p in recordings]

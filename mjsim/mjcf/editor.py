@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -46,7 +47,7 @@ class MjcfEditor:
     def __init__(self, path: Path, found: Found) -> None:
         self.path = path
         self.found = found
-        self.xml = XmlText(path.read_text(encoding="utf-8"))
+        self.xml = _parsed(path)
         self.added: list[tuple[str, str]] = []
         self.ignored: list[str] = []
         self.undo: list[tuple[str, str, str, str | None]] = []
@@ -216,6 +217,15 @@ class MjcfEditor:
                 assert compiler is not None
                 if key == "assetdir" or key in compiler.attributes:
                     self.xml.set(compiler, key, str(relative / compiler.attributes.get(key, ".")))
+
+
+def _parsed(path: Path) -> XmlText:
+    try:
+        return XmlText.read(path.read_bytes())
+    except expat.ExpatError as error:
+        raise InputError(
+            path, f"not well-formed XML ({error})", "XML whose special characters are escaped", "write & as &amp;, < as &lt;"
+        ) from None
 
 
 def _same(a: str, b: str) -> bool:

@@ -11,7 +11,6 @@ import numpy as np
 
 from mjsim.effects import native as N  # noqa: N812
 from mjsim.effects.ports import BacklashLaw
-from mjsim.errors import InputError
 from mjsim.mjcf.editor import MjcfEditor, element, number, row
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors
@@ -19,7 +18,7 @@ from mjsim.quantity import Motion
 
 __all__ = ["NativeWriter"]
 
-# largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf-native.md)
+# largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf.md)
 FRICTION_STEP = 1e-4
 SLACK_STEP = 5e-5
 DELAY_STEP = 1e-4
@@ -180,7 +179,8 @@ class NativeWriter:
         """The range of a slack joint where the coupling has one, else a dead band in place of its spring."""
         editor, slack = self.editor, self._slack_joint(value.coupling)
         if slack is None:
-            self._dead_band(value.coupling, value.width)
+            if not self._dead_band(value.coupling, value.width):
+                return "no one element carries its spring"
         else:
             editor.step(SLACK_STEP)
             half = math.degrees(0.5 * value.width) if editor.degrees() else 0.5 * value.width
@@ -216,22 +216,21 @@ class NativeWriter:
                 return str(model.joint(j).name)
         return None
 
-    def _dead_band(self, coupling: int, width: float) -> None:
+    def _dead_band(self, coupling: int, width: float) -> bool:
         editor = self.editor
         parts = [p for p in editor.found.on_coupling[coupling] if p.element.stiffness[0]]
         if len(parts) != 1:
-            raise InputError(
-                editor.path, f"{editor.chain.couplings[coupling].joint!r} has {len(parts)} springs", "one", "merge them"
-            )
+            return False
         spring, half = parts[0].element, 0.5 * width * abs(parts[0].scale)
         if spring.kind == "tendon":
             rest = 0.5 * float(np.sum(editor.model.tendon_lengthspring[spring.id]))
             editor.set("tendon", spring.name, springlength=row([rest - half, rest + half]))
-            return
+            return True
         stiffness = editor.node("joint", spring.name).attributes.get("stiffness") or number(spring.stiffness[0])
         editor.set("joint", spring.name, stiffness="0")
         name = editor.fresh("tendon", f"{spring.name}_spring")
         editor.tendon(name, spring.row, chain=True, stiffness=stiffness, springlength=row([-half, half]))
+        return True
 
     def _cubic_spring(self, value: N.CubicSpring) -> str:
         """The third coefficient of the spring's stiffness."""

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import tempfile
 import textwrap
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mjsim.axis import Axis
+from mjsim.effects import Effect, NotApplicableError, registered
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
 from mjsim.mjcf.compile import compile_file
@@ -22,7 +25,7 @@ from mjsim.mjcf.native_read import read_native
 from mjsim.mjcf.native_write import NativeWriter
 from mjsim.mjcf.xmltext import XmlText
 
-__all__ = ["Written", "write_corrected"]
+__all__ = ["Written", "check_writable", "write_corrected"]
 
 
 @dataclass(frozen=True)
@@ -64,8 +67,49 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
         lines = _head(editor, axis, [line for _, line in lacks], comment)
         editor.xml.append(editor.xml.root, ["<custom>", *(f"  {x}" for x in lines), *(f"  {x}" for x in custom.element(carried)),
                                             "</custom>"])  # fmt: skip
-        _save(editor.xml.text, out)
+        _save(editor.xml, out)
     return Written(out, tuple(line for _, line in lacks))
+
+
+def check_writable(model_path: str | Path, axis: Axis | None = None) -> None:
+    """Dry run of `write_corrected`: whether every number of a model can be written back into its file.
+
+    Every linear parameter and every effect that the file has is changed by a hundredth, written to a temporary folder and read
+    back; every registered effect that the chain has a place for is written once. ``axis``: the model's, loaded when None. Raises
+    InputError, which says what cannot be written and why.
+    """
+    path = Path(model_path)
+    axis = load_model(path).axis if axis is None else axis
+    linear = {p.name: 1.01 * p.value for p in axis.chain.linear_parameters() if p.value}
+    effects = tuple(e.with_values({n: 0.99 * e.values[n] for n in type(e).amplitudes}) for e in axis.effects)
+    changed = dataclasses.replace(axis.with_linear(linear), effects=effects)
+    with tempfile.TemporaryDirectory() as work:
+        out = Path(work) / path.name
+        write_corrected(path, changed, out)
+        found = {p.name: p.value for p in load_model(out).axis.chain.linear_parameters()}
+        for name, value in linear.items():
+            if not np.isclose(found.get(name, np.nan), value, rtol=1e-6):
+                raise InputError(path, f"{name} is not read where it is written", "one element for each number", "name them")
+        source = load_model(path, actuator=axis.chain.actuator)
+        if source.carried is not None:
+            source = _restored(source, Path(work) / "nominal.xml")
+        for effect in _one_of_each(axis):
+            editor = MjcfEditor(source.path, source.found)
+            writer = NativeWriter(editor, LinearWriter(editor, axis.chain), axis.backlash_law, read_native(source.found, path))
+            for part in effect.native(axis.chain).values:
+                writer.write(part)
+            writer.close()
+
+
+def _one_of_each(axis: Axis) -> Iterator[Effect]:
+    """Every registered effect at every place that the chain has."""
+    for cls in registered().values():
+        anything = {s.name: min(max(1.0, s.lower), s.upper) for s in cls.specs()}
+        for place in cls.places:
+            effect = cls(place=place, **anything)
+            with contextlib.suppress(NotApplicableError):
+                effect.ports(axis.chain)
+                yield effect
 
 
 def _write_axis(editor: MjcfEditor, source: Model, axis: Axis) -> tuple[tuple[str, str], ...]:
@@ -108,7 +152,7 @@ def _restored(source: Model, at: Path) -> Model:
     editor.undo_all(list(source.carried.undo), list(source.carried.added))
     drop(editor.xml)
     editor.relocate(at)
-    at.write_text(editor.xml.text, encoding="utf-8")
+    at.write_bytes(editor.xml.raw)
     bound = dict(source.carried.bound)
     again = load_model(at, bound=bound)
     return Model(at, again.found, again.axis, source.carried)
@@ -138,12 +182,12 @@ def _head(editor: MjcfEditor, axis: Axis, lacks: list[str], comment: str) -> lis
     return ["<!--", *(f"  {line}" for line in lines), "-->"]
 
 
-def _save(text: str, out: Path) -> None:
+def _save(xml: XmlText, out: Path) -> None:
     """Write beside the final name, let MuJoCo load it, then move it there."""
     part = out.with_name(f".{out.name}.part.xml")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
+        part.write_bytes(xml.raw)
         compile_file(part)
         os.replace(part, out)
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -38,9 +39,29 @@ class Node:
 class XmlText:
     """A well-formed XML text and its elements, parsed anew after each edit."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, encoding: str = "utf-8") -> None:
         self.data = text.encode()
+        self.encoding = encoding
         self.root = self._parse()
+
+    @classmethod
+    def read(cls, raw: bytes) -> XmlText:
+        """The text of a file: UTF-8, else the encoding that it declares, else Latin-1. Raises ExpatError."""
+        declared = re.match(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.-]+)["']""", raw)
+        names = ["utf-8-sig" if raw.startswith(codecs.BOM_UTF8) else "utf-8", "latin-1"]
+        if declared:
+            names.insert(1, declared[1].decode())
+        for name in names:
+            try:
+                return cls(raw.decode(name), name)
+            except (UnicodeDecodeError, LookupError):
+                continue
+        raise AssertionError("Latin-1 decodes any bytes")
+
+    @property
+    def raw(self) -> bytes:
+        """The file as it stands, in the encoding that it came in; what that lacks is written as character references."""
+        return self.text.encode(self.encoding, "xmlcharrefreplace")
 
     @property
     def text(self) -> str:
@@ -48,7 +69,7 @@ class XmlText:
         return self.data.decode()
 
     def _parse(self) -> Node:
-        parser = expat.ParserCreate()
+        parser = expat.ParserCreate("utf-8")
         stack: list[Node] = []
         roots: list[Node] = []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import pytest
@@ -14,7 +15,7 @@ from mjcf_chains import Spec, chain_xml
 from mjsim.axis import Axis
 from mjsim.effects import BacklashLaw, NotApplicableError, effect_class, registered
 from mjsim.errors import InputError
-from mjsim.mjcf import load_axis, load_model, write_corrected
+from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.mjcf.xmltext import XmlText
 from mjsim.models import shipped_model
 
@@ -257,3 +258,80 @@ def test_edits_touch_nothing_else():
     assert "</long>" in xml.text
     xml.remove(xml.find(lambda n: n.tag == "long"))
     assert "long" not in xml.text
+
+
+# ---- what can be written ----------------------------------------------------------------------------------------------
+
+BOB = (
+    '<body name="b"><joint name="j" axis="0 0 1" damping="0.1"/>'
+    '<inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body>'
+)
+
+
+def own_file(folder: Path, body: str = BOB, *, head: bytes = b"", motor: str = '<motor name="u" joint="j"/>') -> Path:
+    text = f"<mujoco><option gravity='0 0 0'/><worldbody>{body}</worldbody><actuator>{motor}</actuator></mujoco>"
+    (folder / "own.xml").write_bytes(head + text.encode())
+    return folder / "own.xml"
+
+
+@pytest.mark.parametrize("name", ["robot_axis1", "emps", "kuka_kr300_axis1"])
+def test_shipped_models_are_writable(name):
+    check_writable(shipped_model(name))
+
+
+def test_a_corrected_file_is_writable(tmp_path, nominal):
+    write_corrected(nominal, load_axis(nominal) + make("coulomb_friction", "motor"), tmp_path / "corrected.xml")
+    check_writable(tmp_path / "corrected.xml")
+
+
+@pytest.mark.parametrize("name", ["gear & box", 'a "quoted" <joint>', "d'Alembert -- 1", "Gelenk ä"])
+@pytest.mark.parametrize("effect", [("coulomb_friction", "motor"), ("torque_ripple", "motor"), ("presliding_friction", "motor")])
+def test_any_name_is_written_as_it_is(tmp_path, name, effect):
+    text = quoteattr(name)
+    own = own_file(tmp_path, BOB.replace('name="j"', f"name={text}"), motor=f'<motor name="u" joint={text}/>')
+    check_writable(own)
+    axis = load_axis(own) + make(*effect)
+    write_corrected(own, axis, tmp_path / "corrected.xml")
+    assert load_axis(tmp_path / "corrected.xml") == axis
+    assert load_axis(tmp_path / "corrected.xml").chain.bodies[0].joint == name
+
+
+@pytest.mark.parametrize("head", ["<!-- Trägheit -->", '<?xml version="1.0" encoding="ISO-8859-1"?><!-- Trägheit -->'])
+def test_a_latin_1_comment_stays(tmp_path, head):
+    own = own_file(tmp_path, head=head.encode("latin-1"))
+    check_writable(own)
+    axis = load_axis(own).with_linear({"fm": 0.2})
+    write_corrected(own, axis, tmp_path / "corrected.xml")
+    assert load_axis(tmp_path / "corrected.xml") == axis
+    assert "Trägheit".encode("latin-1") in (tmp_path / "corrected.xml").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (BOB.replace(' name="b"', ""), "a inertial has no name|body has no name"),
+        (BOB.replace('<joint name="j"', "<!-- a & b --><joint name='j'").replace("0.1 0 0", "0.1 0 0&#x20;"), ""),
+    ],
+)
+def test_what_cannot_be_written_is_refused_in_one_line(tmp_path, body, said):
+    own = own_file(tmp_path, body)
+    if not said:
+        check_writable(own)
+        return
+    with pytest.raises(InputError, match=said) as caught:
+        check_writable(own)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_body_in_an_included_file_is_refused(tmp_path):
+    (tmp_path / "part.xml").write_text(f"<mujoco><worldbody>{BOB}</worldbody></mujoco>")
+    own = own_file(tmp_path, "")
+    own.write_text(own.read_text().replace("<worldbody></worldbody>", '<include file="part.xml"/>'))
+    with pytest.raises(InputError, match=r"is not in this file under that name.*merge included files"):
+        check_writable(own)
+
+
+def test_a_bare_ampersand_is_refused(tmp_path):
+    own = own_file(tmp_path, BOB.replace('name="b"', 'name="b & c"'))
+    with pytest.raises(InputError, match=r"well-formed|does not load"):
+        check_writable(own)
