@@ -153,6 +153,7 @@ def test_the_sealed_plant_shares_no_physics_with_what_it_tests():
         "mjsim.kernel",
         "mjsim.system",
         "mjsim.reference",
+        "mjsim.affine",
         "mjsim.batch",
         "mjsim.accurate",
         "diagnose",
