@@ -46,17 +46,7 @@ class Found:
 def find_chain(layout: Layout, source: object, sensors: tuple[str, str]) -> Found:
     """Recognise the chain; raises InputError that says what is outside the class."""
     base = layout.base
-    groups: list[list[tuple[Mass, np.ndarray]]] = []
-    for mass in layout.masses:
-        row = mass.row @ base
-        if np.linalg.norm(row) < _TOL * np.linalg.norm(mass.row):
-            continue
-        for group in groups:
-            if parallel(group[0][1], row):
-                group.append((mass, row))
-                break
-        else:
-            groups.append([(mass, row)])
+    groups = _groups(layout)
     loose = [g for g in groups if not any(m.kind == "body" for m, _ in g)]
     if loose:
         raise outside(
@@ -124,6 +114,23 @@ def find_chain(layout: Layout, source: object, sensors: tuple[str, str]) -> Foun
     gain = _clean(layout.drive.gain * _ratio(layout.drive.row @ base, rows[0] @ base))
     chain = Chain(bodies, couplings, motion_of(layout.model, joints[0]), gain, layout.drive.name, *sensors)
     return Found(layout, chain, rows, masses, tuple(map(tuple, on_body)), tuple(map(tuple, on_coupling)), gaps)
+
+
+def _groups(layout: Layout) -> list[list[tuple[Mass, np.ndarray]]]:
+    """Inertias that move together, each with its row over the motions that the ties leave; without those that cannot move."""
+    base = layout.base
+    groups: list[list[tuple[Mass, np.ndarray]]] = []
+    for mass in layout.masses:
+        row = mass.row @ base
+        if np.linalg.norm(row) < _TOL * np.linalg.norm(mass.row):
+            continue
+        for group in groups:
+            if parallel(group[0][1], row):
+                group.append((mass, row))
+                break
+        else:
+            groups.append([(mass, row)])
+    return groups
 
 
 def _clean(value: float) -> float:
