@@ -2,7 +2,21 @@
 
 from __future__ import annotations
 
-__all__ = ["CheckError", "InputError"]
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["CheckError", "InputError", "nearest"]
+
+
+def nearest(name: str, choices: Iterable[str], advice: str = "name one of them") -> str:
+    """Advice for an unknown name: ``did you mean 'x'?`` where one choice begins with it or resembles it, else ``advice``.
+
+    Resemblance is difflib's ratio of matching characters, at least 0.6 (its default).
+    """
+    known = list(choices)
+    begun = [c for c in known if name and c.startswith(name)]
+    close = begun if len(begun) == 1 else difflib.get_close_matches(name, known, 1)
+    return f"did you mean {close[0]!r}?" if close else advice
 
 
 class InputError(ValueError):

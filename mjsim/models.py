@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 
-__all__ = ["models_directory", "shipped_model", "shipped_models"]
+__all__ = ["model_path", "models_directory", "shipped_model", "shipped_models"]
 
 
 def models_directory() -> Path:
@@ -28,5 +28,30 @@ def shipped_model(name: str) -> Path:
     """Path of a shipped model by name (``robot_axis1``); its binding stands beside it. Raises InputError naming the choices."""
     path = models_directory() / f"{name.removesuffix('.xml')}.xml"
     if not path.is_file():
-        raise InputError(f"model {name!r}", "no such shipped model", f"one of: {', '.join(shipped_models())}", "name one of them")
+        known = shipped_models()
+        raise InputError(f"model {name!r}", "no such shipped model", f"one of: {', '.join(known)}", nearest(name, known))
     return path
+
+
+def model_path(source: str | Path) -> Path:
+    """Path of a model given as a file or as a shipped name.
+
+    A name without a folder and without an ending that is no file here (``emps``) is looked up among the shipped models, as is a
+    shipped file by its path in the repository (``models/emps.xml``). A path that ends in .xml is returned as it is: who reads it
+    says when it is missing. Raises InputError naming the choices.
+    """
+    path = Path(source)
+    if path.exists():
+        return path
+    shipped = models_directory() / path.name
+    if path.parent == Path("models") and shipped.is_file():
+        return shipped
+    if path.suffix or path.name != str(source):
+        return path
+    known = shipped_models()
+    if path.name in known:
+        return shipped_model(path.name)
+    raise InputError(
+        f"model {str(source)!r}", "no such file and no shipped model", f"an MJCF file (.xml) or one of: {', '.join(known)}",
+        nearest(path.name, known),
+    )  # fmt: skip

@@ -34,7 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from mjsim import excitation as ex
 from mjsim.axis import Axis
 from mjsim.effects import BacklashLaw, Effect, effect_class, registered
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.models import shipped_model
 from mjsim.ode import Trajectory
 from mjsim.quantity import Motion
@@ -202,13 +202,14 @@ def make_effect(given: Mapping[str, Any], where: str) -> Effect:
     """An effect from its table ``{id, place, parameters}``. Raises InputError listing what there is to choose from."""
     name = str(given.get("id", ""))
     if name not in registered():
-        raise InputError(f"{where}: [[effects]] id", repr(name), f"one of {', '.join(registered())}", "name one of them")
+        raise InputError(f"{where}: [[effects]] id", repr(name), f"one of {', '.join(registered())}", nearest(name, registered()))
     cls = effect_class(name)
     known = {spec.name for spec in cls.specs()}
     unknown = set(given) - known - {"id", "place"}
     if unknown:
         raise InputError(
-            f"{where}: effect {name!r}", f"unknown key {sorted(unknown)[0]!r}", f"{', '.join(sorted(known))}, place", "rename it"
+            f"{where}: effect {name!r}", f"unknown key {sorted(unknown)[0]!r}", f"{', '.join(sorted(known))}, place",
+            nearest(min(unknown), known, "rename it"),
         )
     try:
         return cls(**{k: v for k, v in given.items() if k != "id"})
@@ -233,7 +234,7 @@ def load_scenario(source: str | Path, **overrides: Any) -> Scenario:
         if not path.is_file() or os.sep in str(source):
             raise InputError(
                 f"scenario {str(source)!r}", "no such file and no shipped scenario", f"a .toml file or one of: "
-                f"{', '.join(shipped_scenarios())}", "name one of them",
+                f"{', '.join(shipped_scenarios())}", nearest(Path(source).name, shipped_scenarios()),
             )  # fmt: skip
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))

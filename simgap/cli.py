@@ -3,34 +3,47 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import importlib
+import os
+import select
 import sys
+from collections.abc import MutableMapping
+from typing import TYPE_CHECKING
 
 import click
 
 from simgap import __version__
 
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
 __all__ = ["main"]
+
+CLOSED = 141  # exit code when nobody reads standard output any more: that of a program ended by SIGPIPE, 128 + 13
 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
 COMMANDS: dict[str, str] = {
-    "demo": "Conceal an effect, diagnose it from the recordings alone, open the envelope.",
+    "demo": "Diagnose a simulated axis with a hidden effect and compare with the truth.",
     "diagnose": "Locate, name, model and prove the mismatch between recordings and a model.",
-    "run": "Run a scenario, shipped or your own, and write its log.",
-    "render": "Render the motion of a scenario or a model without a display.",
-    "crosscheck": "Hold MuJoCo against the analytic equations, effect by effect.",
-    "replay": "Run a model, found physics included, free on a recorded input.",
+    "gate": "Fail when a model predicts recordings worse than a baseline diagnosis.",
+    "run": "Simulate a scenario, shipped or your own, and write its log.",
+    "render": "Film a model or a scenario without a display.",
+    "crosscheck": "Compare MuJoCo with the analytic equations, effect by effect.",
+    "replay": "Simulate a model, with the physics found in it, on a recorded input.",
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
-    "data": "Locate or fetch a public real recording, proven by its hash.",
-    "benchmark": "Conceal effects in many recordings, diagnose them, open the envelope, score.",
-    "proof": "Diagnose real machines, beside their published values, and write the pages of the proof.",
-    "study": "Draw the report's figures and give each of its claims a verdict.",
+    "effects": "List the effects that a diagnosis can name, or describe one.",
+    "data": "Find or download a public recording and verify its hash.",
+    "benchmark": "Diagnose many simulated recordings with hidden effects and score the answers.",
+    "proof": "Diagnose recordings of real machines and compare with published values.",
+    "study": "Reproduce a published study's figures and judge each of its claims.",
+    "doctor": "Report versions, rendering, cores, caches and compiled code.",
 }
 
 
-# Objects until the collector looks through the young ones, and its rounds until the older ones are looked at. What a command
-# imports, and numba's tables of types, are 200 000 objects that stay: by Python's own 700 they were gone through 300 times.
+# Thresholds of the garbage collector. A command imports about 200 000 objects that stay (numba's type tables); with Python's
+# own threshold of 700 they are scanned 300 times.
 COLLECT = (50_000, 20, 50)
 
 
@@ -54,40 +67,99 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does; an unknown name is told with the nearest known one."""
+        name = args[0] if args else ""
+        if name not in COMMANDS and not name.startswith("-"):
+            from mjsim.errors import nearest
+
+            ctx.fail(f"no command {name!r}; {nearest(name, COMMANDS, 'simgap --help lists the commands')}")
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names of commands from `COMMANDS`, so that completing one imports none; options as click has them."""
+        from click.shell_completion import CompletionItem
+
+        if incomplete.startswith("-"):
+            return super().shell_complete(ctx, incomplete)
+        return [CompletionItem(name, help=about) for name, about in COMMANDS.items() if name.startswith(incomplete)]
+
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="simgap")
 def cli() -> None:
     """Find the physics that a robot simulation left out.
 
-    Example: simgap diagnose log.csv --model models/robot_axis1.xml --held-out other.csv --out report/
+    Example: simgap diagnose log.csv --model robot_axis1 --held-out other.csv --out report/
+
+    A MODEL is an MJCF file or the name of a shipped model (simgap doctor lists them). Shell completion, for bash:
+    eval "$(_SIMGAP_COMPLETE=bash_source simgap)"; for zsh and fish: zsh_source, fish_source.
     """
 
 
 def main() -> None:
     """Run the command line; bad input is one line on standard error and exit 2, no traceback."""
-    from mjsim.errors import CheckError, InputError
-
     gc.set_threshold(*COLLECT)
-    atexit.register(gc.freeze)  # else the interpreter goes through every object once more as it ends: half a second
+    atexit.register(gc.freeze)  # without it the interpreter scans every object once more as it ends, which takes half a second
+    defer_rendering(os.environ)
+    code = _outcome()
+    with contextlib.suppress(OSError):
+        if code == CLOSED:  # what is still buffered would raise once more as the interpreter ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
+
+
+def defer_rendering(environ: MutableMapping[str, str]) -> None:
+    """Keep MuJoCo from loading the OpenGL library that MUJOCO_GL names until something is drawn.
+
+    ``import mujoco`` fails when that library is missing, and most commands draw nothing. The choice is kept in
+    `mjsim.render.context.CHOICE` (SIMGAP_GL), where the renderer reads it, as do processes started from here.
+    """
+    wanted = environ.get("MUJOCO_GL")
+    if wanted is not None and wanted.lower() != "disable":
+        environ["SIMGAP_GL"] = wanted
+        environ["MUJOCO_GL"] = "disable"
+
+
+def _outcome() -> int:
+    """Run the command and tell what stopped it; the exit code."""
+    from mjsim.errors import CheckError, InputError
+    from simgap.terminal import file_error, one_line
+
     try:
         code = cli.main(standalone_mode=False)
-    except click.exceptions.Abort:
-        click.echo("simgap: interrupted", err=True)
-        sys.exit(130)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _tell("interrupted", 130)
     except click.ClickException as error:
+        error.message = one_line(error.message)
         error.show()
-        sys.exit(error.exit_code)
+        return error.exit_code
     except InputError as error:
-        click.echo(f"simgap: {error}", err=True)
-        sys.exit(2)
+        return _tell(one_line(str(error)), 2)
     except CheckError as error:
-        click.echo(f"simgap: {error}", err=True)
-        sys.exit(1)
-    except KeyboardInterrupt:
-        click.echo("simgap: interrupted", err=True)
-        sys.exit(130)
-    sys.exit(code if isinstance(code, int) else 0)
+        return _tell(one_line(str(error)), 1)
+    except BrokenPipeError as error:
+        return CLOSED if _nobody_reads() else _tell(one_line(file_error(error)), 2)
+    except OSError as error:
+        return _tell(one_line(file_error(error)), 2)
+
+
+def _tell(line: str, code: int) -> int:
+    with contextlib.suppress(OSError):
+        click.echo(f"simgap: {line}", err=True)
+    return code
+
+
+def _nobody_reads() -> bool:
+    """Whether the reading end of standard output is closed, as after ``| head``."""
+    try:
+        poll = select.poll()
+        poll.register(sys.stdout.fileno(), select.POLLOUT)
+        return any(event & select.POLLERR for _, event in poll.poll(0))
+    except (OSError, ValueError, AttributeError):  # no descriptor, or no poll on this system
+        return True
 
 
 if __name__ == "__main__":

@@ -369,7 +369,7 @@ def make_case(level: str, rng: np.random.Generator, first: str | None = None) ->
     if level not in LEVELS:
         raise InputError("level", f"{level!r} is not known", f"one of {', '.join(LEVELS)}")
     if first is not None and first not in effects_of(level):
-        raise InputError(f"level {level}", f"{first!r} cannot be concealed", f"one of {', '.join(effects_of(level))}")
+        raise InputError(f"level {level}", f"{first!r} cannot be hidden", f"one of {', '.join(effects_of(level))}")
     for _ in range(20):
         found = LEVELS[level](rng, first)
         estimation = record(found.laws, found.experiment, found.measurement, rng)

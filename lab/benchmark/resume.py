@@ -43,9 +43,9 @@ class Shelf:
         """All results by name, in the order of the jobs; those that stand in the folder are not computed again."""
         kept, other = self._kept(jobs)
         if kept:
-            click.echo(f"{len(kept)} of {len(jobs)} cases were {self.done} before", err=True)
+            click.echo(f"{len(kept)} of {len(jobs)} cases were {self.done} in an earlier run", err=True)
         if other:
-            click.echo(f"{other} results are of other code or another budget and are computed again", err=True)
+            click.echo(f"{other} results of other code or another budget are computed again", err=True)
         left = [j for j in jobs if j.name not in kept]
         with _bar(self.what, len(jobs), len(kept)) as tick:
             for name, result in _each(left, processes):

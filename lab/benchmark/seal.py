@@ -60,10 +60,10 @@ def open_envelope(recordings: Path, truth: Path) -> dict[str, dict]:
     """The truth of every case, after its hash and those of the recordings agree with the manifest."""
     manifest = json.loads((recordings / "manifest.json").read_text())
     if envelope_hash(truth) != manifest["envelope_sha256"]:
-        raise InputError(truth, "the envelope was changed after it was sealed", manifest["envelope_sha256"])
+        raise InputError(truth, "the file with the truth was changed after it was written", manifest["envelope_sha256"])
     for name, digest in manifest["recordings"].items():
         if _digest((recordings / name).read_bytes()) != digest:
-            raise InputError(recordings / name, "the recording was changed after it was sealed", digest)
+            raise InputError(recordings / name, "the recording was changed after it was written", digest)
     cases: dict[str, dict] = json.loads(truth.read_text())["cases"]
     return cases
 
@@ -101,7 +101,7 @@ def write_cases(
         if level not in LEVELS:
             raise InputError("levels", f"{level!r} is not known", f"one of {', '.join(LEVELS)}")
     if truth.resolve().is_relative_to(out.resolve()):
-        raise InputError(truth, "the envelope lies beside the recordings", "another directory")
+        raise InputError(truth, "the file with the truth is in the folder of the recordings", "another folder")
     out.mkdir(parents=True, exist_ok=True)
     truth.parent.mkdir(parents=True, exist_ok=True)
     drawn = [(level, k) for level, count in counts.items() for k in range(count)]
@@ -114,7 +114,7 @@ def write_cases(
             truths[name] = truth_
             digests.update(files)
             if say:
-                click.echo(f"{number + 1}/{len(drawn)} sealed in {seconds:.1f} s", err=True)
+                click.echo(f"{number + 1}/{len(drawn)} simulated in {seconds:.1f} s", err=True)
     envelope = json.dumps({"generator": VERSION, "seed": seed, "cases": truths}, indent=1).encode() + b"\n"
     _write(truth, envelope)
     digest = _digest(envelope)

@@ -89,5 +89,5 @@ def write_page(page: Page, folder: Path, *, figures: bool = True) -> Path:
             write_atomic(folder / f"{page.name}.json", json.dumps(plain(page.figures), indent=1) + "\n")
         write_atomic(folder / f"{page.name}.md", page.text.rstrip() + "\n")
     except OSError as error:
-        raise InputError(folder, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+        raise InputError(folder, f"cannot be written ({error.strerror})", "a writable folder") from None
     return folder / f"{page.name}.md"

@@ -45,7 +45,7 @@ def run_study(
     """Compute what is missing, judge, write figures, claims.json and the ledger's pages into ``out``; ``say`` follows."""
     began = time.perf_counter()
     if out.exists() and not out.is_dir():
-        raise InputError(out, "it is a file", "a folder", "name another --out")
+        raise InputError(out, "it is a file", "a folder", "choose another --out")
     given = recorded_robot(recording) if recording else None
     variants = robustness_map(quick)
     seeds = _SEEDS[:2] if quick else _SEEDS
@@ -61,7 +61,7 @@ def run_study(
         say("simulate, filter, fit", done, len(wanted))
 
     results = compute(wanted, store, jobs, tick)
-    say("what the negative damping may stand for", 0, 0)
+    say("interpretations of the negative damping", 0, 0)
     damping = _damping(store, quick)
     say("figures and pages", 0, 0)
     groups = {v: {p: results[v.cell(p)] for p in PLANTS} for v in variants}
@@ -231,4 +231,4 @@ def _write(study: Study, out: Path) -> None:
     try:
         write_set(contents)
     except OSError as error:
-        raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+        raise InputError(out, f"cannot be written ({error.strerror})", "a writable folder") from None

@@ -73,7 +73,7 @@ def show(study: Study, out: Path) -> None:
         verdict = e.verdict.value + (" (artefact)" if e.artefact else "")
         table.add_row(e.claim.id, e.claim.text, f"[bold]{verdict}[/bold]", *shares)
     console.print(table)
-    console.print("report's, better: share of the variants of each pipeline that meet the criterion.", highlight=False)
+    console.print("Columns report's and better: share of the variants that meet the criterion with each pipeline.", highlight=False)
     console.print(
         f"{study.cells} cells, {study.computed} of them new, {study.seconds:.0f} s. Ledger: {out / 'study.html'}", highlight=False
     )
@@ -89,4 +89,4 @@ def write_docs(study: Study, out: Path, docs: Path) -> None:
         }
         write_set(contents | {docs: page_markdown(study, f"{docs.stem}/")})
     except OSError as error:
-        raise InputError(docs, f"cannot write there ({error.strerror})", "a file that can be written") from None
+        raise InputError(docs, f"cannot be written ({error.strerror})", "a writable file") from None

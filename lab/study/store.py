@@ -57,7 +57,7 @@ class Store:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             where = self.folder.parent
-            raise InputError(where, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+            raise InputError(where, f"cannot be written ({error.strerror})", "a writable folder") from None
 
     def path(self, inputs: Any) -> Path:
         """Where the result of these inputs is kept."""

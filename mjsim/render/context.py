@@ -14,14 +14,15 @@ import numpy as np
 
 from mjsim.errors import InputError
 
-__all__ = ["Offscreen"]
+__all__ = ["CHOICE", "Offscreen", "backend"]
 
+CHOICE = "SIMGAP_GL"  # environment variable: egl or osmesa; the command line moves MUJOCO_GL there
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 
 
 def _open(width: int, height: int) -> Any:
     """The first context that opens, made current. Raises InputError naming the packages to install when none does."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    wanted = (os.environ.get(CHOICE) or os.environ.get("MUJOCO_GL", "")).lower()
     names = [wanted] if wanted in _LIBRARIES else list(_LIBRARIES)
     said = []
     for name in names:
@@ -46,6 +47,19 @@ def _open(width: int, height: int) -> Any:
         "rendering", f"no off-screen OpenGL ({'; '.join(said)})", "EGL or OSMesa",
         "on Debian or Ubuntu: apt-get install libegl1 libgl1 libosmesa6",
     )  # fmt: skip
+
+
+def backend() -> str:
+    """Name of the library that draws, ``egl`` or ``osmesa``, with the renderer that it says it is. Raises InputError."""
+    context = _open(64, 64)
+    try:
+        from OpenGL import GL
+
+        renderer = GL.glGetString(GL.GL_RENDERER)
+        name = type(context).__module__.rsplit(".", 1)[-1]
+        return f"{name} ({renderer.decode(errors='replace')})" if renderer else name
+    finally:
+        context.free()
 
 
 class Offscreen:

@@ -1,4 +1,4 @@
-"""``simgap benchmark``: seal recordings with concealed effects, diagnose them, open the envelope, score."""
+"""``simgap benchmark``: simulate recordings with hidden effects, diagnose them, and score the findings against the truth."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from simgap.arguments import need_folder
 
 if TYPE_CHECKING:
     from lab.benchmark.arms import Arm
@@ -19,49 +21,49 @@ Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, s
 
 
 @click.command("benchmark", epilog="Example: simgap benchmark --out out/benchmark --grade quick --jobs 2")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for recordings, envelope, results and page.")
-@click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="25 or some 660 cases.")
-@click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws every case.")
-@click.option("--jobs", type=click.IntRange(1, 256), help="Processes side by side (default: two, or one on one core).")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for recordings, truth, results and page.")
+@click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="quick: 25 cases. full: about 660.")
+@click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Seed of all cases.")
+@click.option("--jobs", type=click.IntRange(1, 256), help="Number of processes (default: two, or one on one core).")
 @click.option(
     "--threads",
     default=1,
     show_default=True,
     type=click.IntRange(1, 256),
-    help="Threads of one diagnosis; they change no answer.",
+    help="Threads of one diagnosis. The answer does not depend on their number.",
 )
-@click.option("--levels", help="Only these, LEVEL or LEVEL:COUNT with commas, e.g. plain:4,nothing:2.")
+@click.option("--levels", help="Only these levels: LEVEL or LEVEL:COUNT with commas, e.g. plain:4,nothing:2.")
 @click.option(
     "--budget",
     type=click.FloatRange(0),
-    help="Seconds a case may search, 0: no limit (default: 120 for quick, no limit for full).",
+    help="Seconds after which the search of a case starts no further fit, 0: no limit (default: 120 for quick, none for full).",
 )
 @click.option(
     "--first",
     type=click.IntRange(1),
-    help="Diagnose and score the first so many cases only; they are shuffled, so that these are a sample of all.",
+    help="Diagnose and score only this many cases, the first ones. The order is random, so they are a sample of all.",
 )
 @click.option(
     "--skip",
     default=0,
     show_default=True,
     type=click.IntRange(0),
-    help="Leave out the first so many cases: those that were looked at while the search was mended.",
+    help="Skip this many cases, the first ones: those that were examined during development.",
 )
 @click.option(
     "--arms",
     "arm_list",
     default="none",
     show_default=True,
-    help="Rivals to run on the same recordings: all, none, or some of refitted, sysid, box_jenkins, sparse, stepwise_bic.",
+    help="Other methods to run on the same recordings: all, none, or some of refitted, sysid, box_jenkins, sparse, stepwise_bic.",
 )
 @click.option(
-    "--arm-cases", default=3, show_default=True, type=click.IntRange(1), help="First so many cases of each level for them."
+    "--arm-cases", default=3, show_default=True, type=click.IntRange(1), help="Cases of each level for the other methods."
 )
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the false-alarm rate there, for diagnoses to print: diagnose/verdict/calibration.json in a checkout.",
+    help="Write the false-alarm rate to this file; diagnoses print that of diagnose/verdict/calibration.json in a checkout.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print benchmark.json on standard output.")
 def command(
@@ -79,15 +81,15 @@ def command(
     calibration: Path | None,
     as_json: bool,
 ) -> None:
-    """Measure how often the diagnosis is right, how small an effect it sees, and how often it cries wolf.
+    """Measure the rate of correct diagnoses, the smallest effect that is detected, and the false-positive rate.
 
-    A generator with its own laws and solver writes recordings; the truth goes into an envelope whose SHA-256 is printed before
-    any diagnosis begins. Each case is diagnosed from its CSV files and the nominal model alone. Then the envelope is
-    opened and the findings are scored. A run that was broken off goes on where it stopped. A case whose budget is spent tries no
-    further structure: on a slow machine a budget can change the answer, so the full grade has none.
+    A simulator with its own laws and solver writes the recordings. The truth is kept in a separate file whose SHA-256 is
+    printed before the first diagnosis. Each case is diagnosed from its CSV files and the nominal model alone. Then the
+    findings are scored against the truth. An interrupted run continues where it stopped. On a slow machine a time budget can
+    change an answer, so the full grade has none.
 
-    Rivals are optional, since `mujoco.sysid` alone takes half a minute a case. They run on the first cases of each level, by
-    number, from the same files as the diagnosis, and are kept in the same way.
+    The other methods are optional: `mujoco.sysid` alone takes half a minute per case. They run on the first cases of each
+    level, from the same files as the diagnosis.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     import json
@@ -101,9 +103,10 @@ def command(
     from lab.benchmark.score_table import summarise
     from lab.benchmark.seal import open_envelope
 
+    need_folder(out)
     counts, arms = parse_levels(levels, grade), parse_arms(arm_list)
     digest = seal(out, counts, seed, jobs or min(2, os.cpu_count() or 1))
-    click.echo(f"Envelope sealed before any diagnosis: SHA-256 {digest}", err=as_json)
+    click.echo(f"Truth written before the first diagnosis: SHA-256 {digest}", err=as_json)
     seconds = BUDGETS[grade] if budget is None else budget or math.inf
     processes = jobs or min(2, os.cpu_count() or 1)
     results = diagnose_all(out, processes, seconds, first=first, skip=skip, threads=threads)
@@ -136,12 +139,12 @@ def command(
 
 
 def _calibration(summary: dict[str, Any]) -> dict[str, Any]:
-    """What a diagnosis prints of its false alarms, and where the figure is from."""
+    """The false-alarm rate that a diagnosis prints, and its source."""
     from mjsim.errors import InputError
 
     rate = next(b for b in summary["bars"] if b["id"] == "false_alarms")
     if not rate["n"]:
-        raise InputError("--levels", "no case with nothing missing", "nothing and parameters_only", "take them in")
+        raise InputError("--levels", "no case without a missing effect", "nothing and parameters_only", "add these levels")
     low, high = rate["interval"]
     return {
         "share": rate["value"], "low": low, "high": high, "alarms": round(rate["value"] * rate["n"]), "recordings": rate["n"],
@@ -162,14 +165,14 @@ def seal(out: Path, counts: dict[str, int], seed: int, jobs: int = 1) -> str:
     try:
         out.mkdir(parents=True, exist_ok=True)
         if plan_file.exists() and json.loads(plan_file.read_text(encoding="utf-8")) != plan:
-            raise InputError(plan_file, "the folder holds another benchmark", f"the plan {plan}", "choose another --out")
+            raise InputError(plan_file, "the folder holds the results of another benchmark", f"the plan {plan}", "choose another --out")
         if manifest.exists() and plan_file.exists():
             return str(json.loads(manifest.read_text(encoding="utf-8"))["envelope_sha256"])
         write_atomic(plan_file, json.dumps(plan, indent=1) + "\n")
-        click.echo(f"Sealing {sum(counts.values())} cases", err=True)
+        click.echo(f"Simulating {sum(counts.values())} cases", err=True)
         return write_cases(out / "recordings", out / "envelope" / "truth.json", counts, seed, jobs=jobs, say=True)
     except OSError as error:
-        raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+        raise InputError(out, f"cannot be written ({error.strerror})", "a writable folder") from None
 
 
 def stamp(*, arms: bool = False) -> str:
@@ -253,9 +256,9 @@ def run_arms(out: Path, arms: Sequence[Arm], names: Sequence[str], results: dict
         about = {"id": arm.id, "what": arm.what, "names": arm.names, "skipped": "", "answers": {}}
         if arm.lacks():
             about["skipped"] = f"{', '.join(arm.lacks())} not installed (pip install 'simgap[bench]')"
-            click.echo(f"Arm {arm.id} skipped: {about['skipped']}", err=True)
+            click.echo(f"Method {arm.id} skipped: {about['skipped']}", err=True)
         else:
-            shelf = Shelf(out / "arms" / arm.id, stamp(arms=True), sealed, f"arm {arm.id}", f"done by {arm.id}")
+            shelf = Shelf(out / "arms" / arm.id, stamp(arms=True), sealed, f"method {arm.id}", f"finished by {arm.id}")
             todo = [Job(n, run_arm, (arm.id, recordings, n, {"fit": results[n].get("fit", {})})) for n in names]
             about["answers"] = shelf.results(todo, jobs)
         ran.append(about)
@@ -287,20 +290,20 @@ def _show(summary: dict[str, Any], out: Path) -> None:
     from lab.benchmark.score_table import SLOW
 
     console = Console()
-    table = Table("bar", "asked", "figure", "95 % interval", "of", "")
+    table = Table("criterion", "required", "result", "95 % interval", "cases", "")
     colours = {"holds": "green", "fails": "red"}
     for b in summary["bars"]:
         limits = " … ".join(percent(x) for x in b["interval"]) if b["share"] and b["interval"] else ""
         colour = colours.get(b["status"], "yellow")
         table.add_row(b["text"], b["asked"], percent(b["value"]), limits, str(b["n"]), f"[{colour}]{b['status']}[/{colour}]")
     console.print(table)
-    table = Table("level", "cases", "verdict right", "verdict and effect right", "how they ended")
+    table = Table("level", "cases", "correct verdict", "correct verdict and effect", "outcomes")
     for level, x in summary["levels"].items():
         ended = ", ".join(f"{k} {v}" for k, v in x["outcomes"].items())
         table.add_row(level, str(x["right"]["n"]), percent(x["verdict"]["share"]), percent(x["right"]["share"]), ended)
     console.print(table)
     if summary["rivals"]:
-        table = Table("on the first cases of each level", "held-out error over noise", "over refit", "false alarms", "seconds")
+        table = Table("method, on the first cases of each level", "held-out error / noise", "/ refit", "false alarms", "seconds")
         for a in summary["rivals"]["arms"]:
             alarms = a["false_alarms"]
             said = f"{alarms['hits']} of {alarms['n']}" if alarms else ""
@@ -312,7 +315,7 @@ def _show(summary: dict[str, Any], out: Path) -> None:
         console.print(f"case {name} could not be diagnosed: {text}", highlight=False)
     took = summary["seconds"]
     console.print(
-        f"Page: {out / 'benchmark.html'}   (a diagnosis took {took['median'] or 0:.0f} s in the median, {took['worst']:.0f} s at "
-        f"most, and more than {SLOW:.0f} s in {took['slow']} of {summary['n']} cases; as many at once as --jobs says)",
+        f"Page: {out / 'benchmark.html'}   (time of a diagnosis: median {took['median'] or 0:.0f} s, maximum {took['worst']:.0f} s, "
+        f"more than {SLOW:.0f} s in {took['slow']} of {summary['n']} cases; --jobs of them run at the same time)",
         highlight=False,
     )

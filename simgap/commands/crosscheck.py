@@ -1,4 +1,4 @@
-"""``simgap crosscheck``: MuJoCo against the analytic equations, effect by effect; exit 1 on a miss."""
+"""``simgap crosscheck``: compare MuJoCo with the analytic equations, effect by effect; exit 1 when a tolerance is missed."""
 
 from __future__ import annotations
 
@@ -8,26 +8,30 @@ from pathlib import Path
 
 import click
 
+from simgap.arguments import ModelFile, need_folder
+
 __all__ = ["command"]
 
 
 @click.command(epilog="Example: simgap crosscheck --out out/crosscheck")
-@click.argument("model", required=False, type=click.Path(path_type=Path))
+@click.argument("model", required=False, type=ModelFile())
 @click.option("--out", type=click.Path(path_type=Path), help="Directory for crosscheck.json and crosscheck.png.")
-@click.option("--duration", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="Length of the chirp [s].")
+@click.option("--duration", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="Duration of the chirp [s].")
 @click.option(
-    "--amplitude", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Its amplitude [N m | N]."
+    "--amplitude", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Amplitude of the chirp [N m | N]."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the result for machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(model: Path | None, out: Path | None, duration: float, amplitude: float, as_json: bool) -> None:
-    """Run every effect through MuJoCo (literal, accurate, batch) and the kernel, against the exact reference.
+    """Simulate every effect with MuJoCo (literal, accurate, batch) and the ODE; compare both with an exact reference.
 
-    MODEL is an MJCF of a single-axis chain; the shipped robot axis when it is not given.
+    MODEL is an MJCF of a single-axis chain or the name of a shipped model; default: robot_axis1.
     """
     from mjsim.crosscheck import Report, check_all, plot, table
     from mjsim.errors import CheckError, InputError
     from mjsim.ode import DivergedError
 
+    if out is not None:
+        need_folder(out)
     report = Report(())
     shown = not as_json and sys.stderr.isatty()
     try:
@@ -54,6 +58,6 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
         for line in table(report.rows):
             click.echo(line)
         for name, why in report.skipped:
-            click.echo(f"left out: {name}: {why}")
+            click.echo(f"not compared: {name}: {why}")
     if report.missed:
-        raise CheckError(f"{len(report.missed)} of the comparisons missed their limit: {'; '.join(report.missed)}")
+        raise CheckError(f"{len(report.missed)} comparisons exceed their tolerance: {'; '.join(report.missed)}")

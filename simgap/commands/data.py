@@ -1,4 +1,4 @@
-"""``simgap data``: find a public real recording on this machine or fetch it, and prove by its hash that it is the one meant."""
+"""``simgap data``: find a public recording of a real machine here, or download it, and verify its SHA-256."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -120,7 +121,7 @@ def fetch(file: PublicFile, data_set: DataSet, folder: Path) -> Path:
 
     by_hand = f"download it by hand from {data_set.source}, then simgap data {data_set.name} --from DIR"
     if file.url is None:
-        raise InputError(file.name, "not on this machine, and it has no address of its own", "a local copy", by_hand)
+        raise InputError(file.name, "not on this machine, and it has no download address", "a local copy", by_hand)
     try:
         with urllib.request.urlopen(file.url, timeout=60) as answer:
             content = answer.read(4 * file.size)
@@ -178,16 +179,16 @@ def files_of(data_set: DataSet, source: Path | None = None, to: Path | None = No
 @click.option(
     "--from", "source", type=click.Path(path_type=Path), help="Folder that holds a local copy (searched with its subfolders)."
 )
-@click.option("--to", type=click.Path(path_type=Path), help="Folder for what is fetched (default: the user's cache).")
+@click.option("--to", type=click.Path(path_type=Path), help="Folder for downloads (default: the user's cache).")
 @click.option("--list", "listing", is_flag=True, help="List the data sets.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result for machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(name: str | None, source: Path | None, to: Path | None, listing: bool, as_json: bool) -> None:
-    """Locate or fetch the recordings of a public data set NAME, each proven by its pinned SHA-256.
+    """Find or download the recordings of the public data set NAME and verify their SHA-256.
 
-    Looked for in --from, else in the folder that the environment variable SIMGAP_DATA names and in the cache; what is not there
-    is downloaded from its public repository.
+    Searches --from, else the folder that the environment variable SIMGAP_DATA names and the cache. Files that are in none of
+    these are downloaded from their public repository.
     """
-    from mjsim.errors import InputError
+    from mjsim.errors import InputError, nearest
     from mjsim.models import shipped_model
 
     if listing:
@@ -199,7 +200,7 @@ def command(name: str | None, source: Path | None, to: Path | None, listing: boo
     if name is None:
         raise click.UsageError("name a data set (simgap data --list shows them)")
     if name not in DATA_SETS:
-        raise InputError(f"data set {name!r}", "not known", f"one of {', '.join(DATA_SETS)}", "name one of them")
+        raise InputError(f"data set {name!r}", "not known", f"one of {', '.join(DATA_SETS)}", nearest(name, DATA_SETS))
     data_set = DATA_SETS[name]
     found = files_of(data_set, source, to)
     model = shipped_model(data_set.model)
@@ -209,7 +210,7 @@ def command(name: str | None, source: Path | None, to: Path | None, listing: boo
         return
     click.echo(data_set.about)
     for file in data_set.files:
-        click.echo(f"  {file.role:11s} {found[file.role]}   SHA-256 as pinned")
+        click.echo(f"  {file.role:11s} {found[file.role]}   SHA-256 verified")
     click.echo(f"  terms: {data_set.terms}")
-    options = f"--held-out {found['held-out']} --model {model} --out out/{name}"
-    click.echo(f"Next: simgap diagnose {found['estimation']} {options}")
+    options = f"--held-out {quote(str(found['held-out']))} --model {data_set.model} --out out/{name}"
+    click.echo(f"Next: simgap diagnose {quote(str(found['estimation']))} {options}")

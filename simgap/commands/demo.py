@@ -1,4 +1,4 @@
-"""``simgap demo``: conceal an effect in the robot axis, diagnose it from the recordings alone, open the envelope."""
+"""``simgap demo``: diagnose a simulated axis with a hidden effect and compare the findings with the truth."""
 
 from __future__ import annotations
 
@@ -6,24 +6,26 @@ from pathlib import Path
 
 import click
 
+from simgap.arguments import need_folder
+
 __all__ = ["command"]
 
 
 @click.command("demo", epilog="Example: simgap demo --seed 7 --out out/demo")
 @click.option(
-    "--out", default=Path("out/demo"), show_default=True, type=click.Path(path_type=Path), help="Folder for everything written."
+    "--out", default=Path("out/demo"), show_default=True, type=click.Path(path_type=Path), help="Folder for the results."
 )
 @click.option(
-    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws the effect, its size, the axis and the noise."
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Seed of the effect, its size, the axis and the noise."
 )
-@click.option("--level", default="plain", show_default=True, help="Kind of case, as in the benchmark.")
+@click.option("--level", default="plain", show_default=True, help="Kind of case, as simgap benchmark names them (plain, pair, nothing, ...).")
 @click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads.")
-@click.option("--json", "as_json", is_flag=True, help="Print truth and finding as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the truth and the diagnosis as JSON.")
 def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
-    """Conceal a random effect in the ABB IRB1400 axis, diagnose it, and print the truth beside the finding.
+    """Simulate the ABB IRB1400 axis with a random hidden effect, diagnose it, and print the truth beside the findings.
 
-    The recordings come from a plant with its own laws and its own solver; the diagnosis is handed the CSV files and
-    the nominal model, nothing else. The truth lies in an envelope whose SHA-256 is printed before the diagnosis begins.
+    The recordings come from a simulator with its own laws and its own solver. The diagnosis gets the CSV files and the
+    nominal model, nothing else. The truth is in a file whose SHA-256 is printed before the diagnosis begins.
     """
     import json
 
@@ -34,11 +36,12 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     from simgap.pipeline import diagnose_files, model_diff
     from simgap.show import show_diagnosis
 
+    need_folder(out)
     recordings, truth_file = out / "recordings", out / "envelope" / "truth.json"
     digest = write_cases(recordings, truth_file, {level: 1}, seed)
     if not as_json:
         click.echo(
-            f"An effect is concealed in {recordings / '001_estimation.csv'}; envelope sealed with SHA-256 {digest[:16]}..."
+            f"{recordings / '001_estimation.csv'} holds a hidden effect; the file with the truth has the SHA-256 {digest[:16]}..."
         )
     model = shipped_model("robot_axis1")
     inputs = [recordings / "001_estimation.csv"], model, out, [recordings / "001_held_out.csv"]
@@ -58,11 +61,11 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
 
 
 def show_truth(truth, findings) -> None:  # type: ignore[no-untyped-def]
-    """Print the opened envelope beside what was found."""
+    """Print the truth beside the findings."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("envelope opened: effect", "parameter", "truth", "found", "95 % interval")
+    table = Table("true effect", "parameter", "truth", "found", "95 % interval")
     found = {f.effect: f for f in findings}
     for effect in truth["effects"] or ["(nothing)"]:
         if effect not in truth["parameters"]:

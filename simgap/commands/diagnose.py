@@ -6,15 +6,17 @@ from pathlib import Path
 
 import click
 
+from simgap.arguments import ModelFile, need_folder, spare_inputs
+
 __all__ = ["command"]
 
 
 @click.command(
     "diagnose",
-    epilog="Example: simgap diagnose log.csv --model models/robot_axis1.xml --held-out other.csv --out report/",
+    epilog="Example: simgap diagnose log.csv --model robot_axis1 --held-out other.csv --out report/",
 )
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Nominal MJCF of the axis.")
+@click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis, or the name of a shipped model.")
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path), help="Folder for diagnosis.json, corrected.xml and report.html."
 )
@@ -22,19 +24,19 @@ __all__ = ["command"]
     "--held-out", "held_out", multiple=True, type=click.Path(path_type=Path), help="Recording kept for validation (repeatable)."
 )
 @click.option(
-    "--judge", type=click.Choice(["motion", "force"]), help="Judge by free-run motion or by force; default: as the binding says."
+    "--judge", type=click.Choice(["motion", "force"]), help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says."
 )
-@click.option("--effects", default="", help="Comma-separated identifiers: consider only these.")
-@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads; the answer does not depend on them.")
-@click.option("--seed", default=0, show_default=True, type=int, help="Seed of whatever is random.")
-@click.option("--budget", default=0.0, type=float, help="Seconds after which no further structure is tried (0: no limit).")
+@click.option("--effects", default="", help="Consider only these effects: identifiers with commas (simgap effects lists them).")
+@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number.")
+@click.option("--seed", default=0, show_default=True, type=int, help="Seed of the random generators.")
+@click.option("--budget", default=0.0, type=float, help="Seconds after which the search starts no further fit (0: no limit).")
 @click.option(
     "--effort",
     default=1.0,
     show_default=True,
     type=click.FloatRange(0.0),
-    help="How many simulations the search may take: 1 is about half a minute for 10 s at 2 kHz on two cores; 0: no limit. "
-    "Unlike --budget it gives the same answer on every machine.",
+    help="Limit of the simulations in the search: 1 takes about half a minute for 10 s at 2 kHz on two cores; 0: no limit. "
+    "Unlike --budget, it gives the same answer on every machine.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
@@ -58,22 +60,26 @@ def command(
 
     from diagnose.report.render_worker import Drawers
 
-    with Drawers(jobs) as draw:  # they load what draws while this process loads the rest
+    need_folder(out)
+    written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html")
+    spare_inputs([out / name for name in written], [*recordings, *held_out, model])
+    with Drawers(jobs) as draw:  # its processes import the plotting library while this one imports the rest
         from diagnose.pipeline import Options
         from mjsim.effects import registered
-        from mjsim.errors import InputError
+        from mjsim.errors import InputError, nearest
         from simgap.pipeline import STATE, diagnose_files
 
         only = tuple(e.strip() for e in effects.split(",") if e.strip())
         for name in only:
             if name not in registered():
-                raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), "correct the name")
+                advice = nearest(name, registered(), "simgap effects lists them")
+                raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), advice)
         options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf)
         try:
             result = diagnose_files(recordings, model, out, held_out, options, progress=not quiet, draw=draw)
         except KeyboardInterrupt:
             kept = out / STATE
-            left = f"what was fitted is in {kept}: give the same command to go on" if kept.exists() else "nothing was written"
+            left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"
             click.echo(f"simgap: interrupted; {left}", err=True)
             raise SystemExit(130) from None
     if as_json:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from mjsim.errors import InputError
+from simgap.arguments import ModelFile, need_folder, spare_inputs
+from simgap.terminal import printable
 
 if TYPE_CHECKING:
     from ident.data import IOData
@@ -64,8 +66,8 @@ def _held(data: IOData) -> list[str]:
         if (found := held_stretch(x)) is not None:
             first, count = found
             out.append(
-                f"In {data.source} {name} holds one value for {count} samples from sample {first + 1} on, "
-                "and else never repeats: if samples were lost there, cut the record."
+                f"In {data.source} {name} keeps one value for {count} samples from sample {first + 1} on "
+                "and repeats no value elsewhere: if samples were lost there, cut the recording."
             )
     return out
 
@@ -75,31 +77,31 @@ def _held(data: IOData) -> list[str]:
 @click.option("--out", "out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for the results.")
 @click.option("--orders", default="5,5,5,5,1", show_default=True, metavar="NB,NC,ND,NF,NK", help="MATLAB's [nb nc nd nf nk].")
 @click.option("--decimate", "factor", type=int, default=10, show_default=True, help="Keep every N-th sample; 1 means all.")
-@click.option("--cutoff", default="0.4", show_default=True, metavar="FRACTION|none", help="Low-pass edge, fraction of Nyquist.")
+@click.option("--cutoff", default="0.4", show_default=True, metavar="FRACTION|none", help="Cutoff of the low-pass as a fraction of Nyquist.")
 @click.option("--input", "input_column", metavar="COLUMN", help="Input channel (default: the torque).")
 @click.option("--output", "output_column", metavar="COLUMN", help="Output channel (default: the velocity, else the angle).")
 @click.option(
-    "--phase", type=click.Choice(["causal", "zero-phase"]), default="causal", show_default=True, help="Of the low-pass."
+    "--phase", type=click.Choice(["causal", "zero-phase"]), default="causal", show_default=True, help="Phase of the low-pass."
 )
 @click.option(
-    "--detrend", type=click.Choice(["none", "mean", "linear"]), default="none", show_default=True, help="Taken off both channels."
+    "--detrend", type=click.Choice(["none", "mean", "linear"]), default="none", show_default=True, help="What to subtract from both channels."
 )
-@click.option("--validate", type=click.Path(path_type=Path), metavar="RECORDING", help="Another recording to simulate.")
+@click.option("--validate", type=click.Path(path_type=Path), metavar="RECORDING", help="Simulate this recording too, for validation.")
 @click.option(
-    "--scan", metavar="LOW:HIGH", help="Try N,N,N,N,NK for every N of the range, take the one with the smallest BIC; orders.png."
-)
-@click.option(
-    "--level", type=click.Path(path_type=Path), metavar="RECORDING", help="The same excitation at another level: is it linear?"
+    "--scan", metavar="LOW:HIGH", help="Try orders N,N,N,N,NK for each N of the range and use the smallest BIC; draws orders.png."
 )
 @click.option(
-    "--model", type=click.Path(path_type=Path), metavar="MODEL", help="A machine's model, whose TOML names the columns."
+    "--level", type=click.Path(path_type=Path), metavar="RECORDING", help="The same excitation at another amplitude, to test whether the response is linear."
+)
+@click.option(
+    "--model", type=ModelFile(), metavar="MODEL", help="Model (file or shipped name) whose TOML names the columns."
 )
 @click.option(
     "--clipping",
     type=click.Choice(["refuse", "accept"]),
     default="refuse",
     show_default=True,
-    help="Of a channel that sits at its limit.",
+    help="What to do with saturated channels (samples that stay at the limit of the range).",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json on standard output.")
 def command(
@@ -119,11 +121,10 @@ def command(
     clipping: str,
     as_json: bool,
 ) -> None:
-    """Fit a Box-Jenkins model to RECORDING and say whether it is good.
+    """Fit a Box-Jenkins model to RECORDING and judge its quality.
 
-    The recording is decimated (anti-alias filter), both channels are low-passed alike (order 8),
-    then y = B/F u + C/D e is fitted.
-    Writes identification.json, bode.png, residuals.png and identification.html, all or none.
+    Decimates both channels with an anti-alias filter, applies the same low-pass of order 8 to both, and fits
+    y = B/F u + C/D e. Writes identification.json, bode.png, residuals.png and identification.html, all or none.
 
     Example: simgap identify log.csv --out identified/
     """
@@ -154,8 +155,9 @@ def command(
     structure = Structure.bj(*wanted)
     accept = clipping == "accept"
     options = Options(accept_clipping=accept)
-    if out.exists() and not out.is_dir():
-        raise InputError(out, "it is a file", "a folder", "name another --out")
+    need_folder(out)
+    names = ("identification.json", "identification.html", "bode.png", "residuals.png", "orders.png")
+    spare_inputs([out / name for name in names], [recording, validate, level, model])
     if model is not None and not (model.is_file() or model.with_suffix(".toml").is_file()):
         raise InputError(model, "no such file", "a model, or the .toml beside it", "check the path")
 
@@ -248,14 +250,14 @@ def command(
     try:
         write_set(files)
     except OSError as error:
-        raise InputError(out, f"cannot write there ({error.strerror})", "a folder that can be written") from None
+        raise InputError(out, f"cannot be written ({error.strerror})", "a writable folder") from None
     if as_json:
         click.echo(text, nl=False)
         return
     for sentence in verdict.sentences:
-        click.echo(sentence)
+        click.echo(printable(sentence))
     if held_out is not None:
-        click.echo(f"On {held_out.source} its simulation fits {comparison.fit_percent[0]:.1f} %.")
+        click.echo(f"On {printable(held_out.source)} its simulation fits {comparison.fit_percent[0]:.1f} %.")
     for e in response.extrema():
         note = "" if band[0] <= e.frequency_hz <= band[1] else "  (extrapolated)"
         click.echo(f"  {e.kind:5s} {e.frequency_hz:8.2f} Hz  {e.magnitude_db:7.1f} dB{note}")

@@ -1,10 +1,12 @@
-"""``simgap proof``: diagnose real machines and write the pages of the proof."""
+"""``simgap proof``: diagnose recordings of real machines and write a page with the results."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+
+from simgap.arguments import need_folder
 
 __all__ = ["PAGES", "command"]
 
@@ -13,25 +15,26 @@ PAGES = ("emps", "kuka", "concealed", "summary")
 
 @click.command("proof", epilog="Example: simgap proof emps --out out/proof")
 @click.argument("name", type=click.Choice(PAGES))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the page, its pictures and its figures.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the page, its pictures and its numbers.")
 @click.option(
     "--from", "source", type=click.Path(path_type=Path),
-    help="Folder with local copies of the recordings (default: as simgap data finds them).",
+    help="Folder with local copies of the recordings (default: where simgap data finds them).",
 )  # fmt: skip
 @click.option("--benchmark", type=click.Path(path_type=Path), help="benchmark.json of a simgap benchmark run, for the summary.")
-@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads; the answer does not depend on them.")
-@click.option("--json", "as_json", is_flag=True, help="Print the page's figures on standard output.")
+@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number.")
+@click.option("--json", "as_json", is_flag=True, help="Print the page's numbers as JSON.")
 def command(name: str, out: Path, source: Path | None, benchmark: Path | None, jobs: int, as_json: bool) -> None:
-    """Write a page of the proof, every figure on it computed here.
+    """Write one page of the proof; every number on it is computed by this command.
 
-    emps, kuka: real machines beside their published values. concealed: known physics taken out of the model or put into real
-    signals. summary: the whole argument from the pages in OUT and from a benchmark.json, as
-    proof.md beside OUT; what was not run is said.
+    emps, kuka: real machines compared with published values. concealed: known physics removed from the model or added to real
+    signals. summary: the results of all pages in OUT and of a benchmark.json, written as proof.md beside OUT; it names what was
+    not run.
     """
     import json
 
     from lab.proof.page import plain, write_page
 
+    need_folder(out)
     page = _made(name, out, source, benchmark, jobs)
     # the summary stands above the pages that it names
     path = write_page(page, out.resolve().parent, figures=False) if name == "summary" else write_page(page, out)

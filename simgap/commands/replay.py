@@ -1,4 +1,4 @@
-"""``simgap replay``: a model, with the physics found in it, run free on the input of a recording."""
+"""``simgap replay``: simulate a model, with the physics found in it, on the input of a recording."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from simgap.arguments import ModelFile, need_file, spare_inputs
+from simgap.terminal import printable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +30,7 @@ _COLUMNS = {
 
 
 @click.command("replay")
-@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("model", type=ModelFile())
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Predicted motion, a CSV file.")
 @click.option(
@@ -35,23 +38,23 @@ _COLUMNS = {
     type=click.Choice(["ode", "mujoco", "literal"]),
     default="ode",
     show_default=True,
-    help="ode: the analytic equations. mujoco: MuJoCo, its steps cut at stick, slip and contact. Both hold every effect. "
-    "literal: the file as plain MuJoCo steps it, with what MJCF expresses.",
+    help="ode: the analytic equations. mujoco: MuJoCo with steps that end at stick, slip and contact. Both simulate every "
+    "effect. literal: plain MuJoCo on the file, with the effects that MJCF expresses.",
 )
 @click.option(
     "--start",
     type=click.Choice(["auto", "rest", "recorded"]),
     default="auto",
     show_default=True,
-    help="Motion at the first sample: auto takes rest or the recorded speed, whichever fits the first half second.",
+    help="Motion at the first sample: auto chooses rest or the recorded velocity by the error over the first half second.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(model: Path, recording: Path, out: Path, engine: str, start: str, as_json: bool) -> None:
-    """Run MODEL.xml free on the input of RECORDING, write the predicted motion and print the fit.
+    """Simulate MODEL (a file or a shipped name) on the input of RECORDING, write the predicted motion and print the fit.
 
-    Effects that `simgap diagnose` wrote into the model are part of the run; in the ode engine those that are locked to the
-    angle take the recorded angle when there is one. The fit is 100 (1 - nrmse) percent, nrmse the error over the spread of the
-    measured channel.
+    The simulation includes the effects that `simgap diagnose` wrote into the model. In the ode engine, effects that depend on
+    the angle take the recorded angle where there is one. The fit is 100 (1 - nrmse) percent; nrmse is the rms error over the
+    standard deviation of the measured channel.
 
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
@@ -60,6 +63,8 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, as
     from mjsim.ode import DivergedError
     from mjsim.recording import load
 
+    need_file(out)
+    spare_inputs([out], [recording, model])
     source = load_model(model)
     record = load(recording, model=model, binding=carried_binding(source, recording))
     try:
@@ -94,12 +99,12 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, as
     for line in lacks:
         click.echo(f"  plain MuJoCo lacks {line}")
     if record.loop == "closed":
-        click.echo("  recorded under feedback, where a free run drifts whatever the model")
+        click.echo("  recorded under feedback: a free run can drift even with the true model")
     if force is not None:
         click.echo(
-            f"torque along the recorded motion: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
+            f"torque that the recorded motion needs: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
         )
-    click.echo(f"wrote {out}")
+    click.echo(printable(f"wrote {out}"))
 
 
 def _run(source: Model, torque: np.ndarray, record: Recording, engine: str, initial: np.ndarray | None) -> Trajectory:
@@ -152,7 +157,7 @@ def _figures(measured: np.ndarray, predicted: np.ndarray, where: Path) -> dict[s
 
     spread = float(np.linalg.norm(measured - np.mean(measured)))
     if spread == 0.0:
-        raise InputError(where, "the measured channel is constant", "a recording that moves", "record again")
+        raise InputError(where, "the measured channel is constant", "a channel that varies", "record a motion")
     error = float(np.linalg.norm(measured - predicted))
     return {"rms": error / len(measured) ** 0.5, "nrmse": error / spread, "fit_percent": 100.0 * (1.0 - error / spread)}
 

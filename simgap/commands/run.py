@@ -1,4 +1,4 @@
-"""``simgap run``: a scenario file, or a shipped one by name, to its 2 kHz log."""
+"""``simgap run``: simulate a scenario file, or a shipped scenario by name, and write its 2 kHz log."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+from simgap.arguments import need_folder, spare_inputs
+from simgap.terminal import printable
+
 __all__ = ["command"]
 
 
@@ -14,12 +17,12 @@ __all__ = ["command"]
 @click.argument("scenario", required=False)
 @click.option("--out", type=click.Path(path_type=Path), help="Directory for the log and its provenance.")
 @click.option("--list", "listing", is_flag=True, help="List the shipped scenarios.")
-@click.option("--engine", type=click.Choice(["ode", "accurate", "literal"]), help="Instead of the scenario's engine.")
-@click.option("--format", "file_format", type=click.Choice(["csv", "parquet"]), help="Instead of the scenario's format.")
-@click.option("--seed", type=int, help="Instead of the scenario's seed.")
-@click.option("--duration", type=float, help="Instead of the scenario's duration [s].")
-@click.option("--model", help="Instead of the scenario's model: a shipped one or a path.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result for machines.")
+@click.option("--engine", type=click.Choice(["ode", "accurate", "literal"]), help="Overrides the scenario's engine.")
+@click.option("--format", "file_format", type=click.Choice(["csv", "parquet"]), help="Overrides the scenario's file format.")
+@click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@click.option("--duration", type=float, help="Overrides the scenario's duration [s].")
+@click.option("--model", help="Overrides the scenario's model: an MJCF file or a shipped name.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     scenario: str | None,
     out: Path | None,
@@ -31,8 +34,9 @@ def command(
     model: str | None,
     as_json: bool,
 ) -> None:
-    """Run SCENARIO (a TOML file or a shipped name) and write its log."""
+    """Simulate SCENARIO (a TOML file or a shipped name) and write its log."""
     from mjsim.errors import InputError
+    from mjsim.models import model_path
     from mjsim.ode import DivergedError
     from mjsim.scenario import load_scenario, provenance, shipped_scenarios, write_log
     from mjsim.scenario import run as run_scenario
@@ -48,9 +52,11 @@ def command(
         return
     if scenario is None or out is None:
         raise click.UsageError("name a SCENARIO and --out DIR (simgap run --list shows the shipped ones)")
-    if model is not None and model.endswith(".xml"):
-        model = str(Path(model).resolve())
+    need_folder(out)
+    if model is not None:
+        model = str(model_path(model).resolve())
     chosen = load_scenario(scenario, engine=engine, format=file_format, seed=seed, duration_s=duration, model=model)
+    spare_inputs([out / f"{chosen.name}.{chosen.format.value}", out / f"{chosen.name}.toml"], [Path(scenario)])
     try:
         log = run_scenario(chosen)
     except DivergedError as error:
@@ -61,7 +67,7 @@ def command(
     else:
         count = len(log.motion.time)
         click.echo(
-            f"{path}: {count} samples at {1 / chosen.sample_time_s:g} Hz, engine {chosen.engine.value}, seed {chosen.seed}"
+            printable(str(path)) + f": {count} samples at {1 / chosen.sample_time_s:g} Hz, engine {chosen.engine.value}, seed {chosen.seed}"
         )
         for effect in log.axis.effects:
             click.echo(f"  {effect.describe()}")

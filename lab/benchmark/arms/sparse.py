@@ -199,7 +199,7 @@ def fit(task: Task) -> Answer:
     h = task.held_out
     run = free_run(chain, h, best, most)
     if run is None or h.velocity is None:
-        raise InputError(h.source, "the model found diverges on it", "a model that can be run")
+        raise InputError(h.source, "the identified model diverges on it", "a stable model")
     return Answer(float(np.sqrt(np.mean((h.velocity - run) ** 2))), base.held_out_rms, named=named, note=note)
 
 
