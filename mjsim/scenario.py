@@ -208,7 +208,9 @@ def make_effect(given: Mapping[str, Any], where: str) -> Effect:
     unknown = set(given) - known - {"id", "place"}
     if unknown:
         raise InputError(
-            f"{where}: effect {name!r}", f"unknown key {sorted(unknown)[0]!r}", f"{', '.join(sorted(known))}, place",
+            f"{where}: effect {name!r}",
+            f"unknown key {sorted(unknown)[0]!r}",
+            f"{', '.join(sorted(known))}, place",
             nearest(min(unknown), known, "rename it"),
         )
     try:

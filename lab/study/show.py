@@ -73,7 +73,9 @@ def show(study: Study, out: Path) -> None:
         verdict = e.verdict.value + (" (artefact)" if e.artefact else "")
         table.add_row(e.claim.id, e.claim.text, f"[bold]{verdict}[/bold]", *shares)
     console.print(table)
-    console.print("Columns report's and better: share of the variants that meet the criterion with each pipeline.", highlight=False)
+    console.print(
+        "Columns report's and better: share of the variants that meet the criterion with each pipeline.", highlight=False
+    )
     console.print(
         f"{study.cells} cells, {study.computed} of them new, {study.seconds:.0f} s. Ledger: {out / 'study.html'}", highlight=False
     )

@@ -1,5 +1,8 @@
-"""Headless pictures of an axis in motion: what is shown (`stage`), written on it (`overlay`), and how it is filmed (`film`)."""
+"""Headless films: a user's own model (`scene`, `take`, `own`), or the magnified axis (`stage`, `film`)."""
 
 from mjsim.render.film import Shot, film, shot_of_recording, shot_of_run
+from mjsim.render.own import Style, film_takes
+from mjsim.render.scene import Scene
+from mjsim.render.take import Rig, Take
 
-__all__ = ["Shot", "film", "shot_of_recording", "shot_of_run"]
+__all__ = ["Rig", "Scene", "Shot", "Style", "Take", "film", "film_takes", "shot_of_recording", "shot_of_run"]

@@ -17,6 +17,8 @@ from mjsim.errors import InputError
 __all__ = ["CHOICE", "Offscreen", "backend"]
 
 CHOICE = "SIMGAP_GL"  # environment variable: egl or osmesa; the command line moves MUJOCO_GL there
+GHOST_ALPHA = 0.45
+NEARER = 2e-3  # part of the way to the camera by which a ghost is moved
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 
 
@@ -63,19 +65,30 @@ def backend() -> str:
 
 
 class Offscreen:
-    """Renders a model from its camera; use it in a ``with`` block."""
+    """Renders a model; use it in a ``with`` block.
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+    ``camera``: where from, the model's first camera when None. ``option``: which groups are drawn.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        width: int,
+        height: int,
+        camera: mujoco.MjvCamera | None = None,
+        option: mujoco.MjvOption | None = None,
+    ) -> None:
         self.model, self.width, self.height = model, width, height
         self._gl = _open(width, height)
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._scene = mujoco.MjvScene(model, maxgeom=2000)
-        self._option = mujoco.MjvOption()
-        self._camera = mujoco.MjvCamera()
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._camera.fixedcamid = 0
+        self._scene = mujoco.MjvScene(model, maxgeom=max(2000, 4 * model.ngeom + 500))
+        self._option = option or mujoco.MjvOption()
+        self._camera = camera or mujoco.MjvCamera()
+        if camera is None:
+            self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            self._camera.fixedcamid = 0
         self._rect = mujoco.MjrRect(0, 0, width, height)
 
     def __enter__(self) -> Self:
@@ -85,12 +98,30 @@ class Offscreen:
         self._context.free()
         self._gl.free()
 
-    def render(self, data: mujoco.MjData) -> np.ndarray:
-        """(height, width, 3) bytes."""
+    def render(
+        self, data: mujoco.MjData, ghost: mujoco.MjData | None = None, tint: tuple[int, int, int] = (0, 0, 0)
+    ) -> np.ndarray:
+        """(height, width, 3) bytes; ``ghost``: the moving geoms at another pose, translucent, in the colour ``tint``."""
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         mujoco.mjv_updateScene(self.model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene)
+        if ghost is not None:
+            self._add_ghost(ghost, tint)
         mujoco.mjr_render(self._rect, self._scene, self._context)
         pixels = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_readPixels(pixels, None, self._rect, self._context)
         return pixels[::-1]
+
+    def _add_ghost(self, data: mujoco.MjData, tint: tuple[int, int, int]) -> None:
+        """Add the moving geoms at another pose, a little nearer to the camera, so that equal poses do not flicker."""
+        first = self._scene.ngeom
+        perturb = mujoco.MjvPerturb()
+        mujoco.mjv_addGeoms(self.model, data, self._option, perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, self._scene)
+        eye = 0.5 * (np.asarray(self._scene.camera[0].pos) + np.asarray(self._scene.camera[1].pos))
+        colour = [*(c / 255 for c in tint), GHOST_ALPHA]
+        for geom in self._scene.geoms[first : self._scene.ngeom]:
+            geom.rgba[:] = colour
+            geom.matid = -1
+            geom.emission, geom.reflectance = 0.25, 0.0
+            geom.transparent = 1
+            geom.pos[:] = geom.pos + NEARER * (eye - geom.pos)

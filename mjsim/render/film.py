@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-import subprocess
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from mjsim.axis import Axis, Chain
 from mjsim.errors import InputError
@@ -22,11 +17,10 @@ from mjsim.recording import Recording
 from mjsim.render.context import Offscreen
 from mjsim.render.overlay import COLOURS, Trace, captions, strip
 from mjsim.render.stage import Magnification, Stage, deflections, magnify
+from mjsim.render.writer import need_suffix, save
 from mjsim.system import assemble
 
-__all__ = ["SUFFIXES", "Shot", "film", "shot_of_recording", "shot_of_run"]
-
-SUFFIXES = (".mp4", ".gif", ".png")
+__all__ = ["Shot", "film", "shot_of_recording", "shot_of_run"]
 
 
 @dataclass(frozen=True)
@@ -88,8 +82,7 @@ def film(
     shows the moment ``start``, or that of the largest wind-up. ``progress`` wraps the loop over frames. Raises InputError.
     """
     path = Path(out)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(path, f"unknown kind of film {path.suffix!r}", ", ".join(SUFFIXES), "choose another name")
+    need_suffix(path)
     if not 1 <= len(shots) <= 2:
         raise ValueError("one shot, or two side by side")
     end = min(float(s.time[-1]) for s in shots)
@@ -105,7 +98,7 @@ def film(
     kept = [_window(s, first, last) for s in shots]
     frames = _frames(kept, times, size, speed, fps, first, progress)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _save(frames, path, fps)
+    save(frames, path, fps)
     return path
 
 
@@ -175,51 +168,3 @@ def _said(shot: Shot, by: Magnification, speed: float) -> list[str]:
         needle = "; needle: the gear without wind-up" if shot.chain.motion is Motion.HINGE else ""
         lines.append(f"lug:{gap} red while it drives the blue jaws{needle}")
     return lines
-
-
-def _save(frames: Iterator[np.ndarray], path: Path, fps: float) -> None:
-    """Write under a temporary name with the same ending, then rename."""
-    kind = path.suffix.lower()
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=kind, dir=path.parent)
-    os.close(handle)
-    try:
-        if kind == ".mp4":
-            _encode(frames, name, fps)
-        elif kind == ".png":
-            Image.fromarray(next(frames)).save(name)
-        else:
-            pictures = [Image.fromarray(frame).quantize(128) for frame in frames]
-            pictures[0].save(name, save_all=True, append_images=pictures[1:], duration=round(1000 / fps), loop=0)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-def _encode(frames: Iterator[np.ndarray], name: str, fps: float) -> None:
-    """H.264 by the ffmpeg that imageio-ffmpeg brings."""
-    from imageio_ffmpeg import get_ffmpeg_exe
-
-    first = next(frames)
-    height, width = first.shape[:2]
-    command = [
-        get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-        "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p",
-        "-movflags", "+faststart", name,
-    ]  # fmt: skip
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdin is not None
-        assert process.stderr is not None
-        try:
-            for frame in itertools.chain([first], frames):
-                process.stdin.write(frame.tobytes())
-            process.stdin.close()
-        except BrokenPipeError:
-            pass  # ffmpeg says below why it ended
-        except BaseException:
-            process.kill()
-            raise
-        said = process.stderr.read().decode(errors="replace").strip()
-        if process.wait() != 0:
-            raise InputError(Path(name).name, f"ffmpeg failed ({' '.join(said.split())[:200]})", todo="write a .gif instead")

@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 __all__ = ["Trace", "captions", "strip"]
 
 _INK, _SOFT, _PAPER, _GRID = (28, 32, 40), (120, 126, 136), (250, 250, 251), (222, 225, 230)
+_BAND = (250, 250, 251, 190)
 COLOURS = ((0, 98, 178), (213, 94, 0))  # simulation, recording: told apart by colour-blind eyes as well
 
 
@@ -94,12 +95,19 @@ def captions(
     draw = ImageDraw.Draw(image, "RGBA")
     width, height = image.size
     big, small = _font(max(15, height // 24)), _font(max(12, height // 36))
+    step = int(height / 28)
+    draw.rectangle([(0, 0), (width, 14 + max(15, height // 24))], fill=_BAND)  # a scene may be dark or light
+    if said:
+        draw.rectangle([(0, height - 14 - len(said) * step), (width, height)], fill=_BAND)
+    room = width - 42 - draw.textlength(time, font=big)
+    while title and draw.textlength(title, font=big) > room:
+        title = title[:-2]
     draw.text((14, 8), title, fill=colour or _INK, font=big)
     draw.text((width - 14 - draw.textlength(time, font=big), 8), time, fill=_INK, font=big)
-    y = height - 8 - len(said) * int(height / 28)
+    y = height - 8 - len(said) * step
     for line in said:
         while line and draw.textlength(line, font=small) > width - 28:
             line = line[:-2]
         draw.text((14, y), line, fill=_INK, font=small)
-        y += int(height / 28)
+        y += step
     return np.asarray(image)

@@ -22,7 +22,9 @@ Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, s
 
 @click.command("benchmark", epilog="Example: simgap benchmark --out out/benchmark --grade quick --jobs 2")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for recordings, truth, results and page.")
-@click.option("--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="quick: 25 cases. full: about 660.")
+@click.option(
+    "--grade", default="quick", show_default=True, type=click.Choice(["quick", "full"]), help="quick: 25 cases. full: about 660."
+)
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Seed of all cases.")
 @click.option("--jobs", type=click.IntRange(1, 256), help="Number of processes (default: two, or one on one core).")
 @click.option(
@@ -165,7 +167,9 @@ def seal(out: Path, counts: dict[str, int], seed: int, jobs: int = 1) -> str:
     try:
         out.mkdir(parents=True, exist_ok=True)
         if plan_file.exists() and json.loads(plan_file.read_text(encoding="utf-8")) != plan:
-            raise InputError(plan_file, "the folder holds the results of another benchmark", f"the plan {plan}", "choose another --out")
+            raise InputError(
+                plan_file, "the folder holds the results of another benchmark", f"the plan {plan}", "choose another --out"
+            )
         if manifest.exists() and plan_file.exists():
             return str(json.loads(manifest.read_text(encoding="utf-8"))["envelope_sha256"])
         write_atomic(plan_file, json.dumps(plan, indent=1) + "\n")

@@ -18,7 +18,11 @@ __all__ = ["command"]
 @click.option("--out", type=click.Path(path_type=Path), help="Directory for crosscheck.json and crosscheck.png.")
 @click.option("--duration", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="Duration of the chirp [s].")
 @click.option(
-    "--amplitude", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Amplitude of the chirp [N m | N]."
+    "--amplitude",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Amplitude of the chirp [N m | N].",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(model: Path | None, out: Path | None, duration: float, amplitude: float, as_json: bool) -> None:

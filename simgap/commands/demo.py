@@ -18,7 +18,12 @@ __all__ = ["command"]
 @click.option(
     "--seed", default=1, show_default=True, type=click.IntRange(0), help="Seed of the effect, its size, the axis and the noise."
 )
-@click.option("--level", default="plain", show_default=True, help="Kind of case, as simgap benchmark names them (plain, pair, nothing, ...).")
+@click.option(
+    "--level",
+    default="plain",
+    show_default=True,
+    help="Kind of case, as simgap benchmark names them (plain, pair, nothing, ...).",
+)
 @click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads.")
 @click.option("--json", "as_json", is_flag=True, help="Print the truth and the diagnosis as JSON.")
 def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:

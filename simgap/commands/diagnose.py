@@ -24,10 +24,14 @@ __all__ = ["command"]
     "--held-out", "held_out", multiple=True, type=click.Path(path_type=Path), help="Recording kept for validation (repeatable)."
 )
 @click.option(
-    "--judge", type=click.Choice(["motion", "force"]), help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says."
+    "--judge",
+    type=click.Choice(["motion", "force"]),
+    help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says.",
 )
 @click.option("--effects", default="", help="Consider only these effects: identifiers with commas (simgap effects lists them).")
-@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number.")
+@click.option(
+    "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
+)
 @click.option("--seed", default=0, show_default=True, type=int, help="Seed of the random generators.")
 @click.option("--budget", default=0.0, type=float, help="Seconds after which the search starts no further fit (0: no limit).")
 @click.option(

@@ -155,7 +155,11 @@ def command(as_json: bool) -> None:
     from simgap.terminal import one_line, printable
 
     found = examine()
-    problems = [f"{name.replace('_', ' ')}: {one_line(part['problem']).removeprefix(f'{name}: ')}" for name, part in found.items() if "problem" in part]
+    problems = [
+        f"{name.replace('_', ' ')}: {one_line(part['problem']).removeprefix(f'{name}: ')}"
+        for name, part in found.items()
+        if "problem" in part
+    ]
     if as_json:
         click.echo(json.dumps(found, indent=1))
     else:

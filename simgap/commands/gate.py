@@ -30,7 +30,7 @@ ROLES = ("estimation", "held-out")
 class Check:
     """One comparison: rms error of the model on some recordings, that of the baseline [unit of the channel], their ratio.
 
-    ``role``: what the baseline used these recordings for, or ``new``. ``grew``: ratio above 1 + tolerance, or no finite run.
+    ``role``: what the baseline used these recordings for. ``grew``: ratio above 1 + tolerance, or no finite run.
     """
 
     recordings: tuple[str, ...]
@@ -55,11 +55,12 @@ def judged(model: Path, recordings: Sequence[Path], baseline: Path, against: str
     """Checks of a model on recordings against a baseline's figures, and the unit of the errors.
 
     A recording is known by its SHA-256. All recordings of one role in the baseline are compared together with the figure of that
-    role, since the baseline holds one figure for them; where some are missing, and for recordings that the baseline does not
-    have (compared with its held-out figure), each is compared alone. Raises InputError.
+    role, since the baseline holds one figure for them; where some are missing, each is compared alone. Raises InputError, also
+    for a recording that the baseline does not have: another motion has another error.
     """
     from diagnose.data.experiment import without_derived_velocity
     from diagnose.pipeline import choose_view
+    from mjsim.errors import InputError
     from mjsim.mjcf import carried_binding, load_model
     from mjsim.recording import load
 
@@ -67,9 +68,15 @@ def judged(model: Path, recordings: Sequence[Path], baseline: Path, against: str
     source = load_model(model)
     loaded = [without_derived_velocity(load(p, model=model, binding=carried_binding(source, p))) for p in recordings]
     view = choose_view(loaded, known["view"], source.axis)
-    errors = [_errors(source.axis, view, r, known["roles"].get(r.sha256, ())) for r in loaded]
+    for r in loaded:
+        if r.sha256 not in known["roles"]:
+            raise InputError(
+                r.source, f"not one of the recordings of {baseline}, by its SHA-256", "a recording that the baseline used",
+                "run simgap diagnose with it for a new baseline",
+            )  # fmt: skip
+    errors = [_errors(source.axis, view, r, known["roles"][r.sha256]) for r in loaded]
     checks, alone = [], list(errors)
-    for roles in dict.fromkeys(e.roles for e in errors if e.roles):
+    for roles in dict.fromkeys(e.roles for e in errors):
         group = [e for e in errors if e.roles == roles]
         if len(group) == sum(1 for r in known["roles"].values() if r == roles):
             checks.append(_check(group, roles, known["rms"], tolerance))
@@ -123,7 +130,7 @@ def _errors(axis: Axis, view: View, recording: Recording, roles: tuple[str, ...]
 
     squares, counts = {}, {}
     blocks = dict(zip(ROLES, hold_out_blocks(recording), strict=True))
-    for role in roles or ("held-out",):
+    for role in roles:
         experiment = prepare(recording, counts=blocks[role] if len(roles) > 1 else None)
         axes = [axis] if role == "estimation" else [axis, _in_phase(axis, view, experiment)]
         starts = _starts(axis, recording) if view.channel == "velocity" else [None]
@@ -189,7 +196,7 @@ def _check(group: Sequence[_Errors], roles: tuple[str, ...], known: Mapping[str,
     reference = {role: known[role] if math.isfinite(known[role]) else known["estimation"] for role in count}
     before = math.sqrt(sum(count[role] * reference[role] ** 2 for role in count) / total)
     ratio = rms / before if before > 0 and math.isfinite(before) else (0.0 if math.isfinite(rms) else math.inf)
-    return Check(tuple(e.source for e in group), " + ".join(roles) or "new", rms, before, ratio, not ratio <= 1 + tolerance)
+    return Check(tuple(e.source for e in group), " + ".join(roles), rms, before, ratio, not ratio <= 1 + tolerance)
 
 
 def _show(checks: Sequence[Check], unit: str) -> None:

@@ -77,25 +77,34 @@ def _held(data: IOData) -> list[str]:
 @click.option("--out", "out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for the results.")
 @click.option("--orders", default="5,5,5,5,1", show_default=True, metavar="NB,NC,ND,NF,NK", help="MATLAB's [nb nc nd nf nk].")
 @click.option("--decimate", "factor", type=int, default=10, show_default=True, help="Keep every N-th sample; 1 means all.")
-@click.option("--cutoff", default="0.4", show_default=True, metavar="FRACTION|none", help="Cutoff of the low-pass as a fraction of Nyquist.")
+@click.option(
+    "--cutoff", default="0.4", show_default=True, metavar="FRACTION|none", help="Cutoff of the low-pass as a fraction of Nyquist."
+)
 @click.option("--input", "input_column", metavar="COLUMN", help="Input channel (default: the torque).")
 @click.option("--output", "output_column", metavar="COLUMN", help="Output channel (default: the velocity, else the angle).")
 @click.option(
     "--phase", type=click.Choice(["causal", "zero-phase"]), default="causal", show_default=True, help="Phase of the low-pass."
 )
 @click.option(
-    "--detrend", type=click.Choice(["none", "mean", "linear"]), default="none", show_default=True, help="What to subtract from both channels."
+    "--detrend",
+    type=click.Choice(["none", "mean", "linear"]),
+    default="none",
+    show_default=True,
+    help="What to subtract from both channels.",
 )
-@click.option("--validate", type=click.Path(path_type=Path), metavar="RECORDING", help="Simulate this recording too, for validation.")
+@click.option(
+    "--validate", type=click.Path(path_type=Path), metavar="RECORDING", help="Simulate this recording too, for validation."
+)
 @click.option(
     "--scan", metavar="LOW:HIGH", help="Try orders N,N,N,N,NK for each N of the range and use the smallest BIC; draws orders.png."
 )
 @click.option(
-    "--level", type=click.Path(path_type=Path), metavar="RECORDING", help="The same excitation at another amplitude, to test whether the response is linear."
+    "--level",
+    type=click.Path(path_type=Path),
+    metavar="RECORDING",
+    help="The same excitation at another amplitude, to test whether the response is linear.",
 )
-@click.option(
-    "--model", type=ModelFile(), metavar="MODEL", help="Model (file or shipped name) whose TOML names the columns."
-)
+@click.option("--model", type=ModelFile(), metavar="MODEL", help="Model (file or shipped name) whose TOML names the columns.")
 @click.option(
     "--clipping",
     type=click.Choice(["refuse", "accept"]),

@@ -21,7 +21,9 @@ PAGES = ("emps", "kuka", "concealed", "summary")
     help="Folder with local copies of the recordings (default: where simgap data finds them).",
 )  # fmt: skip
 @click.option("--benchmark", type=click.Path(path_type=Path), help="benchmark.json of a simgap benchmark run, for the summary.")
-@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number.")
+@click.option(
+    "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the page's numbers as JSON.")
 def command(name: str, out: Path, source: Path | None, benchmark: Path | None, jobs: int, as_json: bool) -> None:
     """Write one page of the proof; every number on it is computed by this command.

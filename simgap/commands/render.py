@@ -1,21 +1,40 @@
-"""``simgap render``: the motion of a scenario or a model as a film or a picture, without a display."""
+"""``simgap render``: film a model or a scenario without a display."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-if TYPE_CHECKING:
-    import numpy as np
+from simgap.arguments import ModelFile, need_file, spare_inputs
+from simgap.terminal import printable
 
+if TYPE_CHECKING:
     from mjsim.axis import Axis
-    from mjsim.render import Shot
+    from mjsim.ode import Trajectory
+    from mjsim.render import Rig, Shot, Take
 
 __all__ = ["command"]
+
+SLOW = (0.3, 1.5)  # band of the chirp that moves a model [Hz]: seen at 25 pictures a second
+WIDE = (0.5, 15.0)  # and of the one that winds an elastic axis up
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What was asked for: logs, camera, joint, how two motions are shown, and what `film` takes."""
+
+    recording: Path | None
+    simulation: Path | None
+    camera: str | None
+    joint: str | None
+    style: str
+    magnify: float
+    film: dict[str, Any]
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -30,54 +49,155 @@ def _size(text: str) -> tuple[int, int]:
     return width, height
 
 
-def _shots(source: str, recording: Path | None, simulation: Path | None) -> list[Shot]:
-    """One shot, or two when a recording is given: the model on the recorded torque (or a simulated log) and the recording."""
+def _is_model(source: str) -> bool:
+    """Whether a name is that of a model: an MJCF file or a shipped model, and no scenario."""
+    from mjsim.models import shipped_models
+    from mjsim.scenario import shipped_scenarios
+
+    if source.endswith(".xml"):
+        return True
+    if source in shipped_models():
+        return True
+    if not source.endswith(".toml") and source not in shipped_scenarios():
+        from mjsim.errors import InputError, nearest
+
+        known = [*shipped_scenarios(), *shipped_models()]
+        raise InputError(f"{source!r}", "no such file, scenario or model", f"an .xml or .toml file, or one of: {', '.join(known)}",
+                         nearest(source, known))  # fmt: skip
+    return False
+
+
+def _film_model(path: Path, out: Path, view: str, wanted: _Wanted) -> str:
+    """Film a model: its own geoms where one of them moves, else the magnified axis. Returns what was drawn."""
+    from mjsim.render.take import Rig, recorded, simulated, take_of_run
+
+    if view == "magnified":
+        return _film_axis(path, out, wanted)
+    rig = Rig.of(path, wanted.joint)
+    takes = []
+    if wanted.simulation is not None:
+        takes.append(recorded(rig, wanted.simulation, "simulation"))
+    elif wanted.recording is not None or rig.axis is None:
+        takes.append(simulated(rig, wanted.recording))
+    else:
+        said, run = _demonstrated(rig.axis.path, *SLOW)
+        takes.append(take_of_run(rig, said, run))
+    if wanted.recording is not None:
+        takes.append(recorded(rig, wanted.recording))
+    if _film_takes(rig, takes, out, wanted, needs_motion=view == "auto" and rig.axis is not None):
+        return "the model's own geoms"
+    return _film_axis(path, out, wanted)
+
+
+def _film_takes(rig: Rig, takes: list[Take], out: Path, wanted: _Wanted, *, needs_motion: bool) -> bool:
+    """Film takes in the model's own geoms; False, and no film, when a moving geom is needed and none moves."""
+    import numpy as np
+
+    from mjsim.render import Scene, Style, film_takes
+    from mjsim.render.own import magnified
+
+    shown = [magnified(rig.model, t, wanted.magnify) for t in takes]
+    scene = Scene(rig.path, np.concatenate([t.qpos for t in shown]), wanted.camera, rig.joint)
+    if needs_motion and not scene.moves:
+        return False
+    notes = [f"motion x {wanted.magnify:g}"] if wanted.magnify != 1 else []
+    film_takes(scene, shown, out, Style(wanted.style), notes=notes, **wanted.film)
+    return True
+
+
+def _film_axis(path: Path, out: Path, wanted: _Wanted) -> str:
+    """Film the axis of a model as rotor, gear and arm, wind-up and gap magnified."""
     from mjsim import ode
-    from mjsim.errors import InputError
-    from mjsim.quantity import Motion
+    from mjsim.mjcf import load_axis
     from mjsim.recording import load
-    from mjsim.render import shot_of_recording, shot_of_run
+    from mjsim.render import film, shot_of_recording, shot_of_run
+
+    axis = load_axis(path)
+    if wanted.recording is None:
+        said, run = _demonstrated(path, *WIDE)
+        shots = [shot_of_run(said, axis, run)]
+    else:
+        record = load(wanted.recording, model=path)
+        if wanted.simulation is not None:
+            first = shot_of_recording("simulation", axis, load(wanted.simulation, model=path))
+        else:
+            start = None
+            if record.velocity is not None or record.angle is not None:
+                import numpy as np
+
+                ratios = np.array([axis.chain.total_ratio(i) for i in range(len(axis.chain.bodies))])
+                q0 = float(record.angle[0]) if record.angle is not None else 0.0
+                v0 = float(record.velocity[0]) if record.velocity is not None else 0.0
+                start = np.stack([ratios * q0, ratios * v0])
+            first = shot_of_run("simulation", axis, ode.simulate(axis, record.torque, record.dt, initial=start))
+        shots = [first, shot_of_recording("recording", axis, record)]
+    film(shots, out, **wanted.film)
+    return "the axis, magnified"
+
+
+def _film_scenario(source: str, out: Path, view: str, wanted: _Wanted) -> str:
+    """Film a scenario: in the geoms of its model where they show its motion, else as the magnified axis."""
+    from mjsim.errors import InputError
+    from mjsim.render import Rig, film, shot_of_run
+    from mjsim.render.take import take_of_run
     from mjsim.scenario import load_scenario, run
 
-    path = Path(source)
-    if path.suffix == ".xml":
-        from mjsim.mjcf import load_axis
-
-        axis, motion = load_axis(path), None
-        if recording is None:
-            if simulation is not None:
-                raise InputError("--simulation", "no recording to set it against", "--recording LOG", "add it")
-            amplitude, torque = _demonstration(axis)
-            said = f"simulation, chirp 0.5-15 Hz, {amplitude:.3g} {'Nm' if axis.chain.motion is Motion.HINGE else 'N'}"
-            return [shot_of_run(said, axis, ode.simulate(axis, torque, 5e-4))]
-    else:
-        if recording is not None or simulation is not None:
-            raise InputError(source, "--recording and --simulation go with a model", "MODEL.xml", "name the model")
-        log = run(load_scenario(source))
-        axis, motion = log.axis, log.motion
-    if motion is not None:
-        return [shot_of_run("simulation", axis, motion)]
-    assert recording is not None
-    record = load(recording, model=path)
-    if simulation is not None:
-        first = shot_of_recording("simulation", axis, load(simulation, model=path))
-    else:
-        start = None
-        if record.velocity is not None or record.angle is not None:
-            import numpy as np
-
-            ratios = np.array([axis.chain.total_ratio(i) for i in range(len(axis.chain.bodies))])
-            q0 = float(record.angle[0]) if record.angle is not None else 0.0
-            v0 = float(record.velocity[0]) if record.velocity is not None else 0.0
-            start = np.stack([ratios * q0, ratios * v0])
-        first = shot_of_run("simulation", axis, ode.simulate(axis, record.torque, record.dt, initial=start))
-    return [first, shot_of_recording("recording", axis, record)]
+    if wanted.recording is not None or wanted.simulation is not None:
+        raise InputError(source, "--recording and --simulation need a model", "MODEL.xml", "name the model")
+    scenario = load_scenario(source)
+    log = run(scenario)
+    if view == "model" or (view == "auto" and not _hidden(log.axis, log.motion, wanted.film["size"][0])):
+        rig = Rig.of(scenario.model_path)
+        take = take_of_run(rig, f"simulation of {scenario.name}", log.motion)
+        if _film_takes(rig, [take], out, wanted, needs_motion=view == "auto"):
+            return "the model's own geoms"
+    film([shot_of_run("simulation", log.axis, log.motion)], out, **wanted.film)
+    return "the axis, magnified"
 
 
-def _demonstration(axis: Axis) -> tuple[float, np.ndarray]:
-    """A chirp that moves a model which nothing else moves: about 0.3 rad or 0.2 m at its end, friction overcome twice over."""
+def _hidden(axis: Axis, motion: Trajectory, width: int) -> bool:
+    """Whether an axis has deflections that its own geoms would not show: all below a pixel.
+
+    The longest lever of a picture is half its width, so that a deflection of 2 / width [rad] moves a point by one pixel. For a
+    slide, half the width is taken as 1 m.
+    """
+    import numpy as np
+
+    from mjsim.render.stage import deflections
+
+    d = deflections(axis.chain, motion.q)
+    return bool(d.size) and float(np.max(np.abs(d))) < 2.0 / width
+
+
+def _demonstrated(path: Path, low: float, high: float) -> tuple[str, Trajectory]:
+    """What a model that no recording moves is moved by, and the run: in plain MuJoCo, else by the equations.
+
+    A chirp from ``low`` to ``high`` [Hz] as a cosine, so that a free mass moves to and fro and does not drift away.
+    """
+    import numpy as np
+
+    from mjsim import ode
+    from mjsim.mjcf import load_model
+    from mjsim.mujoco_run import lacking, run_signals
+    from mjsim.quantity import Motion
+
+    source = load_model(path)
+    amplitude = _amplitude(source.axis, 2 * np.pi * low)
+    t = 5e-4 * np.arange(round(8.0 / 5e-4))
+    torque = amplitude * np.cos(2 * np.pi * (low + 0.5 * (high - low) * t / 8.0) * t)
+    unit = "N m" if source.axis.chain.motion is Motion.HINGE else "N"
+    said = f"simulation, chirp {low:g}-{high:g} Hz, {amplitude:.3g} {unit}"
+    if not lacking(source):
+        try:
+            return said, run_signals(source, torque, 5e-4, before=float(torque[0]))
+        except ode.DivergedError:  # by the file's own solver settings; the equations still show the motion
+            pass
+    return said, ode.simulate(source.axis, torque, 5e-4)
+
+
+def _amplitude(axis: Axis, w: float) -> float:
+    """Input that swings a model by about 0.3 rad or 0.2 m at w [rad/s], friction overcome twice over [N m | N]."""
     from mjsim.effects import ports
-    from mjsim.excitation import chirp
     from mjsim.quantity import Motion
     from mjsim.system import constant
 
@@ -85,15 +205,13 @@ def _demonstration(axis: Axis) -> tuple[float, np.ndarray]:
     inertia = sum(b.inertia * chain.total_ratio(i) ** 2 for i, b in enumerate(chain.bodies))
     damping = sum(b.viscous * chain.total_ratio(i) ** 2 for i, b in enumerate(chain.bodies))
     reach = (0.3 if chain.motion is Motion.HINGE else 0.2) / abs(chain.total_ratio(len(chain.bodies) - 1))
-    w = 3.14
     torque = reach * w * (inertia**2 * w**2 + damping**2) ** 0.5
     for effect in axis.effects:
         for port in effect.ports(chain):
             if isinstance(port, ports.Friction):
                 level = constant(port.law, port.p, 1.0) or (0.0, 0.0)
                 torque += 2.0 * level[1] * abs(chain.total_ratio(port.body))
-    amplitude = float(f"{torque / abs(chain.gain):.2g}")
-    return amplitude, chirp(8.0, 5e-4, amplitude, 0.5, 15.0)
+    return float(f"{torque / abs(chain.gain):.2g}")
 
 
 def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
@@ -101,40 +219,54 @@ def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
         yield from bar
 
 
-@click.command(epilog="Example: simgap render backlash_1e-3 --out gap.mp4 --start 4 --duration 2 --speed 0.2")
+@click.command(epilog="Example: simgap render pendulum.xml --recording log.csv --out pendulum.mp4")
 @click.argument("source", metavar="SCENARIO_OR_MODEL")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="FILE.mp4, FILE.gif or FILE.png (one picture).")
-@click.option("--recording", type=click.Path(path_type=Path), help="With a model: a log; simulation and recording side by side.")
-@click.option("--simulation", type=click.Path(path_type=Path), help="A simulated log instead of running the model.")
-@click.option("--start", type=float, help="First moment shown [s]; of a png, the moment (largest wind-up when not given).")
+@click.option(
+    "--recording", type=click.Path(path_type=Path), help="A log: shows the model on its input, and the recorded motion."
+)
+@click.option("--simulation", type=click.Path(path_type=Path), help="A log of a simulation, shown instead of running the model.")
+@click.option("--style", type=click.Choice(["ghost", "side"]), default="ghost", show_default=True,
+              help="With a recording: as a translucent ghost in the same picture, or in a second picture.")  # fmt: skip
+@click.option("--camera", help="Camera of the MJCF file; 'free' fits one to the motion (default: the file's first, else free).")
+@click.option("--joint", help="Joint that the recording measures, where the model has several.")
+@click.option("--view", type=click.Choice(["auto", "model", "magnified"]), default="auto", show_default=True,
+              help="model: the file's own geoms. magnified: a drawn axis with wind-up and gap enlarged.")  # fmt: skip
+@click.option("--magnify", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True,
+              help="Enlarge the motion of the model's own geoms about the first pose.")  # fmt: skip
+@click.option("--start", type=float, help="First moment shown [s]; of a png, the moment (default: the largest motion).")
 @click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="Length of the motion shown [s].")
 @click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="0.2 is slow motion.")
 @click.option("--fps", type=click.FloatRange(1, 120), default=25.0, show_default=True, help="Pictures a second.")
-@click.option("--size", default="960x720", show_default=True, help="Of each scene with its traces [pixels].")
+@click.option("--size", default="960x720", show_default=True, help="Size of each picture with its traces [pixels].")
 def command(
-    source: str,
-    out: Path,
-    recording: Path | None,
-    simulation: Path | None,
-    start: float | None,
-    duration: float | None,
-    speed: float,
-    fps: float,
-    size: str,
-) -> None:
-    """Render SCENARIO_OR_MODEL headless; motion is magnified, and the picture says by how much."""
+    source: str, out: Path, recording: Path | None, simulation: Path | None, style: str, camera: str | None, joint: str | None,
+    view: str, magnify: float, start: float | None, duration: float | None, speed: float, fps: float, size: str,
+) -> None:  # fmt: skip
+    """Film SCENARIO_OR_MODEL without a display.
+
+    A model is drawn with its own geoms, lights and cameras; a light, a floor or a camera is added where the file has none. With
+    a recording, the recorded angles pose the model, beside a simulation of the model on the recorded input.
+
+    A drawn axis with magnified wind-up and gap takes the place of the geoms where no visible geom of a model moves, and in a
+    scenario whose deflections are all smaller than a pixel. --view decides it.
+    """
     from mjsim.errors import InputError
     from mjsim.ode import DivergedError
-    from mjsim.render import film
-    from mjsim.render.film import SUFFIXES
+    from mjsim.render.writer import need_suffix
 
-    if out.suffix.lower() not in SUFFIXES:
-        raise InputError(out, f"unknown kind of film {out.suffix!r}", ", ".join(SUFFIXES), "choose another name")
-    pixels = _size(size)
+    need_suffix(out)
+    need_file(out)
+    progress = _bar if sys.stderr.isatty() else None
+    given = {"size": _size(size), "fps": fps, "speed": speed, "start": start, "duration": duration, "progress": progress}
+    wanted = _Wanted(recording, simulation, camera, joint, style, magnify, given)
+    if simulation is not None and recording is None:
+        raise InputError("--simulation", "no recording to compare it with", "--recording LOG", "add it")
+    is_model = _is_model(source)
+    path = ModelFile().convert(source, None, None) if is_model else Path(source)
+    spare_inputs([out], [path, recording, simulation])
     try:
-        shots = _shots(source, recording, simulation)
+        drawn = _film_model(path, out, view, wanted) if is_model else _film_scenario(source, out, view, wanted)
     except DivergedError as error:
         raise InputError(source, str(error)) from None
-    progress = _bar if sys.stderr.isatty() else None
-    film(shots, out, size=pixels, fps=fps, speed=speed, start=start, duration=duration, progress=progress)
-    click.echo(str(out))
+    click.echo(printable(f"{out}: {drawn}"))

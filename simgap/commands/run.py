@@ -67,7 +67,8 @@ def command(
     else:
         count = len(log.motion.time)
         click.echo(
-            printable(str(path)) + f": {count} samples at {1 / chosen.sample_time_s:g} Hz, engine {chosen.engine.value}, seed {chosen.seed}"
+            printable(str(path))
+            + f": {count} samples at {1 / chosen.sample_time_s:g} Hz, engine {chosen.engine.value}, seed {chosen.seed}"
         )
         for effect in log.axis.effects:
             click.echo(f"  {effect.describe()}")

@@ -15,10 +15,14 @@ __all__ = ["command"]
 @click.command(epilog="Example: simgap study --out out/study --jobs 2")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for figures, claims.json and the ledger.")
 @click.option("--jobs", type=click.IntRange(min=1, max=256), help="Number of processes (default: two, or one on one core).")
-@click.option("--recording", type=click.Path(path_type=Path), help="A log of your robot, used in figure 4 instead of a simulated one.")
+@click.option(
+    "--recording", type=click.Path(path_type=Path), help="A log of your robot, used in figure 4 instead of a simulated one."
+)
 @click.option("--quick", is_flag=True, help="Fewer variants: takes less than a minute.")
 @click.option(
-    "--docs", type=click.Path(path_type=Path), help="Also write the ledger to this Markdown file, with the figures in a folder beside it."
+    "--docs",
+    type=click.Path(path_type=Path),
+    help="Also write the ledger to this Markdown file, with the figures in a folder beside it.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print claims.json on standard output.")
 def command(out: Path, jobs: int | None, recording: Path | None, quick: bool, docs: Path | None, as_json: bool) -> None:
