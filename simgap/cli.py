@@ -6,6 +6,7 @@ import atexit
 import contextlib
 import gc
 import importlib
+import io
 import os
 import select
 import sys
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 import click
 
 from simgap import __version__
+from simgap.terminal import file_error, one_line, printable
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -47,6 +49,10 @@ COMMANDS: dict[str, str] = {
 COLLECT = (50_000, 20, 50)
 
 
+class _ClosedPipe(Exception):  # noqa: N818  (no error: nobody reads what is written)
+    """A pipe was closed by its reader; click would end with exit code 1, which means here that a check failed."""
+
+
 class LazyGroup(click.Group):
     """A click group that imports a command's module when it is called, and lists the others from `COMMANDS`."""
 
@@ -61,6 +67,15 @@ class LazyGroup(click.Group):
         loaded = importlib.import_module(f"simgap.commands.{cmd_name}").command
         assert isinstance(loaded, click.Command)
         return loaded
+
+    def invoke(self, ctx: click.Context) -> object:
+        """As click does, but for closed pipes."""
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+            return result
+        except BrokenPipeError as error:
+            raise _ClosedPipe(file_error(error)) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
@@ -124,24 +139,23 @@ def defer_rendering(environ: MutableMapping[str, str]) -> None:
 def _outcome() -> int:
     """Run the command and tell what stopped it; the exit code."""
     from mjsim.errors import CheckError, InputError
-    from simgap.terminal import file_error, one_line
 
     try:
         code = cli.main(standalone_mode=False)
-        sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _tell("interrupted", 130)
     except click.ClickException as error:
-        error.message = one_line(error.message)
-        error.show()
+        text = io.StringIO()
+        error.show(file=text)
+        click.echo(printable(text.getvalue()), err=True, nl=False)
         return error.exit_code
     except InputError as error:
         return _tell(one_line(str(error)), 2)
     except CheckError as error:
         return _tell(one_line(str(error)), 1)
-    except BrokenPipeError as error:
-        return CLOSED if _nobody_reads() else _tell(one_line(file_error(error)), 2)
+    except _ClosedPipe as error:
+        return CLOSED if _nobody_reads() else _tell(one_line(str(error)), 2)
     except OSError as error:
         return _tell(one_line(file_error(error)), 2)
 

@@ -59,6 +59,7 @@ def test_the_contract_of_options():
         "demo": {"--out"}, "run": {"--out", "--json"}, "render": {"--out"}, "crosscheck": {"--json"},
         "identify": {"--out", "--orders", "--decimate", "--cutoff", "--input", "--output", "--json"},
         "diagnose": {"--model", "--out", "--held-out", "--json"}, "replay": {"--out", "--json"},
+        "gate": {"--baseline", "--tolerance", "--json"}, "effects": {"--json"}, "doctor": {"--json"},
         "study": {"--out"}, "benchmark": {"--out", "--grade", "--seed"}, "data": {"--json"},
     }  # fmt: skip
     for name in COMMANDS:
@@ -173,7 +174,7 @@ def test_without_a_network_it_says_where_to_look(run, toy, monkeypatch):
     assert "example.org/toy" in err
     assert "--from DIR" in err
     toy()
-    assert "has no address of its own" in run("data", "toy")[2]
+    assert "it has no download address" in run("data", "toy")[2]
 
 
 def test_an_unknown_data_set_names_the_choices(run):
@@ -189,3 +190,96 @@ def test_the_pinned_hashes_are_those_of_a_local_copy(local_copy, name):
     for file in DATA_SETS[name].files:
         path = local_copy(name, file.name)
         assert data.locate(file, path.parent) == path
+
+
+@pytest.mark.parametrize(
+    ("words", "nearest"),
+    [
+        (("diagnoze",), "'diagnose'"),
+        (("run", "coulomb2", "--out", "x"), "'coulomb_2'"),
+        (("render", "robot_axis", "--out", "x.png"), "'robot_axis1'"),
+        (("crosscheck", "robot_axis"), "'robot_axis1'"),
+        (("replay", "emp", "log.csv", "--out", "x.csv"), "'emps'"),
+        (("identify", "log.csv", "--model", "kuka", "--out", "x"), "'kuka_kr300_axis1'"),
+        (("diagnose", "log.csv", "--model", "robotaxis1", "--out", "x"), "'robot_axis1'"),
+        (("diagnose", "log.csv", "--model", "emps", "--out", "x", "--effects", "coulomb"), "'coulomb_friction'"),
+        (("effects", "backlach"), "'backlash'"),
+        (("data", "emp"), "'emps'"),
+        (("run", "step", "--model", "emp", "--out", "x"), "'emps'"),
+    ],
+)
+def test_an_unknown_name_is_told_with_the_nearest(run, words, nearest):
+    code, out, err = run(*words)
+    assert (code, out) == (2, "")
+    assert f"did you mean {nearest}?" in err
+
+
+def test_a_name_that_resembles_none_is_told_with_the_choices(run):
+    code, _, err = run("render", "zzzz", "--out", "x.png")
+    assert code == 2
+    assert "robot_axis1" in err
+    assert "did you mean" not in err
+
+
+def test_a_shipped_model_goes_by_name_and_by_its_path_in_the_repository(run, tmp_path):
+    from mjsim.models import model_path, shipped_model
+
+    assert model_path("emps") == shipped_model("emps")
+    assert model_path("models/emps.xml") == shipped_model("emps")
+    assert model_path("models/none.xml") == Path("models/none.xml")
+    (tmp_path / "emps").write_text("a file here comes first")
+    assert model_path("emps") == Path("emps")
+
+
+def test_the_library_of_effects(run):
+    from mjsim.effects import registered
+
+    code, out, _ = run("effects", "--json")
+    assert code == 0
+    told = {e["id"]: e for e in json.loads(out)}
+    assert set(told) == set(registered())
+    for name, cls in registered().items():
+        assert told[name]["source"] == cls.citation
+        assert told[name]["law"]
+        assert {n: p["unit"] for n, p in told[name]["parameters"].items()} == {s.name: s.unit() for s in cls.specs()}
+    code, out, _ = run("effects", "backlash")
+    assert code == 0
+    assert "gap_rad [rad; on a slide m]" in out
+    assert "backlash_with_impact" in out
+    listed = run("effects")[1]
+    assert all(cls.name() in listed for cls in registered().values())
+
+
+def test_the_doctor_says_what_is_there_and_what_is_broken(run, monkeypatch):
+    from mjsim.errors import InputError
+    from mjsim.models import shipped_models
+    from mjsim.render import context
+
+    monkeypatch.setattr(context, "backend", lambda: "egl (a renderer)")
+    code, out, _ = run("doctor", "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert told["rendering"]["backend"] == "egl (a renderer)"
+    assert told["models"]["names"] == list(shipped_models())
+    assert told["linear_algebra"]["blas"][0]["kernel"]
+    assert isinstance(told["compiled"]["simulation"], bool)
+
+    def none() -> str:
+        raise InputError("rendering", "no off-screen OpenGL")
+
+    monkeypatch.setattr(context, "backend", none)
+    code, out, err = run("doctor")
+    assert code == 1
+    assert "no off-screen OpenGL" in err
+    assert len(err.splitlines()) == 1
+    assert "Python" in out
+
+
+def test_completion_of_a_command_imports_none():
+    import os
+
+    code = "from simgap.cli import main; main()"
+    environment = os.environ | {"_SIMGAP_COMPLETE": "bash_complete", "COMP_WORDS": "simgap d", "COMP_CWORD": "1"}
+    ended = subprocess.run([sys.executable, "-c", f"import sys; sys.argv = ['simgap']; {code}"], capture_output=True, text=True,
+                           check=False, env=environment)  # fmt: skip
+    assert [line.partition(",")[2] for line in ended.stdout.split()] == [n for n in COMMANDS if n.startswith("d")]

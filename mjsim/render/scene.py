@@ -106,7 +106,7 @@ class Scene:
             raise InputError(f"--camera {name!r}", f"no such camera in {self.path.name}", f"one of: {', '.join(known)}",
                              nearest(name, known))  # fmt: skip
         self._corners = corners
-        if model.ncam and name != FREE or name in names:
+        if (model.ncam and name != FREE) or name in names:
             camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
             camera.fixedcamid = names.index(name) if name is not None else 0
             return camera

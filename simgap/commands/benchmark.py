@@ -319,7 +319,7 @@ def _show(summary: dict[str, Any], out: Path) -> None:
         console.print(f"case {name} could not be diagnosed: {text}", highlight=False)
     took = summary["seconds"]
     console.print(
-        f"Page: {out / 'benchmark.html'}   (time of a diagnosis: median {took['median'] or 0:.0f} s, maximum {took['worst']:.0f} s, "
+        f"Page: {out / 'benchmark.html'}   (a diagnosis took: median {took['median'] or 0:.0f} s, maximum {took['worst']:.0f} s, "
         f"more than {SLOW:.0f} s in {took['slow']} of {summary['n']} cases; --jobs of them run at the same time)",
         highlight=False,
     )

@@ -91,8 +91,6 @@ def _linear_algebra() -> dict[str, Any]:
 
 
 def _compiled() -> dict[str, Any]:
-    from numba import config
-
     from mjsim import kernel
 
     folder = Path(kernel.integrate._cache.cache_path)
@@ -101,7 +99,8 @@ def _compiled() -> dict[str, Any]:
     there = next(p for p in (folder, *folder.parents) if p.exists())
     out = {
         "folder": str(folder), "files": len(kept), "megabytes": round(sum(p.stat().st_size for p in kept) / 1e6, 1),
-        "simulation": any(p.name.startswith(f"{stem}.integrate") for p in kept), "numba_cache_dir": config.CACHE_DIR or None,
+        "simulation": any(p.name.startswith(f"{stem}.integrate") for p in kept),
+        "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR"),
     }  # fmt: skip
     if not os.access(there, os.W_OK):
         out["problem"] = f"{there} cannot be written: every run compiles anew; set NUMBA_CACHE_DIR to a writable folder"
@@ -131,8 +130,8 @@ def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
     r, c = found["rendering"], found["compiled"]
     if "backend" in r:
         rows.append(("rendering", f"{r['backend'] or 'none'}, ffmpeg {r['ffmpeg'] or 'none'}"))
-    for b in found["linear_algebra"].get("blas", ()):
-        rows.append(("BLAS", f"{b['library']} {b['version']}, kernel {b['kernel']}, {b['threads']} threads ({b['file']})"))
+    blas = found["linear_algebra"].get("blas", ())
+    rows += [("BLAS", f"{b['library']} {b['version']}, kernel {b['kernel']}, {b['threads']} threads ({b['file']})") for b in blas]
     if "folder" in c:
         state = "compiled" if c["simulation"] else "not compiled yet: the first diagnosis takes about a minute longer"
         rows.append(("simulation", f"{state}; {c['files']} files, {c['megabytes']} MB in {c['folder']}"))

@@ -74,7 +74,7 @@ def _held(data: IOData) -> list[str]:
 
 @click.command("identify", short_help="Filter, decimate and fit a Box-Jenkins model to a recording.")
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--out", "out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for the results.")
+@click.option("--out", "out", type=click.Path(path_type=Path), required=True, help="Folder for the results.")
 @click.option("--orders", default="5,5,5,5,1", show_default=True, metavar="NB,NC,ND,NF,NK", help="MATLAB's [nb nc nd nf nk].")
 @click.option("--decimate", "factor", type=int, default=10, show_default=True, help="Keep every N-th sample; 1 means all.")
 @click.option(
@@ -172,6 +172,7 @@ def command(
 
     def read(path: Path) -> IOData:
         raw = IOData.from_recording(load(path, model=model), input_column, output_column)
+        raw = replace(raw, u_name=printable(raw.u_name), y_name=printable(raw.y_name), source=printable(raw.source))
         if raw.u_name == raw.y_name:
             raise InputError(raw.source, f"input and output are both {raw.u_name}", "two channels", "name another --output")
         check_moving(raw)

@@ -16,7 +16,7 @@ from simgap.terminal import printable
 if TYPE_CHECKING:
     from mjsim.axis import Axis
     from mjsim.ode import Trajectory
-    from mjsim.render import Rig, Shot, Take
+    from mjsim.render import Rig, Take
 
 __all__ = ["command"]
 
@@ -62,7 +62,7 @@ def _is_model(source: str) -> bool:
         from mjsim.errors import InputError, nearest
 
         known = [*shipped_scenarios(), *shipped_models()]
-        raise InputError(f"{source!r}", "no such file, scenario or model", f"an .xml or .toml file, or one of: {', '.join(known)}",
+        raise InputError(f"{source!r}", "no such file, scenario or model", f"an .xml or .toml file or one of: {', '.join(known)}",
                          nearest(source, known))  # fmt: skip
     return False
 

@@ -219,7 +219,7 @@ def test_the_command_runs_arms_and_goes_on_where_it_stopped(tmp_path: Path) -> N
     assert "Other ways to model the same recordings" in page
     assert ARMS["sysid"].what in page  # among those that were not run
     again = CliRunner().invoke(command, [*arguments, "--arms", "box_jenkins"])
-    assert "1 of 1 cases were done by box_jenkins before" in again.output
+    assert "1 of 1 cases were finished by box_jenkins in an earlier run" in again.output
 
 
 def test_the_page_and_the_terminal_show_the_rivals(capsys: pytest.CaptureFixture[str]) -> None:

@@ -108,7 +108,7 @@ def test_the_envelope(tmp_path: Path) -> None:
     assert table.shape == (20000, 4)
     assert write_cases(tmp_path / "again", tmp_path / "t2" / "truth.json", counts, seed=5) == digest
     truth.write_text(truth.read_text().replace("nothing", "plain", 1))
-    with pytest.raises(InputError, match="changed after it was sealed"):
+    with pytest.raises(InputError, match="changed after it was written"):
         open_envelope(out, truth)
 
 

@@ -224,7 +224,7 @@ def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(files, tm
         broken = CliRunner().invoke(cli, command(files, out))
     assert broken.exit_code == 130
     assert broken.stderr.strip().splitlines() == [
-        f"simgap: interrupted; what was fitted is in {out / 'state.jsonl'}: give the same command to go on"
+        f"simgap: interrupted; the fits are kept in {out / 'state.jsonl'}: the same command continues"
     ]
     assert [p.name for p in out.iterdir()] == ["state.jsonl"]
     assert CliRunner().invoke(cli, command(files, out)).exit_code == 0
@@ -272,7 +272,7 @@ def test_ctrl_c_on_the_running_command(files, tmp_path):
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=60)
     assert running.returncode == 130, said
-    assert "give the same command to go on" in said
+    assert "the same command continues" in said
     assert len(said.strip().splitlines()) == 1
     assert [p.name for p in out.iterdir()] == ["state.jsonl"]
     assert subprocess.run(process, check=False).returncode == 0

@@ -1,0 +1,211 @@
+"""Faults around the command line: places that cannot be written, a full disk, inputs as outputs, closed pipes, odd names."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjsim.models import shipped_model
+from simgap import cli
+
+ROOT = Path(cli.__file__).resolve().parent.parent
+N = 600
+TIME = 5e-4 * np.arange(N)
+
+
+def recording(path: Path, velocity: str = "velocity_rad_s") -> Path:
+    rng = np.random.default_rng(0)
+    table = np.column_stack([TIME, np.sin(40 * TIME), 10 * np.sin(40 * TIME) + 0.01 * rng.standard_normal(N), -np.cos(40 * TIME)])
+    np.savetxt(path, table, delimiter=",", header=f"time_s,torque_Nm,{velocity},angle_rad", comments="", fmt="%.9g")
+    return path
+
+
+def command(*words: str, **more: object) -> subprocess.Popen[str]:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])} | dict(more.pop("env", {}))  # type: ignore[call-overload]
+    return subprocess.Popen([sys.executable, "-m", "simgap", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            env=environment, **more)  # type: ignore[call-overload, no-any-return]  # fmt: skip
+
+
+@pytest.fixture
+def simgap(monkeypatch, capfd, tmp_path):
+    """``simgap("run", ...)`` -> (exit code, standard output, standard error), in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["simgap", *words])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capfd.readouterr()
+        return int(ended.value.code or 0), said.out, said.err
+
+    return call
+
+
+def refused(outcome: tuple[int, str, str], *parts: str) -> None:
+    """Exit 2 and one line that holds the parts."""
+    code, _, err = outcome
+    assert code == 2, err
+    assert "Traceback" not in err
+    assert len(err.splitlines()) == 1
+    for part in parts:
+        assert part in err
+
+
+WRITERS = {
+    "run": ("run", "step", "--duration", "0.1", "--out"),
+    "demo": ("demo", "--out"),
+    "identify": ("identify", "log.csv", "--out"),
+    "crosscheck": ("crosscheck", "--out"),
+    "benchmark": ("benchmark", "--out"),
+    "study": ("study", "--quick", "--out"),
+    "proof": ("proof", "summary", "--out"),
+    "diagnose": ("diagnose", "log.csv", "--model", "robot_axis1", "--out"),
+}
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_a_folder_that_is_a_file(simgap, name):
+    recording(Path("log.csv"))
+    Path("taken").write_text("kept")
+    refused(simgap(*WRITERS[name], "taken"), "taken", "is a file")
+    refused(simgap(*WRITERS[name], "taken/deeper"), "taken", "is a file")
+    assert Path("taken").read_text() == "kept"
+
+
+@pytest.mark.parametrize("words", [("render", "emps"), ("replay", "robot_axis1", "log.csv")])
+def test_a_file_that_is_a_folder(simgap, words):
+    recording(Path("log.csv"))
+    Path("taken.png").mkdir()
+    refused(simgap(*words, "--out", "taken.png"), "taken.png", "it is a folder")
+    Path("file").write_text("kept")
+    refused(simgap(*words, "--out", "file/film.png"), "'file' is a file")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_a_parent_that_is_read_only(simgap, name):
+    recording(Path("log.csv"))
+    Path("locked").mkdir()
+    Path("locked").chmod(0o500)
+    refused(simgap(*WRITERS[name], "locked/deeper"), "locked", "cannot be written")
+
+
+@pytest.mark.parametrize("name", ["run", "demo"])
+def test_a_place_that_the_system_refuses(simgap, name):
+    """No folder can be made in /proc, whoever asks: the system's own refusal is one line too."""
+    if not Path("/proc/self").is_dir():
+        pytest.skip("no /proc")
+    refused(simgap(*WRITERS[name], "/proc/nowhere"), "/proc")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("run", "step", "--duration", "2", "--out", "out"), ("render", "step", "--out", "out/film.png"), ("demo", "--out", "out")],
+)
+def test_a_full_disk(tmp_path, words):
+    """A limit on the size of a file fails a write half-way, as a full disk does: one line, and no half file under a final name."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+
+    cache = {"NUMBA_CACHE_DIR": ""} if not os.environ.get("NUMBA_CACHE_DIR") else {}
+    ended = command(*words, cwd=tmp_path, preexec_fn=limit, env=cache)
+    out, err = ended.communicate(timeout=300)
+    lines = [line for line in err.splitlines() if line.startswith("simgap:")]
+    assert "Traceback" not in err
+    assert ended.returncode == 2, err
+    assert len(lines) == 1, out + err
+    assert not [p for p in tmp_path.rglob("*") if p.is_file() and p.stat().st_size >= 8192]
+
+
+def test_an_output_that_is_an_input(simgap):
+    log = recording(Path("log.csv"))
+    before = log.read_bytes()
+    refused(simgap("replay", "robot_axis1", "log.csv", "--out", "log.csv"), "--out", "would overwrite", "log.csv")
+    Path("link.csv").hardlink_to(log)
+    refused(simgap("replay", "robot_axis1", "log.csv", "--out", "link.csv"), "would overwrite")
+    assert log.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["corrected.xml", "mapped.xml"])
+def test_a_diagnosis_beside_its_own_model(simgap, name):
+    recording(Path("log.csv"))
+    model = Path(name)
+    model.write_bytes(shipped_model("robot_axis1").read_bytes())
+    refused(simgap("diagnose", "log.csv", "--model", name, "--out", "."), "would overwrite", name)
+    assert model.read_bytes() == shipped_model("robot_axis1").read_bytes()
+
+
+def test_a_scenario_of_the_same_name_as_its_log(simgap):
+    Path("step.toml").write_text('model = "emps"\n[excitation]\nkind = "step"\namplitude = 1\n')
+    refused(simgap("run", "step.toml", "--out", "."), "would overwrite", "step.toml")
+
+
+@pytest.mark.parametrize("words", [("run", "--list"), ("effects", "--json")])
+def test_a_reader_that_goes_away(words):
+    """A pipe without a reader ends the command as SIGPIPE would, and quietly."""
+    with command(*words) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        err = process.stderr.read()
+        assert process.wait(60) == cli.CLOSED
+    assert err == ""
+
+
+def test_control_characters_do_not_reach_the_terminal(simgap):
+    evil = "velo\x1b[31mcity\x07\u202e"
+    recording(Path("log.csv"), velocity=evil)
+    for words in (
+        ("identify", "log.csv", "--output", "nothing", "--out", "out"),
+        ("diagnose", "log.csv", "--model", "robot_axis1", "--out", "out"),
+        ("run", evil, "--out", "out"),
+        (evil,),
+        ("render", evil, "--out", "film.png"),
+    ):
+        code, out, err = simgap(*words)
+        assert code in (0, 2)
+        assert not {"\x1b", "\x07", "\u202e"} & set(out + err)
+    code, out, err = simgap("identify", "log.csv", "--output", evil, "--decimate", "1", "--orders", "1,1,1,1,1", "--out", "out")
+    assert not {"\x1b", "\x07", "\u202e"} & set(out + err)
+
+
+def test_a_message_has_a_length(simgap):
+    code, _, err = simgap("render", "x" * 50_000, "--out", "film.png")
+    assert code == 2
+    assert len(err) < 2200
+
+
+def test_a_missing_library_for_drawing_breaks_only_what_draws(tmp_path):
+    """MUJOCO_GL names a library that is not there: a command that draws nothing runs, one that draws says what is missing."""
+    log = recording(tmp_path / "log.csv")
+    missing = {"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "", "LD_LIBRARY_PATH": ""}
+    missing["PYTHONPATH"] = os.pathsep.join([str(tmp_path), str(ROOT), *sys.path])
+    (tmp_path / "sitecustomize.py").write_text(  # where OSMesa is installed, it is hidden
+        "import ctypes.util as u\nfound = u.find_library\nu.find_library = lambda n: None if n == 'OSMesa' else found(n)\n"
+    )
+    ended = command("replay", "emps", str(log), "--out", "p.csv", "--engine", "mujoco", cwd=tmp_path, env=missing)
+    out, err = ended.communicate(timeout=300)
+    assert "GL" not in err, err
+    assert "Traceback" not in err
+    ended = command("render", "emps", "--out", "film.png", cwd=tmp_path, env=missing)
+    out, err = ended.communicate(timeout=300)
+    refused((ended.returncode, out, err), "no off-screen OpenGL", "libosmesa6")
+    assert not (tmp_path / "film.png").exists()
+
+
+def test_the_choice_of_a_renderer_is_kept_for_what_draws():
+    environ = {"MUJOCO_GL": "osmesa"}
+    cli.defer_rendering(environ)
+    assert environ == {"MUJOCO_GL": "disable", "SIMGAP_GL": "osmesa"}
+    cli.defer_rendering(environ)
+    assert environ["SIMGAP_GL"] == "osmesa"
+    cli.defer_rendering(empty := {})
+    assert empty == {}
