@@ -110,7 +110,7 @@ def test_a_place_that_the_system_refuses(simgap, name):
     [("run", "step", "--duration", "2", "--out", "out"), ("render", "step", "--out", "out/film.png"), ("demo", "--out", "out")],
 )
 def test_a_full_disk(tmp_path, words):
-    """A limit on the size of a file fails a write half-way, as a full disk does: one line, and no half file under a final name."""
+    """A limit on the size of a file fails a write half-way, as a full disk does: one line, no half file under a final name."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 SLOW = (0.3, 1.5)  # band of the chirp that moves a model [Hz]: seen at 25 pictures a second
+SEEN = 0.02  # deflection [rad | m] that a picture shows, see `_hidden`
 WIDE = (0.5, 15.0)  # and of the one that winds an elastic axis up
 
 
@@ -146,7 +147,7 @@ def _film_scenario(source: str, out: Path, view: str, wanted: _Wanted) -> str:
         raise InputError(source, "--recording and --simulation need a model", "MODEL.xml", "name the model")
     scenario = load_scenario(source)
     log = run(scenario)
-    if view == "model" or (view == "auto" and not _hidden(log.axis, log.motion, wanted.film["size"][0])):
+    if view == "model" or (view == "auto" and not _hidden(log.axis, log.motion)):
         rig = Rig.of(scenario.model_path)
         take = take_of_run(rig, f"simulation of {scenario.name}", log.motion)
         if _film_takes(rig, [take], out, wanted, needs_motion=view == "auto"):
@@ -155,18 +156,18 @@ def _film_scenario(source: str, out: Path, view: str, wanted: _Wanted) -> str:
     return "the axis, magnified"
 
 
-def _hidden(axis: Axis, motion: Trajectory, width: int) -> bool:
-    """Whether an axis has deflections that its own geoms would not show: all below a pixel.
+def _hidden(axis: Axis, motion: Trajectory) -> bool:
+    """Whether an axis has deflections that its own geoms would not show: all below 1 % of the width of the picture.
 
-    The longest lever of a picture is half its width, so that a deflection of 2 / width [rad] moves a point by one pixel. For a
-    slide, half the width is taken as 1 m.
+    The longest lever of a picture is half its width, so that 0.02 rad moves a point by 1 % of it: 10 pixels of 960. The
+    width of a slide's picture is taken as 2 m.
     """
     import numpy as np
 
     from mjsim.render.stage import deflections
 
     d = deflections(axis.chain, motion.q)
-    return bool(d.size) and float(np.max(np.abs(d))) < 2.0 / width
+    return bool(d.size) and float(np.max(np.abs(d))) < SEEN
 
 
 def _demonstrated(path: Path, low: float, high: float) -> tuple[str, Trajectory]:
@@ -249,7 +250,7 @@ def command(
     a recording, the recorded angles pose the model, beside a simulation of the model on the recorded input.
 
     A drawn axis with magnified wind-up and gap takes the place of the geoms where no visible geom of a model moves, and in a
-    scenario whose deflections are all smaller than a pixel. --view decides it.
+    scenario of an elastic axis whose deflections stay below 1 % of the picture. --view overrides this choice.
     """
     from mjsim.errors import InputError
     from mjsim.ode import DivergedError

@@ -73,7 +73,7 @@ def test_what_breaks_is_an_answer_and_what_is_not_installed_is_said(tmp_path: Pa
     (ran,) = run_arms(tmp_path, [Arm("x", "X", breaks, needs=("simgap_no_such_module",))], ["001"], {"001": {}})
     assert "simgap[bench]" in ran["skipped"]
     assert not ran["answers"]
-    assert "Arm x skipped: simgap_no_such_module not installed" in capsys.readouterr().err
+    assert "Method x skipped: simgap_no_such_module not installed" in capsys.readouterr().err
 
 
 def test_the_refitted_model_is_taken_from_the_diagnosis_or_fitted(plain: Task) -> None:

@@ -115,7 +115,7 @@ def test_the_envelope(tmp_path: Path) -> None:
 def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="behind_refit"):
         write_cases(tmp_path / "a", tmp_path / "t.json", {"hard": 1}, seed=1)
-    with pytest.raises(InputError, match="another directory"):
+    with pytest.raises(InputError, match="another folder"):
         write_cases(tmp_path / "a", tmp_path / "a" / "truth.json", {"nothing": 1}, seed=1)
 
 
