@@ -18,7 +18,7 @@ __all__ = ["CHOICE", "Offscreen", "backend"]
 
 CHOICE = "SIMGAP_GL"  # environment variable: egl or osmesa; the command line moves MUJOCO_GL there
 GHOST_ALPHA = 0.45
-NEARER = 2e-3  # part of the way to the camera by which a ghost is moved
+NEARER = 1.2e-2  # part of the way to the camera by which a ghost is moved: more than a texel of a shadow map is deep
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 
 
