@@ -31,8 +31,11 @@ def _digest(data: bytes) -> str:
 def _write(path: Path, data: bytes) -> None:
     """Write under another name first, so that nothing half-written is left under the final one."""
     partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(data)
-    os.replace(partial, path)
+    try:
+        partial.write_bytes(data)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _csv(motion: Motion) -> bytes:
