@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.check.types import LogCheck
 from mjsim.effects import Effect
 from mjsim.torque_map import TorqueMap
 
@@ -295,7 +296,8 @@ class Traces:
 class Diagnosis:
     """The outcome; see the fields of the contract's ``diagnosis.json``.
 
-    channel, unit: what the models are judged on; mismatch: on the first recording, mismatches: on every one.
+    channel, unit: what the models are judged on; mismatch: on the first recording, mismatches: on every one; log: what the check
+    of the recordings found.
     """
 
     verdict: Verdict
@@ -324,6 +326,7 @@ class Diagnosis:
     hypotheses: int = 0
     mismatches: tuple[Mismatch, ...] = ()
     nominal_effects: tuple[NominalEffect, ...] = ()
+    log: LogCheck | None = None
 
     def shares(self) -> tuple[float, ...]:
         """Each recording's share of the residual energy above noise of all of them."""
@@ -351,6 +354,7 @@ class Diagnosis:
                 ],
             },
             "linear_parameters": {k: v.as_dict() for k, v in self.linear_parameters.items()},
+            "log": self.log.as_dict() if self.log is not None else None,
             "nominal_parameters": dict(self.nominal_parameters),
             "nominal_effects": [
                 {

@@ -239,8 +239,10 @@ class Recording:
         return dataclasses.replace(self, **arrays, columns=columns)
 
 
-def load(path: str | Path, *, model: str | Path | None = None, binding: Binding | None = None) -> Recording:
+def load(path: str | Path, *, model: str | Path | None = None, binding: Binding | None = None, uniform: bool = True) -> Recording:
     """Read a recording; the binding is looked for beside it and beside ``model`` when none is given.
+
+    ``uniform``: refuse stamps that are not; else they stay as they are, and ``dt`` is their median step.
 
     Raises InputError naming the file, the row or key, what was expected and what to do.
     """
@@ -293,7 +295,7 @@ def load(path: str | Path, *, model: str | Path | None = None, binding: Binding 
             raise InputError(
                 path, f"{role} is not finite in {_row(path, bad[0])}", "a number", "remove or interpolate these samples"
             )
-    dt = _sample_time(path, arrays["time"])
+    dt = _sample_time(path, arrays["time"], uniform=uniform)
     units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
     if is_default:
         units = dict(DEFAULT_UNITS)
@@ -311,8 +313,8 @@ def _row(path: Path, index: int) -> str:
     return f"row {index + 2}" if path.suffix.lower() == ".csv" else f"sample {index + 1}"
 
 
-def _sample_time(path: Path, time: np.ndarray) -> float:
-    """The uniform sample time, or an InputError that names the row at which it is not."""
+def _sample_time(path: Path, time: np.ndarray, *, uniform: bool) -> float:
+    """The uniform sample time, or an InputError that names the row at which it is not; the median step where that is allowed."""
     if len(time) < 2:
         raise InputError(path, f"{len(time)} samples", "at least two", "record longer")
     step = np.diff(time)
@@ -324,6 +326,8 @@ def _sample_time(path: Path, time: np.ndarray) -> float:
     dt = float((time[-1] - time[0]) / (len(time) - 1))
     # a printed time stamp is rounded; a missing or shifted sample is off by a good part of dt
     off = np.flatnonzero(np.abs(step - dt) > 0.05 * dt)
+    if len(off) and not uniform:
+        return float(f"{np.median(step):.9g}")
     if len(off):
         raise InputError(
             path, f"sample time {step[off[0]]:.6g} s at {_row(path, off[0] + 1)}, elsewhere {dt:.6g} s", "uniform sampling",

@@ -28,6 +28,7 @@ CLOSED = 141  # exit code when nobody reads standard output any more: that of a 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
 COMMANDS: dict[str, str] = {
     "demo": "Diagnose a simulated axis with a hidden effect and compare with the truth.",
+    "check": "Say what was understood of model and log, and what is wrong with the log.",
     "diagnose": "Locate, name, model and prove the mismatch between recordings and a model.",
     "gate": "Fail when a model predicts recordings worse than a baseline diagnosis.",
     "run": "Simulate a scenario, shipped or your own, and write its log.",

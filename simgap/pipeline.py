@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from diagnose.check import LogVerdict, Machine, check_log
+from diagnose.check.answer import wrong_log
 from diagnose.fit.fit_cache import Memory, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
@@ -21,7 +23,7 @@ from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
 from mjsim.axis import Axis
 from mjsim.errors import InputError
-from mjsim.mjcf import check_writable, load_axis, write_corrected
+from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.ode import load_kernel
 from mjsim.recording import Recording, load
 from simgap.following import following
@@ -67,8 +69,11 @@ def diagnose_files(
     progress: bool = True,
     truth: Mapping[str, Any] | None = None,
     draw: Draw | None = None,
+    accept_log: bool = False,
 ) -> Diagnosis:
     """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole.
+
+    The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``.
 
     ``draw``: who draws the report, by default processes of their own where there is more than one job.
     They take a moment to load: `Drawers` that are given serve any number of diagnoses.
@@ -79,7 +84,9 @@ def diagnose_files(
     options = options or Options()
     if draw is None:
         with Drawers(options.jobs) as drawers:
-            return diagnose_files(recordings, model, out, held_out, options, progress=progress, truth=truth, draw=drawers)
+            return diagnose_files(
+                recordings, model, out, held_out, options, progress=progress, truth=truth, draw=drawers, accept_log=accept_log
+            )
     _need_folder(out)
     nominal = load_axis(model)
     check_writable(model, nominal)
@@ -87,6 +94,9 @@ def diagnose_files(
         _need_place(name, nominal, model)
     loaded = [load(p, model=model) for p in recordings]
     held = [load(p, model=model) for p in held_out]
+    log = check_log(Machine.of(load_model(model)), [*loaded, *held])
+    if log.verdict is LogVerdict.FIX and not accept_log:
+        return _written(wrong_log(nominal, log, loaded, held, options.seed), nominal, model, out, truth, draw)
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
@@ -98,6 +108,13 @@ def diagnose_files(
         raise
     finally:
         memory.close()
+    result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw)
+    memory.discard()
+    return result
+
+
+def _written(result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, draw: Draw) -> Diagnosis:
+    """Write the folder of a diagnosis, and return the diagnosis."""
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     write_corrected(model, corrected_axis(nominal, result), corrected)
@@ -110,7 +127,6 @@ def diagnose_files(
 
     write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth, draw=draw)
     result.write_json(out / "diagnosis.json")
-    memory.discard()
     return result
 
 

@@ -1,12 +1,13 @@
-"""A diagnosis on the terminal."""
+"""A diagnosis, or a check of a log, on the terminal."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from diagnose.check.types import LogCheck, Severity
 from diagnose.result import Diagnosis
 
-__all__ = ["show_diagnosis"]
+__all__ = ["show_check", "show_diagnosis"]
 
 
 def show_diagnosis(result: Diagnosis, out: Path) -> None:
@@ -16,6 +17,8 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
 
     console = Console()
     console.print(f"[bold]{result.verdict.value}[/bold]  {result.summary}")
+    for p in result.log.problems if result.log is not None else ():
+        console.print(f"log ({p.severity.value}): {p.problem} in {p.recording}: do: {p.advice}", highlight=False, markup=False)
     for f in result.findings:
         console.print(f"\n[bold]{f.effect}[/bold] at {f.place} (element {f.element})\n  {f.sentence}")
         for name, e in f.parameters.items():
@@ -43,3 +46,24 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     if result.next_experiment:
         console.print(f"Next: {result.next_experiment}")
     console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)")
+
+
+def show_check(check: LogCheck) -> None:
+    """What was understood, each problem with what to do, what the excitation shows, and the verdict."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(highlight=False)
+    console.print("[bold]Understood[/bold]")
+    for topic, text in check.understood.items():
+        console.print(f"  {escape(topic)}: {escape(text)}")
+    console.print("[bold]Excitation[/bold]")
+    for e in check.excitation:
+        console.print(f"  {escape(e.family)}: {'yes' if e.identifiable else 'no'}, {escape(e.sentence)}")
+    if check.problems:
+        console.print("[bold]Problems[/bold]")
+    for p in check.problems:
+        word = "fix first" if p.severity is Severity.FIX else "limits"
+        console.print(f"  {word}: {escape(p.recording)}: {p.problem} ({p.channel}): {escape(p.sentence)}")
+        console.print(f"    do: {escape(p.advice)}")
+    console.print(f"[bold]{check.verdict.value}[/bold]  {escape(check.sentence)}")

@@ -42,6 +42,7 @@ __all__ = ["command"]
     help="Limit of the simulations in the search: 1 takes about half a minute for 10 s at 2 kHz on two cores; 0: no limit. "
     "Unlike --budget, it gives the same answer on every machine.",
 )
+@click.option("--accept-log", is_flag=True, help="Search even where the check of the log says that it has to be fixed first.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def command(
@@ -55,6 +56,7 @@ def command(
     seed: int,
     budget: float,
     effort: float,
+    accept_log: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -80,7 +82,9 @@ def command(
                 raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), advice)
         options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf)
         try:
-            result = diagnose_files(recordings, model, out, held_out, options, progress=not quiet, draw=draw)
+            result = diagnose_files(
+                recordings, model, out, held_out, options, progress=not quiet, draw=draw, accept_log=accept_log
+            )
         except KeyboardInterrupt:
             kept = out / STATE
             left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"

@@ -1,0 +1,66 @@
+"""What was understood of the model and of the recordings, in one sentence a topic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diagnose.check.context import Context
+from diagnose.check.faults.hold import tell_hold
+from diagnose.check.machine import Machine
+
+__all__ = ["understood"]
+
+
+def understood(contexts: Sequence[Context], machine: Machine) -> dict[str, str]:
+    """Topic -> sentence."""
+    chain, slide = machine.chain, not machine.hinge
+    inertia, stiffness, damping = ("kg", "N/m", "N s/m") if slide else ("kg m^2", "N m/rad", "N m s/rad")
+    bodies = ", ".join(
+        f"{b.place} (joint {b.joint!r}, inertia {b.inertia:.4g} {inertia}"
+        + (f", damping {b.viscous:.4g} {damping})" if b.viscous else ")")
+        for b in chain.bodies
+    )  # fmt: skip
+    out = {"chain": f"{len(chain.bodies)} {'inertia' if len(chain.bodies) == 1 else 'inertias'}: {bodies}."}
+    if chain.couplings:
+        out["couplings"] = "; ".join(
+            f"{c.place}: ratio {c.ratio:.6g}, stiffness {c.stiffness:.4g} {stiffness}, damping {c.damping:.4g} {damping}"
+            for c in chain.couplings
+        ) + "."  # fmt: skip
+    out["gear"] = ", ".join(f"{g:.6g}" for g in machine.gears) if machine.gears else "none: every side has one ratio"
+    out["input"] = f"actuator {chain.actuator!r}, {chain.gain:.6g} {'N' if slide else 'N m'} at the joint per unit of input."
+    effects = "; ".join(e.describe(chain.motion) for e in machine.axis.effects)
+    out["effects in the file"] = effects or "none."
+    if machine.modes:
+        out["modes"] = ", ".join(f"{m:.4g} Hz" for m in machine.modes)
+    for context in contexts:
+        out[context.recording.source] = _log(context)
+    return out
+
+
+def _log(context: Context) -> str:
+    r = context.recording
+    rate = 1 / r.dt
+    channels = [
+        n
+        for n in ("command", "torque", "velocity", "angle", "second_angle", "second_velocity")
+        if getattr(r, n, None) is not None
+    ]
+    units = ", ".join(f"{c} [{r.units[c]}]" if r.units.get(c) else c for c in channels)
+    loop = {
+        None: "Not stated whether a controller feeds the motion back",
+        "open": "Open loop",
+        "closed": "A controller feeds back",
+    }
+    hold = f"input {context.hold}" + (" as stated" if context.hold_is_stated else " (assumed)")
+    told = tell_hold(context)
+    if context.hold_is_stated:
+        how = ""
+    elif told is None or told.hold is None:
+        how = ', not told by the data: say [recording] hold = "held", "linear" or "mean"'
+    else:
+        how = f", and the data show it {told.hold}"
+    noise = ", ".join(f"{v:.3g} in the {n}" for n, v in context.noise.items())
+    return (
+        f"{len(r)} samples, {rate:.6g} a second, {r.duration:.4g} s; {units}. {loop.get(r.loop, r.loop)}; {hold}{how}. "
+        f"Noise rms {noise or 'not told'}."
+    )

@@ -1,0 +1,1 @@
+"""Known faults laid on simulated logs, and clean controls of the same experiments: does `diagnose.check` name them?"""

@@ -1,0 +1,44 @@
+"""``simgap check``: what was understood of model and log, what is wrong with the log, what it can and cannot show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command("check", epilog="Example: simgap check log.csv --model models/robot_axis1.xml --out check/")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--model", required=True, type=click.Path(path_type=Path), help="Nominal MJCF of the axis.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for check.json and check.html.")
+@click.option("--json", "as_json", is_flag=True, help="Print check.json on standard output.")
+def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json: bool) -> None:
+    """Check RECORDINGS against a nominal model before any physics is sought.
+
+    Says what was understood, what is wrong with the log (units, signs, clocks, sampling, clipping), and which effects the
+    excitation can show. Exit 0: ready, or usable with limits. 1: the log has to be fixed first. 2: bad input.
+    """
+    import json
+
+    from diagnose.check import LogVerdict, Machine, check_log
+    from diagnose.check.page import write_check
+    from mjsim.mjcf import carried_binding, load_model
+    from mjsim.recording import load
+
+    source = load_model(model)
+    loaded = [load(p, model=model, binding=carried_binding(source, p), uniform=False) for p in recordings]
+    result = check_log(Machine.of(source), loaded)
+    if out is not None:
+        write_check(result, loaded, model.name, out)
+    if as_json:
+        click.echo(json.dumps({"model": model.name, **result.as_dict()}, indent=2))
+    else:
+        from simgap.show import show_check
+
+        show_check(result)
+        if out is not None:
+            click.echo(f"wrote {out / 'check.html'} and {out / 'check.json'}")
+    if result.verdict is LogVerdict.FIX:
+        raise SystemExit(1)
