@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from diagnose.check.following import Following, follows
 from diagnose.check.machine import Machine
 from diagnose.check.relation import Fit, Relation, Signals
 from diagnose.check.scale import Scale, find_scale
@@ -111,9 +112,12 @@ class Context:
             delays.append(fit.delay.value)
         return abs(delays[1] - delays[0])
 
+    @cached_property
+    def following(self) -> Following | None:
+        """How the input follows the angle, where it does and is no torque."""
+        return follows(self.signals, self.scale)
+
     @property
     def is_command(self) -> bool:
         """Whether the input follows the value of the angle, as a position command does, and is no torque."""
-        from diagnose.check.faults.command_as_torque import follows
-
-        return follows(self) is not None
+        return self.following is not None

@@ -44,7 +44,5 @@ def check(name: str, *problems: str, question: str) -> Callable[[CheckFunction],
 
 
 def checks() -> Mapping[str, Check]:
-    """Every check by name, in the order in which they run."""
-    from diagnose.check import faults  # noqa: F401  (registers them)
-
+    """Every check by name, in the order in which they run; those of `diagnose.check.faults` once that is imported."""
     return MappingProxyType(_CHECKS)

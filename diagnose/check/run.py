@@ -9,6 +9,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from diagnose.check import faults as _faults  # noqa: F401  (registers the checks)
 from diagnose.check.context import Context
 from diagnose.check.excitation import excitation
 from diagnose.check.machine import Machine

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import click
 
+from simgap.arguments import ModelFile
+
 __all__ = ["command"]
 
 
-@click.command("check", epilog="Example: simgap check log.csv --model models/robot_axis1.xml --out check/")
+@click.command("check", epilog="Example: simgap check log.csv --model robot_axis1 --out check/")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Nominal MJCF of the axis.")
+@click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis, or the name of a shipped model.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for check.json and check.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print check.json on standard output.")
 def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json: bool) -> None:
