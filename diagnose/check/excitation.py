@@ -87,7 +87,7 @@ def excitation(contexts: Sequence[Context], machine: Machine) -> list[Excitation
         Excitation("offset", both, "both directions of motion" if both else "one direction: an offset and friction look alike"),
     ]  # fmt: skip
     if len(machine.chain.bodies) > 1 or machine.gears:
-        out.append(Excitation("backlash", changes >= _REVERSALS, f"{changes} changes of sign of the load ({_REVERSALS} needed)"))
+        out.append(Excitation("gap of the gear", changes >= _REVERSALS, f"{changes} changes of load sign ({_REVERSALS} needed)"))
     reach = min(min(1 / c.signals.dt for c in contexts if c.signals is not None) / MODE_RATE, band)
     for mode in machine.modes:
         word = "reached" if mode < reach else "not reached"

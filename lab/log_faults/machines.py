@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjsim.axis import Axis, Body, Chain
-from mjsim.effects import effect_class
+from mjsim.effects.coulomb_friction import CoulombFriction
+from mjsim.effects.gravity_load import GravityLoad
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 
@@ -29,15 +30,11 @@ class Plant:
     high: float
 
 
-def _effect(name: str, place: str, **values: float):  # type: ignore[no-untyped-def]
-    return effect_class(name)(place=place, **values)
-
-
 def _pendulum() -> Plant:
     chain = Chain((Body("motor", 0.18, 0.08, "pivot"),), ())
     effects = (
-        _effect("coulomb_friction", "motor", torque_Nm=0.1),
-        _effect("gravity_load", "arm", torque_Nm=4.0, phase_rad=0.0),
+        CoulombFriction(place="motor", torque_Nm=0.1),
+        GravityLoad(place="arm", torque_Nm=4.0, phase_rad=0.0),
     )
     return Plant("pendulum", Axis(chain, effects), 1.8, 0.3, 8.0)
 
@@ -45,8 +42,8 @@ def _pendulum() -> Plant:
 def _hinge() -> Plant:
     chain = Chain((Body("motor", 1.4, 2.5, "shoulder"),), (), gain=20.0)
     effects = (
-        _effect("coulomb_friction", "motor", torque_Nm=1.5),
-        _effect("gravity_load", "arm", torque_Nm=12.0, phase_rad=0.6),
+        CoulombFriction(place="motor", torque_Nm=1.5),
+        GravityLoad(place="arm", torque_Nm=12.0, phase_rad=0.6),
     )
     return Plant("geared hinge", Axis(chain, effects), 1.0, 0.3, 10.0)
 
