@@ -1,0 +1,5 @@
+"""``python -m lab.panel``."""
+
+from lab.panel.cli import main
+
+main()

@@ -1,0 +1,156 @@
+"""Run cases with the code of a checkout: on all cores, one JSON record a case, and on from where it was broken off."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from ident.serial import write_atomic
+from lab.panel.case import Case, Files, materialise
+from lab.panel.record import Record, from_json, record_of, to_json
+from lab.panel.tree import Tree
+from lab.panel.worker import Worker
+from mjsim.errors import InputError
+
+__all__ = ["LIMIT", "Ran", "Setting", "run_cases"]
+
+LIMIT = 1800.0  # [s] after which a case counts as an error; the search itself ends by its count of simulations, long before
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How cases are run: the code, the folder of their files, the patches in force and the name of what is switched off."""
+
+    tree: Tree
+    cache: Path
+    patches: tuple[Mapping[str, Any], ...] = ()
+    rule: str = ""
+    limit: float = LIMIT
+
+    @property
+    def stamp(self) -> str:
+        """What an answer follows from besides its case."""
+        return f"{self.tree.stamp} {json.dumps(list(self.patches), sort_keys=True)}"
+
+
+@dataclass(frozen=True)
+class Ran:
+    """Records by case; cases whose recordings are not on this machine, each with the reason; how many were there before."""
+
+    records: Mapping[str, Record]
+    absent: Mapping[str, str]
+    kept: int
+
+
+def _kept(path: Path, files: Files, stamp: str) -> Record | None:
+    """The record in a file, where it is of this case and code."""
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+        if said["stamp"] == stamp and said["record"]["hash"] == files.hash:
+            return from_json(said["record"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return None
+
+
+class _Run:
+    """The threads of a run share a queue of cases; each has a worker of its own."""
+
+    def __init__(self, out: Path, setting: Setting, jobs: int, say: Callable[[str], None]) -> None:
+        self.out, self.setting, self.jobs, self.say = out, setting, jobs, say
+        self.records: dict[str, Record] = {}
+        self.absent: dict[str, str] = {}
+        self.kept = 0
+        self._failed: list[BaseException] = []
+        self._lock = threading.Lock()
+
+    def all(self, cases: Sequence[Case]) -> None:
+        todo: queue.SimpleQueue[Case] = queue.SimpleQueue()
+        for case in cases:
+            todo.put(case)
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before the processes that make recordings import numpy
+            os.environ.setdefault(name, "1")
+        with ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn")) as makers:
+            threads = [
+                threading.Thread(target=self._serve, args=(k, todo, makers, len(cases)), daemon=True) for k in range(self.jobs)
+            ]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+        if self._failed:
+            raise self._failed[0]
+
+    def _serve(self, number: int, todo: queue.SimpleQueue[Case], makers: ProcessPoolExecutor, total: int) -> None:
+        worker = Worker(self.setting.tree, self.out / "log" / f"worker_{number}.txt", self.setting.patches)
+        try:
+            while not self._failed:
+                case = todo.get_nowait()
+                self._one(case, worker, number, makers, total)
+        except queue.Empty:
+            pass
+        except BaseException as error:  # raised again where the run was begun
+            self._failed.append(error)
+        finally:
+            worker.close()
+
+    def _one(self, case: Case, worker: Worker, number: int, makers: ProcessPoolExecutor, total: int) -> None:
+        made: Future[Files] = makers.submit(materialise, case, self.setting.cache)
+        try:
+            files = made.result()
+        except InputError as error:
+            with self._lock:
+                self.absent[case.id] = str(error)
+            return
+        path = self.out / "records" / f"{case.id}.json"
+        record = _kept(path, files, self.setting.stamp)
+        before = record is not None
+        if record is None:
+            record = self._diagnosed(case, files, worker, number)
+            said = {"stamp": self.setting.stamp, "rule": self.setting.rule, "record": json.loads(to_json(record))}
+            write_atomic(path, json.dumps(said) + "\n")
+        with self._lock:
+            self.records[case.id] = record
+            self.kept += before
+            if not before:
+                self.say(f"{len(self.records)}/{total} {_line(record)}")
+
+    def _diagnosed(self, case: Case, files: Files, worker: Worker, number: int) -> Record:
+        folder = self.out / "work" / str(number)
+        shutil.rmtree(folder, ignore_errors=True)
+        reply = worker.ask(files, folder.resolve(), self.setting.limit)
+        result: dict[str, Any] = {}
+        if "error" not in reply:
+            result = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+            if result.get("simulations") is not None:  # of a commit that writes the number itself
+                reply["simulations"] = result["simulations"]
+        shutil.rmtree(folder, ignore_errors=True)
+        return record_of(case.id, files.hash, self.setting.tree.commit, files.content, reply, result)
+
+
+def _line(r: Record) -> str:
+    """A record in one line of text."""
+    named = " + ".join(r.named) or r.error[:100] or "-"
+    taken = "" if r.simulations is None else f", {r.simulations} simulations"
+    return f"{r.case}: {r.outcome or 'no truth'}, {r.verdict}, {named} ({r.seconds:.1f} s, {r.cpu_seconds:.1f} s CPU{taken})"
+
+
+def run_cases(
+    cases: Sequence[Case], out: Path, setting: Setting, jobs: int, say: Callable[[str], None] = lambda _: None
+) -> Ran:
+    """Diagnose cases and keep each record in ``out/records``; those that stand there by the same code are not computed again.
+
+    A case that fails is a record with ``error``. Raises InputError where the checkout cannot be run.
+    """
+    run = _Run(out, setting, max(1, min(jobs, len(cases))), say)
+    run.all(cases)
+    return Ran(run.records, run.absent, run.kept)
