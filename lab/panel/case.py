@@ -64,7 +64,7 @@ class Files:
 
 
 def case_hash(folder: Path, content: Content) -> str:
-    """SHA-256 over names and bytes of all files but ``case.json``, the part that each has, and the options; not over the truth."""
+    """SHA-256 over names, bytes and parts of all files but ``case.json``, and over the options; not over the truth."""
     asked = [list(content.estimation), list(content.held_out), content.model, dict(content.options)]
     digest = hashlib.sha256(json.dumps(asked, sort_keys=True).encode())
     for path in sorted(p for p in folder.iterdir() if p.name != "case.json"):
@@ -91,8 +91,11 @@ def materialise(case: Case, cache: Path) -> Files:
                 "options": dict(content.options), "truth": content.truth, "expected": content.expected,
             }  # fmt: skip
             write_atomic(scratch / "case.json", json.dumps(said, indent=1) + "\n")
-            shutil.rmtree(folder, ignore_errors=True)
-            scratch.rename(folder)
+            try:
+                scratch.rename(folder)
+            except OSError:
+                if not (folder / "case.json").is_file():  # else another process has written the same meanwhile
+                    raise
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
     said = json.loads((folder / "case.json").read_text(encoding="utf-8"))

@@ -12,8 +12,13 @@ from typing import Any
 
 import click
 
+from ident.serial import write_atomic
+from lab.benchmark.resume import plain
+from lab.panel.ablate import ablate, ablation_table
 from lab.panel.catalogue import all_cases, choose, quick_cases, select, strata
-from lab.panel.record import Record, read_answers, write_answers
+from lab.panel.compare import compare, markdown
+from lab.panel.record import read_answers, write_answers
+from lab.panel.rules import RULES, rules_of
 from lab.panel.run import LIMIT, Ran, Setting, run_cases
 from lab.panel.tree import Tree, at_commit, checkout, here
 from mjsim.errors import InputError
@@ -21,6 +26,7 @@ from mjsim.errors import InputError
 __all__ = ["main"]
 
 PANEL = Path("out") / "panel"
+CAP = 30.0  # [s] of CPU time: twelve such cases would fill the six minutes of two cores
 
 
 def _say(text: str) -> None:
@@ -97,9 +103,93 @@ def run(
 def _summary(ran: Ran) -> None:
     records = list(ran.records.values())
     known = [r for r in records if r.good is not None]
-    click.echo(f"{len(records)} answers, {ran.kept} of them from before; right {sum(bool(r.good) for r in known)} of {len(known)}")
+    click.echo(
+        f"{len(records)} answers, {ran.kept} of them from before; right {sum(bool(r.good) for r in known)} of {len(known)}"
+    )
     for name, why in sorted(ran.absent.items()):
         click.echo(f"{name} was left out: {why}")
+
+
+@panel.command("compare")
+@click.argument("before", type=click.Path(path_type=Path))
+@click.argument("after", type=click.Path(path_type=Path))
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures to this file.")
+@click.option("--markdown", "text_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the tables to this file.")
+def compare_(before: Path, after: Path, json_file: Path | None, text_file: Path | None) -> None:
+    """Compare two runs, or files of answers, case by case; exit 1 on a significant loss or more false alarms.
+
+    Example: python -m lab.panel compare lab/panel/answers/a8a8fdb.json out/panel/now
+    """
+    found = compare(read_answers(before), read_answers(after))
+    text = markdown(found, _called(before), _called(after))
+    click.echo(text)
+    if text_file is not None:
+        write_atomic(text_file, text)
+    if json_file is not None:
+        write_atomic(json_file, json.dumps(plain(found.as_dict()), indent=1) + "\n")
+    if found.fails:
+        sys.exit(1)
+
+
+def _called(path: Path) -> str:
+    return path.stem if path.suffix == ".json" else path.name
+
+
+@panel.command("ablate")
+@click.argument("names_of_rules", metavar="RULE...", nargs=-1)
+@click.option("--list", "show", is_flag=True, help="Print the rules, and what each does.")
+@click.option("--every", is_flag=True, help="Every rule, one after the other.")
+@click.option("--out", type=click.Path(path_type=Path), default=PANEL / "ablation", show_default=True, help="Folder of the runs.")
+@_with_options
+def ablate_(
+    names_of_rules: tuple[str, ...], show: bool, every: bool, out: Path, quick: bool, names: tuple[str, ...], tree: Path | None,
+    commit: str | None, jobs: int, cache: Path, limit: float,
+) -> None:  # fmt: skip
+    """Switch rules off, one at a time, and say what each changes.
+
+    Example: python -m lab.panel ablate exchange decimation --quick
+    """
+    if show:
+        for rule in RULES.values():
+            click.echo(f"{rule.name:20s} {rule.what}")
+        return
+    rules = list(RULES.values()) if every else rules_of(names_of_rules)
+    if not rules:
+        raise InputError("ablate", "no rule is named", f"one of {', '.join(RULES)}", "name rules, or give --every")
+    with _code(tree, commit, cache) as code:
+        found = ablate(rules, _cases(quick, names), out, Setting(code, cache, limit=limit), jobs, _say)
+    click.echo(ablation_table(found))
+
+
+@panel.command("collect")
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+def collect(folder: Path, file: Path) -> None:
+    """Write the answers of a run, finished or not, to a file: one line a case.
+
+    Example: python -m lab.panel collect out/panel/now lab/panel/answers/abc123.json
+    """
+    records = list(read_answers(folder).values())
+    commits = sorted({r.commit for r in records})
+    if len(commits) != 1:
+        raise InputError(folder, f"answers of {', '.join(commits)}", "one commit", "run the cases again by one of them")
+    write_answers(file, records, {"commit": commits[0], "of": len(all_cases())})
+    click.echo(f"{len(records)} of {len(all_cases())} answers, commit {commits[0]}")
+
+
+@panel.command("choose")
+@click.argument("answers", type=click.Path(path_type=Path, exists=True))
+@click.option("--cap", type=click.FloatRange(0), default=CAP, show_default=True, help="Seconds of CPU time a case may take.")
+def choose_(answers: Path, cap: float) -> None:
+    """Print the quick subset that follows from measured times: the first cases of each stratum in the order of a hash.
+
+    Example: python -m lab.panel choose lab/panel/answers/a8a8fdb.json
+    """
+    measured = {name: r.cpu_seconds for name, r in read_answers(answers).items()}
+    chosen = choose(strata(), measured, cap)
+    click.echo(json.dumps(chosen, indent=1))
+    known = [measured[name] for name in chosen if name in measured]
+    _say(f"{len(chosen)} cases, {sum(known):.0f} s of CPU time for the {len(known)} that were measured")
 
 
 def main() -> None:

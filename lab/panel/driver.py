@@ -1,13 +1,14 @@
 """Diagnoses case after case in one process, with the code of the checkout that PYTHONPATH names.
 
-It is run by its path and knows nothing of the project but ``simgap.pipeline.diagnose_files``, the files of its contract, and where
-simulations are counted, so that it runs in any commit. Its argument is JSON: ``tree``, the checkout, and ``patches``. It
+It is run by its path and knows nothing of the project but ``simgap.pipeline.diagnose_files``, the files of its contract, and
+where simulations are counted, so that it runs in any commit. Its argument is JSON: ``tree``, the checkout, and ``patches``. It
 answers a line of JSON on standard output to a line of JSON on standard input.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import importlib
 import json
 import os
@@ -41,19 +42,22 @@ def resolve(target: str) -> tuple[Any, str]:
 
 
 def _neutral(patch: Mapping[str, Any], old: Any) -> Any:
-    """What takes the place of ``old``: a ``value``, a function that ``returns`` a value, or one that returns an ``argument``."""
+    """What takes the place of ``old``.
+
+    A ``value``; or a function that ``returns`` a value, a list anew at each call, or an ``argument``, or a tuple of some.
+    """
     if "value" in patch:
         if callable(old):
             raise LookupError(f"{patch['target']}: a function now, and no constant")
         return type(old)(patch["value"]) if old is not None and patch["value"] is not None else patch["value"]
-    if isinstance(old, property):
-        return property(lambda _self: patch["returns"])
     if not callable(old):
         raise LookupError(f"{patch['target']}: a constant now, and no function")
     if "argument" in patch:
-        place = int(patch["argument"])
+        place = patch["argument"]
+        if isinstance(place, list):
+            return lambda *given, **_: tuple(given[k] for k in place)
         return lambda *given, **_: given[place]
-    return lambda *_, **__: patch["returns"]
+    return lambda *_, **__: copy.copy(patch["returns"])
 
 
 @contextlib.contextmanager

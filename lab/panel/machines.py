@@ -21,7 +21,7 @@ EMPS: dict[str, Any] = {
     "verdicts": ["missing_physics"],
     "effects": [["asymmetric_friction", "torque_ripple"], ["coulomb_friction", "torque_offset", "torque_ripple"]],
 }
-# Published for axis 1: viscous and Coulomb friction. Of the other axes no truth is known: they carry weights and each other's torques.
+# Published for axis 1: viscous and Coulomb friction. The others carry weights and each other's torques: no truth is known.
 KUKA_1: dict[str, Any] = {"verdicts": ["missing_physics"], "effects": [["coulomb_friction"]]}
 
 

@@ -36,4 +36,6 @@ def _make(name: str, folder: Path) -> Content:
 
 def practice_cases() -> list[Case]:
     """The twelve cases."""
-    return [Case(f"practice_{name}", "practice", "robot_axis1", partial(_make, name)) for name in (f"p{k:02d}" for k in range(1, 13))]
+    return [
+        Case(f"practice_{name}", "practice", "robot_axis1", partial(_make, name)) for name in (f"p{k:02d}" for k in range(1, 13))
+    ]

@@ -71,6 +71,8 @@ class _Run:
         self.absent: dict[str, str] = {}
         self.kept = 0
         self._failed: list[BaseException] = []
+        self._workers: list[Worker] = []
+        self._stopped = False
         self._lock = threading.Lock()
 
     def all(self, cases: Sequence[Case]) -> None:
@@ -85,15 +87,22 @@ class _Run:
             ]
             for thread in threads:
                 thread.start()
-            for thread in threads:
-                thread.join()
+            try:
+                for thread in threads:
+                    thread.join()
+            except BaseException:  # broken off: what is half done leaves no record
+                self._stopped = True
+                for worker in self._workers:
+                    worker.stop()
+                raise
         if self._failed:
             raise self._failed[0]
 
     def _serve(self, number: int, todo: queue.SimpleQueue[Case], makers: ProcessPoolExecutor, total: int) -> None:
         worker = Worker(self.setting.tree, self.out / "log" / f"worker_{number}.txt", self.setting.patches)
+        self._workers.append(worker)
         try:
-            while not self._failed:
+            while not (self._failed or self._stopped):
                 case = todo.get_nowait()
                 self._one(case, worker, number, makers, total)
         except queue.Empty:
@@ -116,6 +125,8 @@ class _Run:
         before = record is not None
         if record is None:
             record = self._diagnosed(case, files, worker, number)
+            if self._stopped:
+                return
             said = {"stamp": self.setting.stamp, "rule": self.setting.rule, "record": json.loads(to_json(record))}
             write_atomic(path, json.dumps(said) + "\n")
         with self._lock:
@@ -144,9 +155,7 @@ def _line(r: Record) -> str:
     return f"{r.case}: {r.outcome or 'no truth'}, {r.verdict}, {named} ({r.seconds:.1f} s, {r.cpu_seconds:.1f} s CPU{taken})"
 
 
-def run_cases(
-    cases: Sequence[Case], out: Path, setting: Setting, jobs: int, say: Callable[[str], None] = lambda _: None
-) -> Ran:
+def run_cases(cases: Sequence[Case], out: Path, setting: Setting, jobs: int, say: Callable[[str], None] = lambda _: None) -> Ran:
     """Diagnose cases and keep each record in ``out/records``; those that stand there by the same code are not computed again.
 
     A case that fails is a record with ``error``. Raises InputError where the checkout cannot be run.

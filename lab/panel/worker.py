@@ -39,8 +39,9 @@ class Worker:
         self._rest = b""
 
     def ask(self, files: Files, out: Path, limit: float) -> dict[str, Any]:
-        """What the driver says of a case, whose folder ``out`` it fills; a process that ends or takes over ``limit`` [s] is an error.
+        """What the driver says of a case, whose folder ``out`` it fills.
 
+        That the process has ended, or has taken over ``limit`` [s], is an answer with ``error``.
         Raises InputError where the checkout cannot be imported or a patch no longer fits it.
         """
         try:
@@ -56,6 +57,11 @@ class Worker:
             self.close()
             return {"error": str(error)}
 
+    def stop(self) -> None:
+        """End the process while another thread may wait for its answer, which is then an error."""
+        if self._process is not None:
+            self._process.kill()
+
     def close(self) -> None:
         """End the process."""
         if self._process is not None:
@@ -69,16 +75,18 @@ class Worker:
     def _start(self) -> None:
         self._log.parent.mkdir(parents=True, exist_ok=True)
         self._stderr = self._log.open("ab")
-        single = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+        single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         asked = json.dumps({"tree": str(self._tree.folder), "patches": self._patches})
         self._process = subprocess.Popen(
             [sys.executable, "-P", driver.__file__, asked], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._stderr,
-            cwd=self._tree.folder, env={**os.environ, **single, "PYTHONPATH": str(self._tree.folder)},
+            cwd=self._tree.folder, env={**os.environ, **single, "PYTHONPATH": str(self._tree.folder)}, start_new_session=True,
         )  # fmt: skip
         said = self._answer(READY)
         if not said["ready"]:
             self.close()
-            raise InputError(self._tree.folder, said["error"], "a checkout that the panel can run", "retarget the rule or correct --tree")
+            raise InputError(
+                self._tree.folder, said["error"], "a checkout that the panel can run", "retarget the rule or correct --tree"
+            )
 
     def _send(self, asked: Mapping[str, Any]) -> None:
         assert self._process is not None
@@ -109,6 +117,10 @@ class Worker:
     def _ended(self) -> str:
         """That the process has ended, and its last words."""
         assert self._process is not None
-        code = self._process.wait()
+        try:
+            code = self._process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
         lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines() or ["nothing was printed"]
         return f"the process ended with {code}: {lines[-1][:200]}"
