@@ -62,16 +62,15 @@ def test_nothing_stands_under_the_name_of_a_case_that_cannot_be_made(tmp_path):
 
 
 def test_a_sealed_case_has_the_number_and_the_bytes_of_the_benchmark(tmp_path):
-    write_cases(tmp_path / "sealed", tmp_path / "envelope" / "truth.json", {"nothing": 2, "parameters_only": 1}, 5)
+    write_cases(tmp_path / "sealed", tmp_path / "envelope" / "truth.json", {"nothing": 1, "parameters_only": 1}, 5)
     truths = json.loads((tmp_path / "envelope" / "truth.json").read_text())["cases"]
-    for number, (level, index) in numbered(5, "nothing:2,parameters_only:1").items():
+    for number, (level, index) in numbered(5, "nothing:1,parameters_only:1").items():
         case = Case(f"s5_{number}", "sealed", level, partial(_make, 5, level, index))
         files = materialise(case, tmp_path / "cases")
         for part in ("estimation", "held_out"):
             ours, theirs = files.folder / f"{part}.csv", tmp_path / "sealed" / f"{number}_{part}.csv"
             assert ours.read_bytes() == theirs.read_bytes()
         assert files.content.truth == truths[number]
-        assert files.hash == materialise(case, tmp_path / "again").hash
 
 
 def test_names_are_unique_and_the_quick_subset_is_of_the_strata():
