@@ -26,7 +26,7 @@ from mjsim.errors import InputError
 __all__ = ["main"]
 
 PANEL = Path("out") / "panel"
-CAP = 30.0  # [s] of CPU time: twelve such cases would fill the six minutes of two cores
+CAP = 50.0  # [s] of CPU time: seven such cases fill half of what two cores have in six minutes
 
 
 def _say(text: str) -> None:

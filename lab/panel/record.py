@@ -14,7 +14,7 @@ from lab.benchmark.score import NULLS, PHYSICS, Outcome, score_case
 from lab.panel.case import Content
 from mjsim.errors import InputError
 
-__all__ = ["Finding", "Record", "outcome_of", "read_answers", "record_of", "write_answers"]
+__all__ = ["Finding", "Record", "from_json", "outcome_of", "read_answers", "record_of", "to_json", "write_answers"]
 
 FORMAT = 1  # of the files of answers
 FIGURES = ("nominal", "refitted", "corrected")
