@@ -1,4 +1,4 @@
-"""Cases of sealed seeds: those of whole samples, and those that a decision cites."""
+"""Cases of sealed seeds: whole samples, and single cases on which the search was developed."""
 
 from __future__ import annotations
 
@@ -55,5 +55,5 @@ def sealed_cases() -> list[Case]:
 
 
 def cited_cases() -> list[Case]:
-    """The cases of other seeds that a document of ``docs/decisions`` cites by number."""
+    """Single cases of other seeds: those on which the search was developed, or which it answered wrongly."""
     return [c for row in _data()["cited"] for c in _cases("cited", row["seed"], row["levels"], row["cases"])]

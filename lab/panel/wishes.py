@@ -1,4 +1,4 @@
-"""Open wishes: recordings by the sealed plant of which a diagnosis is known to err, to be answered by a rule and not by name."""
+"""Open wishes: machines of the sealed plant like some of which a diagnosis has erred, to be answered by a rule and not by name."""
 
 from __future__ import annotations
 
