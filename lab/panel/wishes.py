@@ -1,4 +1,4 @@
-"""Open wishes: machines of the sealed plant like some of which a diagnosis has erred, to be answered by a rule and not by name."""
+"""Open wishes: machines of the sealed plant like some on which a diagnosis has erred, for a rule that answers others too."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from lab.panel.case import Case, Content
 from lab.panel.record import read_answers
 from lab.panel.rules import Rule
 from lab.panel.run import Setting, run_cases
-from lab.panel.tree import Tree, checkout
+from lab.panel.tree import Tree, at_commit, checkout
 from mjsim.errors import InputError
 
 # what the driver needs of a commit: the contract's function, its options, and a fitter that counts
@@ -161,17 +161,33 @@ def test_a_folder_is_no_checkout_without_the_pipeline(tmp_path):
         checkout(tmp_path)
 
 
-def test_the_commit_of_a_changed_checkout_is_marked(tree):
-    def git(*words):
-        author = ["-c", "user.name=x", "-c", "user.email=x@example.com"]
-        subprocess.run(["git", "-C", str(tree.folder), *author, *words], check=True, capture_output=True)
+def git(folder, *words):
+    author = ["-c", "user.name=x", "-c", "user.email=x@example.com"]
+    return subprocess.run(["git", "-C", str(folder), *author, *words], check=True, capture_output=True, text=True).stdout
 
-    git("init", "-q")
-    git("add", "-A")
-    git("commit", "-qm", "first")
+
+def test_the_commit_of_a_changed_checkout_is_marked(tree):
+    for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "first"]):
+        git(tree.folder, *words)
     clean = checkout(tree.folder)
     assert not clean.commit.endswith("+")
     (tree.folder / "simgap" / "pipeline.py").write_text(PIPELINE + "\n")
     changed = checkout(tree.folder)
     assert changed.commit == clean.commit + "+"
     assert changed.stamp != clean.stamp
+
+
+def test_a_commit_is_run_in_a_worktree_that_is_removed(run, tree, tmp_path, monkeypatch):
+    for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "first"]):
+        git(tree.folder, *words)
+    (tree.folder / "simgap" / "pipeline.py").write_text(PIPELINE.replace("coulomb_friction", "backlash"))
+    git(tree.folder, "commit", "-qam", "second")
+    monkeypatch.setattr("lab.panel.tree.here", lambda: tree.folder)
+    for revision, outcome in (("HEAD~1", "right"), ("HEAD", "wrong name")):
+        with at_commit(revision, tmp_path / "trees") as code:
+            assert code.commit == git(tree.folder, "rev-parse", "--short=9", revision).strip()
+            assert run({"a": "1"}, tree=code).records["a"].outcome == outcome
+        assert not code.folder.exists()
+    assert len(git(tree.folder, "worktree", "list").splitlines()) == 1
+    with pytest.raises(InputError, match="git rev-parse"), at_commit("no-such-commit", tmp_path / "trees"):
+        pass
