@@ -16,7 +16,7 @@ from lab.panel.run import Setting, run_cases
 
 __all__ = ["ablate", "ablation_table"]
 
-BASE = "none"  # folder of the run with everything on
+BASE = "all_on"  # folder of the run with everything on
 
 
 def ablate(

@@ -84,17 +84,18 @@ def list_(quick: bool) -> None:
 @panel.command()
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the records.")
 @_with_options
+@click.option("--again", is_flag=True, help="Cases that ended with an error are run again.")
 @click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Also write them to this file, one line a case.")
 def run(
     out: Path, quick: bool, names: tuple[str, ...], tree: Path | None, commit: str | None, jobs: int, cache: Path, limit: float,
-    answers: Path | None,
+    again: bool, answers: Path | None,
 ) -> None:  # fmt: skip
     """Diagnose the cases; the same call goes on where it was broken off.
 
     Example: python -m lab.panel run --quick --commit HEAD~1 --out out/panel/before
     """
     with _code(tree, commit, cache) as code:
-        ran = run_cases(_cases(quick, names), out, Setting(code, cache, limit=limit), jobs, _say)
+        ran = run_cases(_cases(quick, names), out, Setting(code, cache, limit=limit, again=again), jobs, _say)
         _summary(ran)
         if answers is not None:
             write_answers(answers, list(ran.records.values()), {"commit": code.commit})

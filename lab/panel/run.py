@@ -28,13 +28,18 @@ LIMIT = 1800.0  # [s] after which a case counts as an error; the search itself e
 
 @dataclass(frozen=True)
 class Setting:
-    """How cases are run: the code, the folder of their files, the patches in force and the name of what is switched off."""
+    """How cases are run.
+
+    ``tree``: the code; ``cache``: folder of the files of cases; ``patches``, ``rule``: what is switched off, and its name;
+    ``limit``: [s] until a case is an error; ``again``: errors of an earlier run are no answers.
+    """
 
     tree: Tree
     cache: Path
     patches: tuple[Mapping[str, Any], ...] = ()
     rule: str = ""
     limit: float = LIMIT
+    again: bool = False
 
     @property
     def stamp(self) -> str:
@@ -51,11 +56,13 @@ class Ran:
     kept: int
 
 
-def _kept(path: Path, files: Files, stamp: str) -> Record | None:
+def _kept(path: Path, files: Files, setting: Setting) -> Record | None:
     """The record in a file, where it is of this case and code."""
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
-        if said["stamp"] == stamp and said["record"]["hash"] == files.hash:
+        if (said["stamp"], said["record"]["hash"]) == (setting.stamp, files.hash) and not (
+            setting.again and said["record"]["error"]
+        ):
             return from_json(said["record"])
     except (OSError, ValueError, KeyError, TypeError):
         pass
@@ -121,7 +128,7 @@ class _Run:
                 self.absent[case.id] = str(error)
             return
         path = self.out / "records" / f"{case.id}.json"
-        record = _kept(path, files, self.setting.stamp)
+        record = _kept(path, files, self.setting)
         before = record is not None
         if record is None:
             record = self._diagnosed(case, files, worker, number)

@@ -133,6 +133,12 @@ def test_a_run_goes_on_where_it_was_broken_off(run, tree, tmp_path):
     assert run({"a": "1", "b": "2"}, tree=other).kept == 1
 
 
+def test_an_error_is_kept_unless_it_is_asked_for_again(run):
+    run({"a": "it is broken"})
+    assert run({"a": "it is broken"}).kept == 1
+    assert run({"a": "it is broken"}, again=True).kept == 0
+
+
 def test_a_record_of_other_files_is_computed_again(run, tmp_path):
     run({"a": "1"})
     assert run({"a": "2"}, cache=tmp_path / "other").kept == 0
