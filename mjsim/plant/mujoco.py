@@ -1,0 +1,287 @@
+"""`MujocoPlant`: a user's MJCF as MuJoCo steps it, with the file's own options.
+
+Timestep, integrator, solver and solref stay as they are. Log samples fall on steps where the sampling time is a multiple of the
+timestep; elsewhere outputs are interpolated between steps (`MujocoPlant.interpolates`): angles by the cubic through angles and
+velocities, velocities by straight lines, since MuJoCo's acceleration is constant over a step.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from mjsim.errors import InputError
+from mjsim.mjcf import Model, load_model, write_corrected
+from mjsim.mjcf.compile import caught_warnings, compile_file
+from mjsim.ode import DivergedError
+from mjsim.plant.base import Hold, Linear, Parameter, Signal, Start, as_input, mean_input, signals_of
+from mjsim.plant.channels import Channels, find_channels
+from mjsim.plant.stepper import Stepper, transition
+
+__all__ = ["MujocoPlant", "run_together"]
+
+CHUNK = 200_000  # steps whose states are kept in memory at once
+STEP_US, STAGES = 2.0, {mujoco.mjtIntegrator.mjINT_RK4: 4}  # nominal time of an evaluation [us], evaluations of a step
+FLOOR = 1e-5  # error of ties, which MuJoCo holds by soft constraints (docs/decisions/mjcf-native.md)
+EXACT = 1e-6  # of a step, by which a sample may be off it
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoPlant:
+    """A compiled model whose bound actuator is the input, and whose driven joint gives velocity and angle.
+
+    Bound sensors are read, with their delays and without their noise; where there are none, qpos and qvel of the driven joint.
+    The input is the actuator's ctrl: a torque of motors, the command of servos (position, velocity, general).
+    """
+
+    path: Path
+    model: mujoco.MjModel
+    channels: Channels
+
+    @classmethod
+    def load(cls, path: str | Path, *, actuator: str | None = None) -> MujocoPlant:
+        """Read an MJCF file; actuator and sensors as bound beside it or in it. Raises InputError."""
+        path = Path(path)
+        model = compile_file(path)
+        return cls(path, model, find_channels(model, path, actuator))
+
+    @property
+    def timestep(self) -> float:
+        """The file's timestep [s]."""
+        return float(self.model.opt.timestep)
+
+    def interpolates(self, dt: float) -> bool:
+        """Whether samples of dt [s] fall between steps."""
+        return self._steps(dt) is None
+
+    def _steps(self, dt: float) -> int | None:
+        ratio = dt / self.timestep
+        return round(ratio) if round(ratio) >= 1 and abs(ratio - round(ratio)) < EXACT else None
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """The control of the bound actuator."""
+        return self._signals[0]
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Velocity and angle of the driven joint."""
+        return self._signals[1]
+
+    @cached_property
+    def _signals(self) -> tuple[tuple[Signal, ...], tuple[Signal, ...]]:
+        return signals_of(self.channels.joint, self.channels.motion, self.channels.role)
+
+    @cached_property
+    def source(self) -> Model | None:
+        """The chain that the file is, None where it is none."""
+        try:
+            return load_model(self.path, actuator=self.channels.actuator_name)
+        except InputError:
+            return None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of the chain that the file is; none where it is no chain."""
+        from mjsim.plant.chain import ChainPlant
+
+        return ChainPlant(self.source.axis).parameters if self.source else ()
+
+    @cached_property
+    def _fastest(self) -> float:
+        """Largest natural frequency or decay rate [rad/s] about the zero position, dry friction and limits left out."""
+        m = copy.copy(self.model)
+        m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        a, _ = transition(m, mujoco.MjData(m), 1, self.channels.control)
+        poles = np.linalg.eigvals(a).astype(complex)
+        return float(np.max(np.abs(np.log(np.where(poles == 0.0, 1e-12, poles))))) / self.timestep
+
+    @property
+    def tolerance(self) -> float:
+        """Error of the integrator on the fastest mode w of the model: w h / 2 of first-order methods, (w h)^4 / 120 of RK4.
+
+        h: timestep. The leading term of the phase error, relative to the angle that the mode turns in 1 / w.
+        """
+        x = self._fastest * self.timestep
+        runge_kutta = int(self.model.opt.integrator) == mujoco.mjtIntegrator.mjINT_RK4
+        return max(FLOOR, x**4 / 120.0 if runge_kutta else 0.5 * x)
+
+    def with_values(self, values: Mapping[str, float]) -> MujocoPlant:
+        """The file with some parameters replaced, written by `write_corrected` and compiled. Raises KeyError."""
+        if self.source is None:
+            raise KeyError(f"{self.path.name} is no single-axis chain: it has no parameters")
+        axis = self.source.axis.with_values(values)
+        with tempfile.TemporaryDirectory() as work:
+            written = Path(work) / self.path.name
+            write_corrected(self.path, axis, written)
+            return MujocoPlant(self.path, compile_file(written), self.channels)
+
+    def run(self, u: np.ndarray, dt: float, *, start: Start | None = None, hold: Hold = Hold.HELD) -> np.ndarray:
+        """Outputs (N, 2) of a free run on inputs (N, 1)."""
+        return self.run_many([u], dt, [start or Start()], hold=hold)[0]
+
+    def run_many(
+        self, inputs: Sequence[np.ndarray], dt: float, starts: Sequence[Start], *, hold: Hold = Hold.HELD, threads: int = 1
+    ) -> list[np.ndarray]:
+        """Outputs of several runs of equal length at once, by `mujoco.rollout`."""
+        us = [as_input(u, 1) for u in inputs]
+        if len({len(u) for u in us}) != 1 or len(us) != len(starts):
+            raise ValueError(f"{len(us)} inputs of lengths {[len(u) for u in us]} and {len(starts)} starts; expected equal ones")
+        n, steps, h = len(us[0]), self._steps(dt), self.timestep
+        count = n * steps if steps else math.ceil((n - 1) * dt / h + EXACT) + 1
+        held = np.stack([mean_input(u, dt, h, count, hold)[:, 0] for u in us])
+        every = self._roll(held, starts, threads)
+        if steps:
+            return [y[::steps].copy() for y in every]
+        return [_between(y, h, dt, n) for y in every]
+
+    def _roll(self, held: np.ndarray, starts: Sequence[Start], threads: int) -> np.ndarray:
+        """Velocity and angle (R, M, 2) at the beginning of each of M steps on controls (R, M)."""
+        m, c = self.model, self.channels
+        runs, count = held.shape
+        spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        size = mujoco.mj_stateSize(m, spec)
+        first = [self._data(s) for s in starts]
+        state = np.empty((runs, size))
+        warm: np.ndarray | None = np.array([d.qacc_warmstart for d in first])
+        for r, d in enumerate(first):
+            mujoco.mj_getState(m, d, state[r], spec)
+        out = np.empty((runs, count, 2))
+        per_chunk = max(1, CHUNK // runs)
+        data = [mujoco.MjData(m) for _ in range(max(1, min(threads, runs)))]
+        with caught_warnings() as said:
+            for a in range(0, count, per_chunk):
+                b = min(a + per_chunk, count)
+                control = np.zeros((runs, b - a, c.width))
+                control[:, :, c.control] = held[:, a:b]
+                states, sensors = rollout.rollout(m, data, state, control, initial_warmstart=warm)
+                at = np.concatenate([state[:, None], states[:, :-1]], axis=1)
+                for column, (address, sensor) in enumerate(((1 + m.nq + c.dof, c.velocity), (1 + c.position, c.angle))):
+                    out[:, a:b, column] = at[:, :, address] if sensor is None else sensors[:, :, sensor]
+                self._check(states, said, data)
+                state, warm = states[:, -1].copy(), None
+        return out
+
+    def _data(self, start: Start) -> mujoco.MjData:
+        """A state to start from: the driven joint as asked, nothing deflected, delays and filters at the input before."""
+        m, c = self.model, self.channels
+        data = mujoco.MjData(m)
+        along = self._along
+        data.qpos[:] = m.qpos0 + along * (start.angle - m.qpos0[c.position])
+        data.qvel[:] = along * start.velocity
+        a = c.actuator
+        if m.actuator_actnum[a] > 0:
+            data.act[m.actuator_actadr[a]] = start.input
+        if m.actuator_history[a, 0] > 0:
+            mujoco.mj_initCtrlHistory(m, data, a, None, np.full((int(m.actuator_history[a, 0]), 1), start.input))
+        for sensor, value in ((c.velocity_id, start.velocity), (c.angle_id, start.angle)):
+            if sensor is not None and m.sensor_history[sensor, 0] > 0:
+                held = np.full((int(m.sensor_history[sensor, 0]), 1), value)
+                mujoco.mj_initSensorHistory(m, data, sensor, None, held, 0.0)
+        return data
+
+    @cached_property
+    def _along(self) -> np.ndarray:
+        """Change of every joint (nv,) per unit of the driven one when nothing deflects."""
+        if self.source is None:
+            row = np.zeros(self.model.nv)
+            row[self.channels.dof] = 1.0
+            return row
+        found = self.source.found
+        ratios = np.array([found.chain.total_ratio(i) for i in range(len(found.chain.bodies))])
+        return np.asarray(found.base() @ ratios)
+
+    def _check(self, states: np.ndarray, said: list[str], data: Sequence[mujoco.MjData]) -> None:
+        """Raise DivergedError with time, element and remedy on a warning, a value that is not finite or a run that stopped."""
+        m = self.model
+        stopped = np.diff(states[:, :, 0], axis=1) <= 0
+        bad = ~np.isfinite(states[:, :, 1:]).all(axis=2)
+        warned = any(w.number for d in data for w in d.warning)
+        if not (warned or said or bad.any() or stopped.any()):
+            return
+        line = said[0] if said else "the motion is not finite"
+        words = line.replace(".", " ").split()
+        dof = next((int(b) for a, b in itertools.pairwise(words) if a == "DOF" and b.isdigit()), None)
+        element = f"joint {m.joint(int(m.dof_jntid[dof])).name!r}" if dof is not None and dof < m.nv else "the model"
+        when = states[:, :, 0][bad] if bad.any() else states[:, 1:, 0][stopped]
+        at = float(line.rsplit("Time = ", 1)[1].rstrip(". ")) if "Time = " in line else float(np.min(when, initial=math.inf))
+        raise DivergedError(
+            f"{self.path.name}: MuJoCo stopped at {at:.4f} s at {element} ({line.split('. Time')[0].rstrip('.')}); "
+            f"use a smaller timestep than {self.timestep:g} s, or correct the stiffness or damping there"
+        )
+
+    def inverse(self, y: np.ndarray, dt: float, *, start: Start | None = None) -> np.ndarray:
+        """Inputs (N, 1) with which the driven joint has the velocity of y (N, 2) at every next sample.
+
+        Found sample by sample (`Stepper`). Raises ValueError where samples fall between steps or the actuator does not act within
+        a sample, DivergedError where no input gives the motion.
+        """
+        y, steps = as_input(y, 2), self._steps(dt)
+        c = self.channels
+        if steps is None:
+            raise ValueError(f"a sample of {dt:g} s is no multiple of the timestep {self.timestep:g} s")
+        if self.model.actuator_history[c.actuator, 0] > 0:
+            raise ValueError(f"actuator {c.actuator_name!r} has a delay: its input does not act within a sample")
+        start = start or Start(float(y[0, 1]), float(y[0, 0]))
+        stepper = Stepper(self.model, self._data(start), c, steps)
+        u = np.full((len(y), 1), start.input)
+        with caught_warnings() as said:
+            for k in range(len(y) - 1):
+                u[k] = stepper.land(float(y[k + 1, 0]), float(u[k - 1, 0]) if k else start.input)
+                if said:
+                    raise DivergedError(f"{self.path.name}: the inverse run diverged at {k * dt:.4f} s ({said[0]})")
+        u[-1] = u[-2]
+        return u
+
+    def linearised(self, dt: float, *, start: Start | None = None) -> Linear:
+        """By central differences of the steps of a sample, about rest; states are positions, velocities, activations."""
+        m, c, steps, start = self.model, self.channels, self._steps(dt), start or Start()
+        if steps is None or m.actuator_history[:, 0].any() or m.sensor_history[:, 0].any():
+            raise ValueError("samples between steps and delays cannot be linearised; choose a multiple of the timestep")
+        data = self._data(start)
+        data.ctrl[c.control] = start.input
+        a, b = transition(m, data, steps, c.control)
+        out = np.zeros((2, len(a)))
+        out[0, m.nv + c.dof] = out[1, c.dof] = 1.0
+        return Linear(a, b, out, dt)
+
+    def cost(self, dt: float) -> float:
+        """Steps of a sample times the nominal time of one [us]."""
+        stages = STAGES.get(mujoco.mjtIntegrator(int(self.model.opt.integrator)), 1)
+        return STEP_US * stages * dt / self.timestep
+
+
+def _between(y: np.ndarray, h: float, dt: float, n: int) -> np.ndarray:
+    """Outputs (N, 2) at samples of dt [s] from those (M, 2) at steps of h [s]."""
+    t = dt * np.arange(n) / h
+    k = np.minimum(t.astype(int), len(y) - 2)
+    g = t - k
+    v0, v1, q0, q1 = y[k, 0], y[k + 1, 0], y[k, 1], y[k + 1, 1]
+    a, b, step = h * v0, h * v1, q1 - q0
+    angle = q0 + g * (a + g * (3 * step - 2 * a - b + g * (a + b - 2 * step)))
+    return np.column_stack([v0 + g * (v1 - v0), angle])
+
+
+def run_together(jobs: Sequence[tuple[MujocoPlant, np.ndarray, float, Start]], threads: int = 2) -> list[np.ndarray | None]:
+    """Free runs of several plants side by side; None for one that diverges."""
+
+    def one(job: tuple[MujocoPlant, np.ndarray, float, Start]) -> np.ndarray | None:
+        plant, u, dt, start = job
+        try:
+            return plant.run(u, dt, start=start)
+        except DivergedError:
+            return None
+
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        return list(pool.map(one, jobs))
