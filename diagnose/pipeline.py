@@ -6,13 +6,13 @@ import dataclasses
 import math
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnose.data.experiment import Experiment, held_rows, hold_out_blocks, prepare, without_derived_velocity
+from diagnose.data.experiment import Experiment, corrected, held_rows, hold_out_blocks, prepare, without_derived_velocity
 from diagnose.evidence.encoder import fit_beside_encoder
 from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.explain.ahead import k_step
@@ -123,11 +123,13 @@ def diagnose(
     options: Options | None = None,
     progress: Callable[[Step], None] = lambda _: None,
     memory: Memory | None = None,
+    corrections: Mapping[str, np.ndarray] | None = None,
 ) -> Diagnosis:
     """Diagnose recordings of one axis against its nominal model.
 
     ``progress`` is told each `Step`; ``memory``: where fits are written down as they are found, and looked up before they are
-    made. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
+    made. ``corrections`` (N,): added to the measured velocity where motion is compared, by the SHA-256 (else source) of
+    a recording. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
     options = options or Options()
     began = time.monotonic()
@@ -141,6 +143,7 @@ def diagnose(
 
     def by(experiments: Split) -> Diagnosis:
         nonlocal taken
+        experiments = corrected(experiments[0], corrections or {}), corrected(experiments[1], corrections or {})
         fitter = Fitter(nominal, view, *experiments, options.jobs, varies, memory=memory)
         fitter.most_runs = max(options.effort * RUNS - taken, AGAIN * options.effort * RUNS)
         try:

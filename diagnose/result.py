@@ -63,7 +63,7 @@ class Finding:
     evidence: held_out_error_before / _after (rms without and with this effect, view's unit), p_value (held-out, one-
     sided, corrected
     for the number of hypotheses), delta_chi2 (estimation, whitened), hypotheses (number tested). form: the law that was fitted,
-    where it is another than the effect's own.
+    where it is another than the effect's own. kind: physics, or numerics where a setting of the simulator makes the difference.
     """
 
     effect: str
@@ -74,6 +74,7 @@ class Finding:
     evidence: Mapping[str, float]
     equivalents: tuple[str, ...] = ()
     form: str = ""
+    kind: str = "physics"
 
     @property
     def law(self) -> str:
@@ -297,7 +298,8 @@ class Diagnosis:
     """The outcome; see the fields of the contract's ``diagnosis.json``.
 
     channel, unit: what the models are judged on; mismatch: on the first recording, mismatches: on every one; log: what the check
-    of the recordings found.
+    of the recordings found. fit: errors, those of nominal and corrected as MuJoCo steps the files where ``surrogate`` is given:
+    the same by the fitting engine.
     """
 
     verdict: Verdict
@@ -327,6 +329,7 @@ class Diagnosis:
     mismatches: tuple[Mismatch, ...] = ()
     nominal_effects: tuple[NominalEffect, ...] = ()
     log: LogCheck | None = None
+    surrogate: Mapping[str, FitFigures] = field(default_factory=dict)
 
     def shares(self) -> tuple[float, ...]:
         """Each recording's share of the residual energy above noise of all of them."""
@@ -340,9 +343,9 @@ class Diagnosis:
             "summary": self.summary,
             "findings": [
                 {
-                    "effect": f.effect, "law": f.law, "place": f.place, "element": f.element, "sentence": f.sentence,
-                    "parameters": {k: v.as_dict() for k, v in f.parameters.items()}, "evidence": dict(f.evidence),
-                    "equivalents": list(f.equivalents),
+                    "effect": f.effect, "class": f.kind, "law": f.law, "place": f.place, "element": f.element,
+                    "sentence": f.sentence, "parameters": {k: v.as_dict() for k, v in f.parameters.items()},
+                    "evidence": dict(f.evidence), "equivalents": list(f.equivalents),
                 }
                 for f in self.findings
             ],
@@ -363,7 +366,11 @@ class Diagnosis:
                 }
                 for n in self.nominal_effects
             ],
-            "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": self.noise_floor}},
+            "fit": {
+                **{k: v.as_dict() for k, v in self.fit.items()},
+                **({"surrogate": {k: v.as_dict() for k, v in self.surrogate.items()}} if self.surrogate else {}),
+                "noise_floor": {"rms": self.noise_floor},
+            },
             "gap_closed": self.gap_closed,
             "map": self.map.as_dict() if self.map is not None else None,
             "judged_on": {"channel": self.channel, "unit": self.unit, "view": self.view},

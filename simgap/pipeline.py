@@ -21,12 +21,14 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
+from diagnose.verdict.reference_stage import without_difference
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.ode import load_kernel
 from mjsim.recording import Recording, load
 from simgap.following import following
+from simgap.judging import before_search, write_judged
 
 __all__ = ["corrected_axis", "diagnose_files", "mapped_axis", "model_diff"]
 
@@ -41,7 +43,11 @@ def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
     values = {k: v.value for k, v in diagnosis.linear_parameters.items()}
     for own in diagnosis.nominal_effects:
         values |= own.values
-    found = [effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()}) for f in diagnosis.findings]
+    found = [
+        effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
+        for f in diagnosis.findings
+        if f.kind == "physics"
+    ]
     return nominal.with_values(values).with_effects(found)
 
 
@@ -102,7 +108,11 @@ def diagnose_files(
         with following(progress, memory.recalled) as say, _compiling_told(say):
             if "force" not in (options.judge, loaded[0].judge) and loaded[0].velocity is not None and options.jobs > 1:
                 _load_kernels(len(nominal.chain.bodies))
-            result = diagnose(nominal, loaded, held, options, say, memory)
+            say(Step("reference", "the nominal file in plain MuJoCo"))
+            given = before_search(model, nominal, loaded, held, options)
+            result = diagnose(nominal, loaded, held, options, say, memory, given.corrections() if given else None)
+            if given is not None:
+                result = without_difference(result, given)
     except InputError:
         memory.discard()
         raise
@@ -117,7 +127,7 @@ def _written(result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Ma
     """Write the folder of a diagnosis, and return the diagnosis."""
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
-    write_corrected(model, corrected_axis(nominal, result), corrected)
+    result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, corrected, options.jobs)
     mapped, with_map = out / "mapped.xml", mapped_axis(nominal, result)
     if with_map is None:
         mapped.unlink(missing_ok=True)

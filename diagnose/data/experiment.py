@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,7 @@ from mjsim.signals import limits
 
 __all__ = [
     "Experiment",
+    "corrected",
     "held_rows",
     "hold_out_blocks",
     "measured_angle",
@@ -51,6 +53,12 @@ class Experiment:
         n = max(200, math.ceil(share * len(self.recording)))
         correction = None if self.correction is None else self.correction[:n]
         return dataclasses.replace(self, recording=self.recording.slice(0, n), counts=self.counts[:n], correction=correction)
+
+
+def corrected(experiments: Sequence[Experiment], corrections: Mapping[str, np.ndarray]) -> tuple[Experiment, ...]:
+    """The experiments with corrections (N,) of their measured velocities, by the SHA-256 (else the source) of the recording."""
+    found = [corrections.get(e.recording.sha256 or e.recording.source) for e in experiments]
+    return tuple(e if c is None else dataclasses.replace(e, correction=c) for e, c in zip(experiments, found, strict=True))
 
 
 def measured_velocity(recording: Recording) -> np.ndarray:

@@ -159,6 +159,8 @@ def motion_error(
         y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
         # between samples by the errors' mean: the mean of the velocities themselves errs where they bend
         missed = r.velocity - y.velocity
+        if experiment.correction is not None:
+            missed = missed + experiment.correction
         error, angle_error = 0.5 * (missed[1:] + missed[:-1]), r.angle - y.angle
         if fitter.nominal.chain.motion is Motion.HINGE:
             cyclic = _encoder_error(error, r.angle, experiment.counts, r.dt)

@@ -332,6 +332,7 @@ def _linear(d: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
+_FILES = ("nominal", "corrected")  # whose errors are those of the files, as MuJoCo steps them
 _FIT_WORDS = {
     "nominal": "nominal, as given",
     "refitted": "nominal, refitted",
@@ -347,14 +348,15 @@ def _fits(d: Diagnosis) -> list[dict[str, Any]]:
     floor = d.noise_floor if d.noise_floor > 0 else math.nan
     least = min([*errors, *([floor] if floor > 0 else [])], default=1.0)
     span = math.log(max(errors, default=1.0) / least) or 1.0
-    for key, f in d.fit.items():
-        if key == "corrected" and not d.findings:
+    engine = {f"{k} by the equations": d.surrogate[k] for k in _FILES if k in d.surrogate}
+    for key, f in {**d.fit, **engine}.items():
+        if key == "corrected" and not d.findings and not d.surrogate:
             continue  # nothing was added: it is the refitted one
         bar = 4 + 96 * math.log(f.held_out_rms / least) / span if f.held_out_rms > 0 and math.isfinite(f.held_out_rms) else 0
         rows.append(
             {
                 "key": key,
-                "name": _FIT_WORDS.get(key, key),
+                "name": _FIT_WORDS.get(key, key) + (", in plain MuJoCo" if d.surrogate and key in _FILES else ""),
                 "fit": f,
                 "ahead": dict(f.ahead),
                 "times": number(f.held_out_rms / floor, 3) if floor > 0 else "–",
@@ -366,7 +368,7 @@ def _fits(d: Diagnosis) -> list[dict[str, Any]]:
 
 def _rivals(d: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Sorted by criterion; the first ones, the nominal and the chosen structure among them, and the rest."""
-    chosen = {f"{f.law}@{f.place}" for f in d.findings}
+    chosen = {f"{f.law}@{f.place}" for f in d.findings if f.kind == "physics"}
 
     def key(r: Rival) -> float:
         return r.criterion if math.isfinite(r.criterion) else math.inf
@@ -393,7 +395,7 @@ def _better(d: Diagnosis) -> list[tuple[str, str]]:
     best = d.fit.get("corrected")
     if best is None or not d.findings:
         return []
-    chosen = {f"{f.law}@{f.place}" for f in d.findings}
+    chosen = {f"{f.law}@{f.place}" for f in d.findings if f.kind == "physics"}
     ahead = [r for r in d.rivals if set(r.effects) != chosen and r.held_out_rms < 0.99 * best.held_out_rms]
     return [(structure_name(r.effects), number(r.held_out_rms)) for r in sorted(ahead, key=lambda r: r.held_out_rms)[:3]]
 

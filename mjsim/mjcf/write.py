@@ -7,7 +7,7 @@ import dataclasses
 import os
 import tempfile
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,8 @@ from mjsim.mjcf.xmltext import XmlText
 
 __all__ = ["Written", "check_writable", "write_corrected"]
 
+UNFAITHFUL = "MuJoCo does not step any form of it to within its tolerance with this file's options"
+
 
 @dataclass(frozen=True)
 class Written:
@@ -36,12 +38,15 @@ class Written:
     lacks: tuple[str, ...]
 
 
-def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, comment: str = "") -> Written:
+def write_corrected(
+    nominal_path: str | Path, axis: Axis, out_path: str | Path, comment: str = "", *, carried_only: Container[str] = ()
+) -> Written:
     """Write a copy of an authored MJCF that holds this axis: its linear parameters and all of its effects.
 
     What MJCF expresses is written by its own elements; everything is carried in ``<custom>``, which `load_axis` reads back and
-    which alone counts there, so that nothing acts twice. ``comment`` stands at the head of the correction. The rest of the file
-    stays as its author left it. A file that was corrected before is first taken back to what it was.
+    which alone counts there, so that nothing acts twice. ``comment`` stands at the head of the correction; effects whose key is
+    in ``carried_only`` are not written by MJCF's elements. The rest of the file stays as its author left it. A file that was
+    corrected before is first taken back to what it was.
     """
     nominal, out = Path(nominal_path), Path(out_path)
     source = load_model(nominal, actuator=axis.chain.actuator)
@@ -50,7 +55,7 @@ def write_corrected(nominal_path: str | Path, axis: Axis, out_path: str | Path, 
         if source.carried is not None:
             source = _restored(source, Path(work) / "nominal.xml")
         editor = MjcfEditor(source.path, source.found)
-        lacks = _write_axis(editor, source, axis)
+        lacks = _write_axis(editor, source, axis, carried_only)
         editor.relocate(out)
         beside = nominal.with_suffix(".toml")
         binding = source.carried.binding if source.carried else ""
@@ -112,7 +117,9 @@ def _one_of_each(axis: Axis) -> Iterator[Effect]:
                 yield effect
 
 
-def _write_axis(editor: MjcfEditor, source: Model, axis: Axis) -> tuple[tuple[str, str], ...]:
+def _write_axis(
+    editor: MjcfEditor, source: Model, axis: Axis, carried_only: Container[str] = ()
+) -> tuple[tuple[str, str], ...]:
     """Write the linear parameters and the effects of an axis; returns (effect, line) for what plain MuJoCo lacks of them."""
     linear = LinearWriter(editor, axis.chain)
     linear.write()
@@ -128,6 +135,9 @@ def _write_axis(editor: MjcfEditor, source: Model, axis: Axis) -> tuple[tuple[st
         if own.get(e.key) == e:  # what the author wrote by MJCF's own elements and still holds stands there already
             for value in native.values:
                 writer.keep(value)
+            continue
+        if e.key in carried_only:
+            lacks.append((e.key, f"{e.subject}: {UNFAITHFUL}"))
             continue
         said = [native.lacks, *(f"{e.subject}: {line}" for line in map(writer.write, native.values) if line)]
         lacks += [(e.key, line) for line in said if line]

@@ -66,7 +66,7 @@ def _bound(model: mujoco.MjModel, path: Path) -> dict[str, str]:
     """Names that the file carries, and over them those of the ``[model]`` table beside it."""
     out: dict[str, str] = {}
     for t in range(model.ntext):
-        if model.text(t).name == custom.NAME:
+        if mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, t) == custom.NAME:
             start, size = int(model.text_adr[t]), int(model.text_size[t])
             out |= dict(custom.unpack(model.text_data[start : start + size - 1].decode(), path).bound)
     beside = path.with_suffix(".toml")

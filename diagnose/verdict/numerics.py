@@ -1,0 +1,99 @@
+"""Numerics as a cause: which setting of the user's simulator makes it differ from the equations, and what the data say of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.evidence.held_out import compare
+from diagnose.fit.fitted import HeldOut
+from diagnose.result import Finding
+from diagnose.verdict.reference import Case, Run, error, figures, run_files
+from diagnose.verdict.reference_stage import APART, Nominal, apart
+from mjsim.plant.settings import SETTINGS, Setting, mended
+
+__all__ = ["IDS", "Cause", "cause_of", "finding", "gain_of", "note"]
+
+IDS = tuple(s.id for s in SETTINGS)
+REMOVED = 1 / 3  # of a difference that is left at most, for a setting to be its cause: most of its power, eight parts of nine
+BLOCKS = 25  # of the held-out samples of a recording, for the paired test
+SURE = 0.01  # p-value of the gain on held-out data, times the settings that were tried
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """The setting that makes a file differ from the equations, and by how much of the noise rms, as it is and mended."""
+
+    setting: Setting
+    element: str
+    apart: float
+    left: float
+
+
+def cause_of(nominal: Nominal, threads: int) -> Cause | None:
+    """The first setting whose mending removes the difference from the equations; None where none does."""
+    if nominal.apart <= APART:
+        return None
+    starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, nominal.runs, strict=True)]
+    for setting in SETTINGS:
+        found = mended(nominal.plant.model, setting.id)
+        if found is None:
+            continue
+        model, edits = found
+        runs = run_files([dataclasses.replace(nominal.plant, model=model)], nominal.cases, threads, starts)[0]
+        left = apart(nominal.cases, runs, nominal.engine)
+        if left <= max(APART, REMOVED * nominal.apart if math.isfinite(nominal.apart) else APART):
+            element = next((name for kind, name, _, _ in edits if kind != "option"), nominal.plant.channels.joint)
+            return Cause(setting, element, nominal.apart, left)
+    return None
+
+
+def held_out_of(cases: Sequence[Case], runs: Sequence[Run | None]) -> HeldOut | None:
+    """Held-out errors over the noise, in blocks; None where a run diverged."""
+    errors, sse, count = [], [], []
+    for case, run in zip(cases, runs, strict=True):
+        if not case.held_out.any():
+            continue
+        if run is None:
+            return None
+        e = error(case, run)[case.held_out] / case.sigma
+        errors.append(e)
+        for part in np.array_split(e, BLOCKS):
+            sse.append(float(part @ part))
+            count.append(len(part))
+    f = figures(cases, runs)
+    return HeldOut(np.concatenate(errors), np.array(sse), np.array(count), f.held_out_rms, f.held_out_nrmse)
+
+
+def gain_of(cases: Sequence[Case], before: Sequence[Run | None], after: Sequence[Run | None]) -> tuple[float, float]:
+    """(relative fall of the held-out squared error, one-sided p-value over the settings that were tried)."""
+    c = compare(held_out_of(cases, before), held_out_of(cases, after), known=True)
+    return c.relative_gain, min(1.0, c.p_value * len(SETTINGS))
+
+
+def finding(cause: Cause, place: str, before: float, after: float, p_value: float) -> Finding:
+    """A finding of class numerics; errors: held-out rms of the file as it is, and mended."""
+    return Finding(
+        effect=cause.setting.id, place=place, element=cause.element,
+        sentence=f"{cause.setting.sentence} Mended, the model follows the recording; this is no physics.",
+        parameters={},
+        evidence={
+            "held_out_error_before": before, "held_out_error_after": after, "p_value": p_value,
+            "p_value_estimation": p_value, "hypotheses": float(len(SETTINGS)),
+        },
+        kind="numerics",
+    )  # fmt: skip
+
+
+def note(cause: Cause | None, nominal: Nominal) -> str:
+    """What is told of a difference between simulator and equations that is no finding; empty where there is none."""
+    if nominal.apart <= APART:
+        return ""
+    size = "diverges" if not math.isfinite(nominal.apart) else f"differs by {nominal.apart:.2g} times the noise"
+    what = f": {cause.setting.sentence[0].lower()}{cause.setting.sentence[1:]}" if cause else "."
+    whose = " The recordings bear it, so it is kept; it is no physics." if nominal.simulator else ""
+    return f"The nominal file in plain MuJoCo {size} from the equations of motion{what}{whose}"

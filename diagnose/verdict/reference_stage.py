@@ -1,0 +1,123 @@
+"""Before the search: whether engine and simulator differ on the nominal model, and which of the two the recordings bear.
+
+Where they differ by more than a fifth of the noise, the nominal structure is refitted by both. When the recordings bear the
+simulator's numerics (they were made with it, say), the difference of the two runs is taken out of what the search compares. That
+is then the user's simulator beside the recording, to first order in what the search changes,
+
+    y - [S(theta) + M(theta_0) - S(theta_0)],    M: the file in MuJoCo, S: the engine, theta_0: the nominal structure, refitted.
+
+Source of the correction: M. C. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425; space mapping, J. W. Bandler et al. 1994.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from diagnose.result import Diagnosis, Traces
+from diagnose.verdict.reference import Case, Run, cases_of, chi_square, error, run_files, run_surrogate
+from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
+from mjsim.axis import Axis
+from mjsim.mjcf.faithful import write_as_author
+from mjsim.plant import MujocoPlant
+from mjsim.recording import Recording
+
+__all__ = ["APART", "AT_NOISE", "Nominal", "apart", "compare_nominal", "without_difference"]
+
+APART = 0.2  # of the noise rms: a difference that adds 4 % to the variance, four standard deviations of it in 20,000 samples
+AT_NOISE = 1.05  # chi-square over n: the noise variance is known to some 4 %
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """The nominal file on the recordings, in MuJoCo and in the fitting engine.
+
+    runs, engine: of each case, both free; apart: rms difference of the two over the noise, the largest of the recordings;
+    simulator: whether the recordings bear the simulator's numerics rather than the engine's; shifts: to add to the velocity of
+    each recording.
+    """
+
+    path: Path
+    plant: MujocoPlant
+    cases: tuple[Case, ...]
+    runs: Sequence[Run | None]
+    engine: Sequence[Run | None]
+    apart: float
+    simulator: bool = False
+    refitted: Refit | None = None
+    by_engine: Refit | None = None
+    shifts: tuple[np.ndarray, ...] = ()
+
+    def corrections(self) -> dict[str, np.ndarray]:
+        """The shifts by the SHA-256 (else the source) of the recording."""
+        if not self.simulator:
+            return {}
+        return {c.recording.sha256 or c.recording.source: s for c, s in zip(self.cases, self.shifts, strict=True)}
+
+
+def compare_nominal(
+    path: Path, axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], threads: int
+) -> Nominal:
+    """Run the nominal file in MuJoCo and in the engine, and settle whose numerics the recordings have. Raises InputError."""
+    cases = cases_of(recordings, held_out)
+    plant = MujocoPlant.load(path)
+    runs = run_files([plant], cases, threads)[0]
+    starts = [case.start() if run is None else run.start for case, run in zip(cases, runs, strict=True)]
+    engine = [run_surrogate(axis, case, start, locked=False) for case, start in zip(cases, starts, strict=True)]
+    nominal = Nominal(path, plant, cases, runs, engine, apart(cases, runs, engine))
+    if not APART < nominal.apart < math.inf:
+        return nominal
+    by_engine = refit_in_engine(axis, cases, starts)
+    given, n = chi_square(cases, runs)
+    if by_engine is None or by_engine.chi2 < min(AT_NOISE * n, given):
+        return dataclasses.replace(nominal, by_engine=by_engine)
+    if given <= by_engine.chi2:
+        refitted: Refit | None = Refit({}, axis, runs, given)
+    else:
+        refitted = refit_in_simulator(axis, partial(write_as_author, path), path.name, cases, starts, threads)
+    if refitted is None or refitted.chi2 > by_engine.chi2:
+        return dataclasses.replace(nominal, by_engine=by_engine)
+    same = [run_surrogate(refitted.axis, case, start) for case, start in zip(cases, starts, strict=True)]
+    shifts = _shifts(cases, refitted.runs, same)
+    return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts), shifts=shifts)
+
+
+def apart(cases: Sequence[Case], runs: Sequence[Run | None], others: Sequence[Run | None]) -> float:
+    """Largest rms difference of two models' velocities over the noise; infinite where one diverged."""
+    out = 0.0
+    for case, a, b in zip(cases, runs, others, strict=True):
+        if a is None or b is None:
+            return math.inf
+        out = max(out, float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) / case.sigma)
+    return out
+
+
+def _shifts(cases: Sequence[Case], runs: Sequence[Run | None], engine: Sequence[Run | None]) -> tuple[np.ndarray, ...]:
+    if any(r is None for r in (*runs, *engine)):
+        return ()
+    return tuple(
+        error(c, a) - error(c, b) for c, a, b in zip(cases, runs, engine, strict=True) if a is not None and b is not None
+    )
+
+
+def without_difference(result: Diagnosis, nominal: Nominal) -> Diagnosis:
+    """The diagnosis with its signals as they were recorded: the difference of the two engines is on the side of the models."""
+    if not nominal.simulator:
+        return result
+    by_source = {c.recording.source: s for c, s in zip(nominal.cases, nominal.shifts, strict=True)}
+
+    def back(t: Traces) -> Traces:
+        shift = by_source.get(t.source)
+        if shift is None or len(shift) != len(t.time):
+            return t
+        moved = {name: getattr(t, name) - shift for name in ("measured", "nominal", "refitted", "corrected", "mapped")
+                 if getattr(t, name) is not None}  # fmt: skip
+        return dataclasses.replace(t, **moved)
+
+    return dataclasses.replace(result, traces=tuple(back(t) for t in result.traces))

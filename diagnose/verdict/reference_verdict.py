@@ -1,0 +1,149 @@
+"""The verdict by the user's simulator: figures of the files as MuJoCo steps them, and what follows from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diagnose.result import Diagnosis, Finding, FitFigures, Verdict
+from diagnose.verdict.reference import Run, chi_square, figures
+from diagnose.verdict.reference_stage import AT_NOISE, Nominal
+
+__all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
+
+MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
+# twice the gain of log-likelihood for numbers to be changed at all, and for each of them (SearchOptions: entry, price / 2)
+ENTRY, PRICE = 25.0, 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Files:
+    """What MuJoCo makes of the corrected file: its runs on the cases, what it lacks, its form.
+
+    numerics: findings of that class; sensitive: whether the smallest change of the start leads elsewhere.
+    """
+
+    runs: Sequence[Run | None]
+    lacks: tuple[str, ...]
+    form: str
+    numerics: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+    sensitive: bool = False
+
+
+def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis:
+    """The diagnosis with MuJoCo's figures, and the verdict that they bear.
+
+    ``fit.nominal`` and ``fit.corrected`` become those of the files, ``surrogate`` keeps those of the engine.
+    """
+    engine = {name: result.fit[name] for name in ("nominal", "refitted", "corrected") if name in result.fit}
+    fits = dict(result.fit)
+    fits["nominal"], fits["corrected"] = figures(nominal.cases, nominal.runs), figures(nominal.cases, files.runs)
+    notes = [*files.notes]
+    if files.lacks:
+        notes.append(
+            f"Plain MuJoCo lacks in corrected.xml: {'; '.join(files.lacks)}. Its held-out error there is "
+            f"{_told(fits['corrected'].held_out_rms)} {result.unit}, with these in simgap's replay "
+            f"{engine['corrected'].held_out_rms:.4g} {result.unit}."
+        )
+    out = dataclasses.replace(result, fit=fits, surrogate=engine)
+    if nominal_stands(result, nominal):
+        return _no_mismatch(out, notes)
+    missed = _missed(fits["corrected"], engine["corrected"])
+    if missed and not files.lacks:
+        notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
+    out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
+    if files.numerics:
+        out = _numerics(out, files.numerics)
+    if out.verdict is Verdict.NO_MISMATCH and not _at_noise(fits["nominal"], result.noise_floor):
+        out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
+    told = files.lacks or files.sensitive or out.verdict is Verdict.UNEXPLAINED
+    if missed and not told and not _at_noise(fits["corrected"], result.noise_floor):
+        out = dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
+    return out
+
+
+def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
+    """Whether the given file is as good as the best model, by the numbers that this one has more, on both kinds of data."""
+    best = (result.surrogate or result.fit)["corrected"]
+    chi2, n = chi_square(nominal.cases, nominal.runs)
+    given = figures(nominal.cases, nominal.runs)
+    if not (math.isfinite(chi2) and n and _at_noise(given, result.noise_floor)):
+        return False
+    more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
+    gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))
+    level = ENTRY + PRICE * more
+    held = sum(int(c.held_out.sum()) for c in nominal.cases)
+    lost = held * 2.0 * math.log(max(given.held_out_rms, 1e-300) / max(best.held_out_rms, 1e-300)) if held else 0.0
+    return gain <= level and lost <= level
+
+
+def _at_noise(fit: FitFigures, floor: float) -> bool:
+    """Whether both errors are at the noise."""
+    return all(math.isnan(x) or x**2 <= AT_NOISE * floor**2 for x in (fit.rms, fit.held_out_rms))
+
+
+def _missed(fit: FitFigures, engine: FitFigures) -> bool:
+    pairs = ((fit.rms, engine.rms), (fit.held_out_rms, engine.held_out_rms))
+    return any(not a <= MISSES * b for a, b in pairs if not math.isnan(b))
+
+
+def _told(x: float) -> str:
+    return f"{x:.4g}" if math.isfinite(x) else "infinite (it diverges)"
+
+
+def _warning(fit: FitFigures, engine: FitFigures, unit: str, sensitive: bool) -> str:
+    why = (
+        "the smallest change of where it starts leads elsewhere: such a motion cannot be followed for long"
+        if sensitive
+        else "MuJoCo does not step what was found as the equations say"
+    )
+    return (
+        f"Warning: corrected.xml in plain MuJoCo has a held-out error of {_told(fit.held_out_rms)} {unit} (estimation "
+        f"{_told(fit.rms)}), and not the {engine.held_out_rms:.4g} ({engine.rms:.4g}) of the fitting engine; {why}."
+    )
+
+
+def _no_mismatch(result: Diagnosis, notes: Sequence[str]) -> Diagnosis:
+    """The given file stands; what the engine had found beside it is told in a note."""
+    found = " and ".join(f.effect.replace("_", " ") for f in result.findings)
+    more = f"The fitting engine alone would have named {found}; the simulator with the file as given needs none of it."
+    kept = [n for n in notes if not n.startswith("Plain MuJoCo lacks")]
+    return dataclasses.replace(
+        result, verdict=Verdict.NO_MISMATCH, findings=(), gap_closed=math.nan, next_experiment=None, map=None,
+        fit={**result.fit, "corrected": result.fit["nominal"]},
+        summary="Nothing is missing: the nominal model, stepped by MuJoCo with its own options, agrees with the recording "
+        "to within its noise.",
+        notes=(*([more] if found else []), *kept, *(n for n in result.notes if "Structure remains" not in n)),
+    )  # fmt: skip
+
+
+def _numerics(result: Diagnosis, found: Sequence[Finding]) -> Diagnosis:
+    """Say that a setting and not physics makes the difference."""
+    names = " and ".join(f.effect.replace("_", " ") for f in found)
+    f = found[0].evidence
+    told = (
+        f"A setting of the simulator makes a difference, not physics: {names}. Mended in corrected.xml, the held-out error is "
+        f"{f['held_out_error_after']:.4g} {result.unit} instead of {f['held_out_error_before']:.4g}."
+    )
+    if result.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
+        return dataclasses.replace(result, verdict=Verdict.PARAMETERS_ONLY, summary=f"No physics is missing. {told}")
+    return dataclasses.replace(result, summary=f"{result.summary} {told}")
+
+
+def _as_given(result: Diagnosis) -> str:
+    given, mended = result.fit["nominal"], result.fit["corrected"]
+    return (
+        f"No physics is missing: the equations agree with the recording. The file as given, stepped by MuJoCo, misses it by "
+        f"{_told(given.held_out_rms)} {result.unit} on held-out data, corrected.xml by {_told(mended.held_out_rms)}."
+    )
+
+
+def _unreached(result: Diagnosis) -> str:
+    fit, engine = result.fit["corrected"], result.surrogate["corrected"]
+    return (
+        f"The equations of motion explain the recording (held-out error {engine.held_out_rms:.4g} {result.unit}), but "
+        f"corrected.xml in plain MuJoCo does not ({_told(fit.held_out_rms)} {result.unit})."
+    )

@@ -1,0 +1,99 @@
+"""Settings of the simulator in a corrected file: set them, or give back those of its author, on top of a written correction."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from mjsim.errors import InputError
+from mjsim.mjcf import custom
+from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.custom import Carried, Edit
+from mjsim.mjcf.xmltext import Node, XmlText
+
+__all__ = ["FRICTION_SETTINGS", "adjust", "author_friction"]
+
+FRICTION_SETTINGS = ("solreffriction", "solimpfriction")
+_SHORTENS = ("backlash", "time_delay", "presliding", "stribeck", "hysteresis")  # effects whose forms need a short timestep too
+
+
+def author_friction(carried: Carried) -> list[Edit]:
+    """Edits that give dry friction back the solver settings and the timestep that the author's file has."""
+    back = [(kind, name, key, old) for kind, name, key, old in carried.undo if key in FRICTION_SETTINGS]
+    if not any(e.id.startswith(_SHORTENS) for e in carried.effects):
+        back += [edit for edit in carried.undo if edit[0] == "option" and edit[2] == "timestep"]
+    oldest: dict[tuple[str, str, str], Edit] = {}
+    for edit in back:
+        oldest.setdefault(edit[:3], edit)
+    return list(oldest.values())
+
+
+def adjust(path: Path, edits: Sequence[Edit], comment: str = "") -> None:
+    """Set attributes (kind, name, attribute, value or None) of a corrected file, and note them in what it carries.
+
+    Kinds: option, joint, tendon. ``comment`` is put before the carried text. The file is replaced once MuJoCo has loaded it.
+    Raises InputError where an element is not there under its name.
+    """
+    xml = XmlText(path.read_text(encoding="utf-8"))
+    node = _carrying(xml)
+    if node is None:
+        raise InputError(path, "carries no correction", "a file that `simgap diagnose` wrote", "write it first")
+    carried = custom.unpack(node.attributes["data"], path)
+    undo = list(carried.undo)
+    for kind, name, key, value in edits:
+        target = _element(xml, path, kind, name)
+        now = target.attributes.get(key)
+        if now == value:
+            continue
+        noted = next((e for e in undo if e[:3] == (kind, name, key)), None)
+        if noted is None:
+            undo.append((kind, name, key, now))
+        elif noted[3] == value:
+            undo = [e for e in undo if e[:3] != (kind, name, key)]
+        xml.set(target, key, value)
+    before = _carrying(xml)
+    assert before is not None
+    lines = custom.element(replace(carried, undo=tuple(undo)))
+    xml.insert_before(before, [*([f"<!-- {comment} -->"] if comment else []), *lines])
+    stale = [n for n in xml.root.walk() if n.tag == "text" and n.attributes.get("name") == custom.NAME][-1]
+    xml.remove(stale)
+    _replace(path, xml.text)
+
+
+def _carrying(xml: XmlText) -> Node | None:
+    """The element of the carried text."""
+    return xml.find(lambda n: n.tag == "text" and n.attributes.get("name") == custom.NAME)
+
+
+def _element(xml: XmlText, path: Path, kind: str, name: str) -> Node:
+    if kind == "option":
+        node = xml.root.child("option")
+        if node is None:
+            xml.insert_before(xml.root.children[0], ["<option/>"])
+            node = xml.root.child("option")
+        assert node is not None
+        return node
+
+    def wanted(n: Node) -> bool:
+        if n.attributes.get("name") != name:
+            return False
+        return (n.parent is not None and n.parent.tag == "tendon") if kind == "tendon" else n.tag == kind
+
+    found = xml.find(wanted) if name else None
+    if found is None:
+        raise InputError(path, f"{kind} {name!r} is not in this file", "elements with names, in one file", "name it")
+    return found
+
+
+def _replace(path: Path, text: str) -> None:
+    part = path.with_name(f".{path.name}.part.xml")
+    try:
+        part.write_text(text, encoding="utf-8")
+        compile_file(part)
+        os.replace(part, path)
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

@@ -1,0 +1,103 @@
+"""The form of a corrected file that MuJoCo steps as the equations say, of the few that there are.
+
+A form is accepted once the file, stepped by MuJoCo with its own options, differs from the equations by no more than is
+allowed. They are tried in this order: the author's own solver settings; the stiff settings of `write_corrected`; those with
+the Euler integrator, which alone does the bristles of `<dcmotor lugre>` justice; a timestep that is a fifth; and last, one
+effect less by MJCF's elements, which is then carried for simgap only. What a form costs stands in a comment of the file.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from mjsim.axis import Axis
+from mjsim.mjcf.adjust import adjust, author_friction
+from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.custom import Edit
+from mjsim.mjcf.load import load_model
+from mjsim.mjcf.write import write_corrected
+
+__all__ = ["Faithful", "write_as_author", "write_faithful"]
+
+FINER = 5  # times the timestep
+
+
+Writer = Callable[[Axis, Path], tuple[str, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Faithful:
+    """The form that was written: its name, how far MuJoCo is from the equations with it, what plain MuJoCo lacks, its writer."""
+
+    form: str
+    differs: float
+    lacks: tuple[str, ...]
+    write: Writer
+
+
+def write_faithful(model: Path, axis: Axis, out: Path, differs: Callable[[Path], float], allowed: float) -> Faithful:
+    """Write the first form of which ``differs`` (of a file that MuJoCo is to step) is at most ``allowed``, else the one nearest.
+
+    Raises InputError when no form can be written.
+    """
+    best: Faithful | None = None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    kept, trial = (out.with_name(f".{out.stem}.{name}.part.xml") for name in ("best", "trial"))  # beside it: assets are found
+    try:
+        for name, write in _forms(model, axis):
+            lacks = write(axis, trial)
+            d = differs(trial)
+            if best is None or d < best.differs:
+                best = Faithful(name, d, lacks, write)
+                os.replace(trial, kept)
+            if d <= allowed:
+                break
+        assert best is not None
+        os.replace(kept, out)
+    finally:
+        for path in (kept, trial):
+            path.unlink(missing_ok=True)
+    return best
+
+
+def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
+    own = load_model(model).axis.effects
+    changed = [e for e in axis.effects if e.key not in {o.key for o in own}]
+
+    def plain(axis: Axis, at: Path) -> tuple[str, ...]:
+        return write_corrected(model, axis, at).lacks
+
+    def finer(axis: Axis, at: Path, euler: bool, parts: int) -> tuple[str, ...]:
+        lacks = plain(axis, at)
+        step = float(compile_file(at).opt.timestep) / parts
+        edits: list[Edit] = [("option", "", "integrator", "Euler")] if euler else []
+        edits += [("option", "", "timestep", repr(float(f"{step:.12g}")))] if parts > 1 else []
+        said = ["the Euler integrator"] * euler + [f"a timestep of {step:.3g} s, {parts} times the steps"] * (parts > 1)
+        adjust(at, edits, f"MuJoCo steps what was found with {' and '.join(said)}.")
+        return lacks
+
+    def without(axis: Axis, at: Path, key: str) -> tuple[str, ...]:
+        return write_corrected(model, axis, at, carried_only=(key,)).lacks
+
+    if any(e.id.endswith("friction") for e in own):
+        yield "the author's settings", partial(write_as_author, model)
+    yield "stiff settings", plain
+    if changed:
+        yield "Euler integrator", partial(finer, euler=True, parts=1)
+        yield "finer timestep", partial(finer, euler=False, parts=FINER)
+        yield "finer timestep, Euler integrator", partial(finer, euler=True, parts=FINER)
+    for e in changed:
+        yield f"{e.key} carried only", partial(without, key=e.key)
+
+
+def write_as_author(model: Path, axis: Axis, out: Path) -> tuple[str, ...]:
+    """`write_corrected` with the solver settings of the author's dry friction; what plain MuJoCo lacks."""
+    lacks = write_corrected(model, axis, out).lacks
+    carried = load_model(out, bound={}).carried
+    if carried is not None:
+        adjust(out, author_friction(carried))
+    return lacks

@@ -1,0 +1,160 @@
+"""corrected.xml written in a form that MuJoCo steps as found, and judged by plain MuJoCo beside the file as given."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from diagnose.options import Options
+from diagnose.result import Diagnosis, Finding
+from diagnose.verdict import numerics
+from diagnose.verdict.reference import Case, Run, chi_square, figures, run_files, run_surrogate
+from diagnose.verdict.reference_fit import refit_in_simulator
+from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
+from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
+from mjsim.axis import Axis
+from mjsim.errors import InputError
+from mjsim.mjcf import write_corrected
+from mjsim.mjcf.adjust import adjust
+from mjsim.mjcf.faithful import Faithful, write_as_author, write_faithful
+from mjsim.plant import MujocoPlant, Start
+from mjsim.plant.settings import mended
+from mjsim.recording import Recording
+
+__all__ = ["before_search", "write_judged"]
+
+POLISHED = 1.02  # times the error that the engine reports, beyond which the numbers of a file are refitted in MuJoCo
+NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
+SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
+
+
+def before_search(
+    path: Path, axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options
+) -> Nominal | None:
+    """The nominal file in MuJoCo beside the engine; None where recordings are not judged by motion."""
+    r = recordings[0]
+    judge = options.judge or r.judge or ("motion" if r.velocity is not None else "force")
+    return None if judge == "force" else compare_nominal(path, axis, recordings, held_out, options.jobs)
+
+
+def write_judged(
+    model: Path, given: Axis, axis: Axis, result: Diagnosis, nominal: Nominal | None, out: Path, threads: int
+) -> Diagnosis:
+    """Write ``out`` for an axis that was found beside that of the file as ``given``.
+
+    Returns the diagnosis, by MuJoCo's figures where it was judged by motion.
+    """
+    if nominal is None or result.channel != "velocity" or not result.noise_floor > 0:
+        write_corrected(model, axis, out)
+        return result
+    cause = numerics.cause_of(nominal, threads)
+    if nominal_stands(result, nominal):
+        write_corrected(model, given, out)
+        return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal)))
+    found: tuple[Finding, ...] = ()
+    if cause is not None and not nominal.simulator:
+        form, runs, found = _author_or_mended(model, axis, result, nominal, cause, out, threads)
+    else:
+        form = _write(model, axis, nominal, out, threads)
+        runs = _polished(axis, form, result, nominal, out, threads)
+    files = Files(
+        runs, form.lacks, form.form, found, () if found else _told(cause, nominal),
+        _sensitive(MujocoPlant.load(out), nominal.cases, runs),
+    )  # fmt: skip
+    return by_simulator(result, nominal, files)
+
+
+def _told(cause: numerics.Cause | None, nominal: Nominal) -> tuple[str, ...]:
+    told = numerics.note(cause, nominal)
+    return (told,) if told else ()
+
+
+def _misses(result: Diagnosis, cases: Sequence[Case], runs: Sequence[Run | None], times: float) -> bool:
+    """Whether runs of a file err by more than ``times`` what the engine reports, on either kind of data."""
+    own, engine = figures(cases, runs), result.fit["corrected"]
+    return any(not a <= times * b for a, b in ((own.rms, engine.rms), (own.held_out_rms, engine.held_out_rms)) if b == b)
+
+
+def _polished(axis: Axis, form: Faithful, result: Diagnosis, nominal: Nominal, out: Path, threads: int) -> Sequence[Run | None]:
+    """Runs of the file; its numbers are refitted in MuJoCo where it misses the engine's error: a free run asks more of them."""
+    runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+    if not _misses(result, nominal.cases, runs, POLISHED):
+        return runs
+    starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
+    better = refit_in_simulator(axis, form.write, out.name, nominal.cases, starts, threads)
+    if better is None or not better.chi2 < chi_square(nominal.cases, runs)[0]:
+        return runs
+    form.write(better.axis, out)
+    return run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+
+
+def _starts(nominal: Nominal) -> list[Start]:
+    return [case.start() if run is None else run.start for case, run in zip(nominal.cases, nominal.runs, strict=True)]
+
+
+def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -> Faithful:
+    """The form of the file that is nearest to what the search had in mind."""
+    starts = _starts(nominal)
+    locked = nominal.simulator  # then the shifts are those of runs that follow the recorded angle
+    wanted = [run_surrogate(axis, case, start, locked=locked) for case, start in zip(nominal.cases, starts, strict=True)]
+    shifts = list(nominal.shifts) or [np.zeros(1)] * len(wanted)
+
+    def differs(path: Path) -> float:
+        runs = run_files([MujocoPlant.load(path)], nominal.cases, threads, starts)[0]
+        most = 0.0
+        for case, run, ideal, shift in zip(nominal.cases, runs, wanted, shifts, strict=True):
+            if run is None or ideal is None:
+                return math.inf
+            most = max(most, float(np.sqrt(np.mean((run.velocity - ideal.velocity + shift) ** 2))) / case.sigma)
+        return most
+
+    tolerance = max([0.0, *(e.tolerance for e in axis.effects)])
+    size = max(float(np.sqrt(np.mean(c.measured**2))) / c.sigma for c in nominal.cases)
+    return write_faithful(model, axis, out, differs, max(APART, tolerance * size))
+
+
+def _author_or_mended(
+    model: Path, axis: Axis, result: Diagnosis, nominal: Nominal, cause: numerics.Cause, out: Path, threads: int
+) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:
+    """The file with its author's settings; mended where only that follows the recordings, and held-out data better for sure."""
+    form = Faithful("the author's settings", math.nan, write_as_author(model, axis, out), partial(write_as_author, model))
+    runs = _polished(axis, form, result, nominal, out, threads)
+    if not _misses(result, nominal.cases, runs, MISSES):
+        return form, runs, ()
+    trial = out.with_name(f".{out.stem}.mended.part.xml")
+    try:
+        other = _write(model, axis, nominal, trial, threads)
+        change = mended(MujocoPlant.load(trial).model, cause.setting.id)
+        if change is not None:
+            adjust(trial, change[1])
+        better = run_files([MujocoPlant.load(trial)], nominal.cases, threads)[0]
+        gain, p = numerics.gain_of(nominal.cases, runs, better)
+        if not (gain > 0 and p < numerics.SURE) or _misses(result, nominal.cases, better, MISSES):
+            return form, runs, ()
+        trial.replace(out)
+        before, after = (figures(nominal.cases, r).held_out_rms for r in (runs, better))
+        return other, better, (numerics.finding(cause, "motor", before, after, p),)
+    except InputError:  # elements without names: the setting cannot be written
+        return form, runs, ()
+    finally:
+        trial.unlink(missing_ok=True)
+
+
+def _sensitive(plant: MujocoPlant, cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
+    """Whether a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away."""
+    starts = []
+    for case, run in zip(cases, runs, strict=True):
+        if run is None:
+            return False
+        angle = NUDGE * case.spread()[0] or SMALLEST * float(np.ptp(run.angle))
+        starts.append(dataclasses.replace(run.start, angle=run.start.angle + angle))
+    others = run_files([plant], cases, 1, starts)[0]
+    return any(
+        a is None or b is None or float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) > APART * c.sigma
+        for a, b, c in zip(runs, others, cases, strict=True)
+    )

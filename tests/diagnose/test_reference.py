@@ -1,0 +1,196 @@
+"""The user's MuJoCo file as the judge: its figures, the settings that act like physics, the verdict that the figures bear."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.options import Options
+from diagnose.result import FitFigures, Verdict
+from diagnose.verdict import numerics
+from diagnose.verdict.reference import cases_of, chi_square, figures, run_files
+from diagnose.verdict.reference_stage import APART, compare_nominal
+from diagnose.verdict.reference_verdict import Files, by_simulator, nominal_stands
+from mjsim.mjcf import load_axis, write_corrected
+from mjsim.mjcf.adjust import adjust
+from mjsim.mjcf.faithful import write_as_author, write_faithful
+from mjsim.plant import MujocoPlant
+from mjsim.plant.settings import mended
+from mjsim.recording import Recording
+from simgap.pipeline import diagnose_files
+
+DT, SIGMA = 2e-3, 0.02
+STIFF = 'solreffriction="-1 -1000" solimpfriction=".9999 .9999 .001 .5 2"'
+PENDULUM = """<mujoco><option timestep="0.001" integrator="Euler"/><worldbody><body name="rod" pos="0 0 1">
+  <joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="{friction}" {solver}/>
+  <inertial pos="0 0 -.3" mass=".5" diaginertia=".02 .02 .02"/></body></worldbody>
+  <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+
+
+def text(friction=0.35, solver=""):
+    return PENDULUM.format(friction=friction, solver=solver)
+
+
+def log(xml, seed, seconds=4.0):
+    """A recording made by plain MuJoCo."""
+    m = mujoco.MjModel.from_xml_string(xml)
+    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
+    t = DT * np.arange(round(seconds / DT))
+    u = 1.2 * np.sin(2 * np.pi * (0.4 + 0.2 * t) * t + seed) * np.minimum(t, 1.0)
+    q, v = np.empty(len(t)), np.empty(len(t))
+    for k in range(len(t)):
+        q[k], v[k], d.ctrl[0] = d.qpos[0], d.qvel[0], u[k]
+        mujoco.mj_step(m, d, round(DT / m.opt.timestep))
+    noise = rng.standard_normal((2, len(t)))
+    return Recording(t, u, v + SIGMA * noise[0], q + 1e-4 * noise[1], DT, source=f"log_{seed}.csv")
+
+
+@pytest.fixture
+def nominal(tmp_path):
+    path = tmp_path / "pendulum.xml"
+    path.write_text(text(), encoding="utf-8")
+    return path
+
+
+def test_figures_are_those_of_the_file_in_mujoco(nominal):
+    cases = cases_of([log(text(), 1)], [log(text(), 2)])
+    runs = run_files([MujocoPlant.load(nominal)], cases, 1)[0]
+    f = figures(cases, runs)
+    assert f.rms == pytest.approx(SIGMA, rel=0.05)
+    assert f.held_out_rms == pytest.approx(SIGMA, rel=0.05)
+    chi2, n = chi_square(cases, runs)
+    assert n == 2000
+    assert chi2 / n == pytest.approx((f.rms / cases[0].sigma) ** 2)
+    none = [None, runs[1]]
+    assert figures(cases, none).rms == math.inf
+    assert chi_square(cases, none)[0] == math.inf
+
+
+def test_blocks_of_one_recording_are_held_out_where_there_is_no_other():
+    (case,) = cases_of([log(text(), 1)], [])
+    assert not np.any(case.estimation & case.held_out)
+    assert np.all(case.estimation | case.held_out)
+
+
+def test_recordings_bear_the_simulators_friction_where_it_made_them(nominal):
+    found = compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)
+    assert found.apart > APART
+    assert found.simulator
+    assert set(found.corrections()) == {"log_1.csv", "log_2.csv"}
+    assert numerics.note(None, found)
+
+
+def test_recordings_of_ideal_friction_do_not_and_name_the_setting(nominal):
+    axis, stiff = load_axis(nominal), text(solver=STIFF)
+    found = compare_nominal(nominal, axis, [log(stiff, 1)], [log(stiff, 2)], 1)
+    assert found.apart > APART
+    assert not found.simulator
+    cause = numerics.cause_of(found, 1)
+    assert cause is not None
+    assert (cause.setting.id, cause.element) == ("soft_friction", "hinge")
+    assert cause.left < APART < cause.apart
+
+
+def test_no_difference_is_no_cause(tmp_path):
+    path = tmp_path / "stiff.xml"
+    path.write_text(text(solver=STIFF).replace("0.001", "0.0001", 1), encoding="utf-8")
+    axis = load_axis(path)
+    found = compare_nominal(path, axis, [log(text(solver=STIFF), 1, 2.0)], [], 1)
+    assert found.apart < APART
+    assert numerics.cause_of(found, 1) is None
+    assert numerics.note(None, found) == ""
+
+
+def test_settings_are_mended_in_model_and_file_alike(nominal, tmp_path):
+    out = tmp_path / "corrected.xml"
+    write_corrected(nominal, load_axis(nominal), out)
+    model, edits = mended(MujocoPlant.load(out).model, "soft_friction")
+    adjust(out, edits)
+    again = MujocoPlant.load(out).model
+    assert again.opt.timestep == model.opt.timestep == 1e-4
+    assert np.allclose(again.dof_solref, model.dof_solref)
+    assert np.allclose(again.dof_solimp, model.dof_solimp)
+    assert mended(model, "soft_limit") is None
+    with pytest.raises(KeyError, match="soft_friction"):
+        mended(model, "no_such")
+    # it is undone with the correction
+    back = tmp_path / "back.xml"
+    write_corrected(out, load_axis(nominal), back)
+    assert MujocoPlant.load(back).model.opt.timestep == 0.001
+
+
+def test_the_authors_friction_settings_are_kept(nominal, tmp_path):
+    out = tmp_path / "corrected.xml"
+    axis = load_axis(nominal).with_values({"coulomb_friction@motor.torque_Nm": 0.3})
+    write_as_author(nominal, axis, out)
+    m, before = MujocoPlant.load(out).model, MujocoPlant.load(nominal).model
+    assert m.dof_frictionloss[0] == 0.3
+    assert np.array_equal(m.dof_solref, before.dof_solref)
+    assert m.opt.timestep == before.opt.timestep
+
+
+def test_the_first_form_that_is_near_enough_is_written(nominal, tmp_path):
+    axis = load_axis(nominal).with_values({"fm": 0.07})
+    sizes = iter([3.0, 0.1])
+    form = write_faithful(nominal, axis, tmp_path / "out.xml", lambda _: next(sizes), 0.2)
+    assert (form.form, form.differs) == ("stiff settings", 0.1)
+    sizes = iter([3.0, 5.0])
+    form = write_faithful(nominal, axis, tmp_path / "out.xml", lambda _: next(sizes), 0.2)
+    assert (form.form, form.differs) == ("the author's settings", 3.0)
+    assert not list(tmp_path.glob(".out*"))
+
+
+@pytest.fixture
+def judged(pair, robot, nominal):
+    """(result without findings, nominal comparison) to lay other figures on."""
+    from diagnose.pipeline import diagnose
+
+    estimation, held_out = pair(seconds=1.5)
+    result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=("torque_offset",)))
+    return result, compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)
+
+
+def test_the_verdict_follows_the_figures(judged):
+    result, given = judged
+    n = figures(given.cases, given.runs)
+    same = FitFigures(n.rms, n.nrmse, n.held_out_rms, n.held_out_nrmse)
+    result = dataclasses.replace(result, fit=dict.fromkeys(("nominal", "refitted", "corrected"), same), noise_floor=SIGMA)
+    # the file as given is as good as anything
+    assert nominal_stands(result, given)
+    out = by_simulator(result, given, Files(given.runs, (), "as given"))
+    assert out.verdict is Verdict.NO_MISMATCH
+    assert set(out.as_dict()["fit"]) >= {"nominal", "corrected", "surrogate", "noise_floor"}
+    # a better model makes it a mismatch; a file that does not reach the engine's error is told, and bears no verdict
+    better = FitFigures(0.9 * n.rms, n.nrmse, 0.9 * n.held_out_rms, n.held_out_nrmse)
+    result = dataclasses.replace(result, fit={**result.fit, "corrected": better}, noise_floor=0.9 * SIGMA)
+    assert not nominal_stands(result, given)
+    out = by_simulator(result, given, Files(given.runs, (), "stiff settings"))
+    assert out.verdict is Verdict.UNEXPLAINED
+    assert out.notes[0].startswith("Warning")
+    for told in (Files(given.runs, ("it lacks this",), ""), Files(given.runs, (), "", sensitive=True)):
+        assert by_simulator(result, given, told).verdict is result.verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("solver", "verdict", "found"), [("", "no_mismatch", []), (STIFF, "parameters_only", ["soft_friction"])])
+def test_soft_friction_is_never_called_physics(solver, verdict, found, nominal, tmp_path):
+    logs = []
+    for seed in (1, 2):
+        r = log(text(solver=solver), seed, 8.0)
+        logs.append(tmp_path / r.source)
+        table = np.column_stack([r.time, r.torque, r.velocity, r.angle])
+        np.savetxt(logs[-1], table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s,angle_rad", comments="")
+    diagnose_files(logs[:1], nominal, tmp_path / "out", logs[1:], Options(jobs=1), progress=False)
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert said["verdict"] == verdict
+    assert [f["effect"] for f in said["findings"]] == found
+    assert all(f["class"] == "numerics" for f in said["findings"])
+    assert said["fit"]["corrected"]["held_out_rms"] == pytest.approx(SIGMA, rel=0.05)
+    cases = cases_of([log(text(solver=solver), 1, 8.0)], [log(text(solver=solver), 2, 8.0)])
+    again = figures(cases, run_files([MujocoPlant.load(tmp_path / "out" / "corrected.xml")], cases, 1)[0])
+    assert again.held_out_rms == pytest.approx(said["fit"]["corrected"]["held_out_rms"], rel=1e-3)
