@@ -16,12 +16,12 @@ from diagnose.verdict import numerics
 from diagnose.verdict.reference import Case, Run, chi_square, figures, run_files, run_surrogate
 from diagnose.verdict.reference_fit import refit_in_simulator
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
-from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
+from diagnose.verdict.reference_verdict import MISSES, Files, at_noise, by_simulator, nominal_stands
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import write_corrected
 from mjsim.mjcf.adjust import adjust
-from mjsim.mjcf.faithful import Faithful, write_as_author, write_faithful
+from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author, write_faithful
 from mjsim.plant import MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
@@ -62,6 +62,8 @@ def write_judged(
     else:
         form = _write(model, axis, nominal, out, threads)
         runs = _polished(axis, form, result, nominal, out, threads)
+    if not found and not at_noise(figures(nominal.cases, runs), result.noise_floor):
+        form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
     files = Files(
         runs, form.lacks, form.form, found, () if found else _told(cause, nominal),
         _sensitive(MujocoPlant.load(out), nominal.cases, runs),
@@ -118,11 +120,39 @@ def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -
     return write_faithful(model, axis, out, differs, max(APART, tolerance * size))
 
 
+def _soft_or_not(
+    model: Path, axis: Axis, form: Faithful, nominal: Nominal, out: Path, runs: Sequence[Run | None], threads: int
+) -> tuple[Faithful, Sequence[Run | None]]:
+    """The file with dry friction as its author's settings (MuJoCo's own where there are none) have it, where that follows better.
+
+    A recording of a simulator bears its soft friction, which the equations do not have.
+    """
+    if not any(e.id == "coulomb_friction" for e in axis.effects) or form.form == AUTHOR:
+        return form, runs
+    trial = out.with_name(f".{out.stem}.author.part.xml")
+    try:
+        lacks = write_as_author(model, axis, trial)
+        given = run_files([MujocoPlant.load(trial)], nominal.cases, threads)[0]
+        starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, given, strict=True)]
+        better = refit_in_simulator(axis, partial(write_as_author, model), out.name, nominal.cases, starts, threads)
+        if better is None or not MISSES**2 * better.chi2 < chi_square(nominal.cases, runs)[0]:
+            return form, runs
+        write_as_author(model, better.axis, trial)
+        after = run_files([MujocoPlant.load(trial)], nominal.cases, threads)[0]
+        gain, p = numerics.gain_of(nominal.cases, runs, after)
+        if not (gain > 0 and p < numerics.SURE):
+            return form, runs
+        trial.replace(out)
+        return Faithful(AUTHOR, math.nan, lacks, partial(write_as_author, model)), after
+    finally:
+        trial.unlink(missing_ok=True)
+
+
 def _author_or_mended(
     model: Path, axis: Axis, result: Diagnosis, nominal: Nominal, cause: numerics.Cause, out: Path, threads: int
 ) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:
     """The file with its author's settings; mended where only that follows the recordings, and held-out data better for sure."""
-    form = Faithful("the author's settings", math.nan, write_as_author(model, axis, out), partial(write_as_author, model))
+    form = Faithful(AUTHOR, math.nan, write_as_author(model, axis, out), partial(write_as_author, model))
     runs = _polished(axis, form, result, nominal, out, threads)
     if not _misses(result, nominal.cases, runs, MISSES):
         return form, runs, ()

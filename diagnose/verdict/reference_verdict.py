@@ -11,7 +11,7 @@ from diagnose.result import Diagnosis, Finding, FitFigures, Verdict
 from diagnose.verdict.reference import Run, chi_square, figures
 from diagnose.verdict.reference_stage import AT_NOISE, Nominal
 
-__all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
+__all__ = ["MISSES", "Files", "at_noise", "by_simulator", "nominal_stands"]
 
 MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
 # twice the gain of log-likelihood for numbers to be changed at all, and for each of them (SearchOptions: entry, price / 2)
@@ -57,10 +57,12 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
     if files.numerics:
         out = _numerics(out, files.numerics)
-    if out.verdict is Verdict.NO_MISMATCH and not _at_noise(fits["nominal"], result.noise_floor):
+    if out.verdict is Verdict.NO_MISMATCH and not at_noise(fits["nominal"], result.noise_floor):
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
+    elif out.verdict is Verdict.UNEXPLAINED and not files.lacks and at_noise(fits["corrected"], result.noise_floor):
+        out = _explained(out, files.form)
     told = files.lacks or files.sensitive or out.verdict is Verdict.UNEXPLAINED
-    if missed and not told and not _at_noise(fits["corrected"], result.noise_floor):
+    if missed and not told and not at_noise(fits["corrected"], result.noise_floor):
         out = dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
     return out
 
@@ -70,7 +72,7 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     best = (result.surrogate or result.fit)["corrected"]
     chi2, n = chi_square(nominal.cases, nominal.runs)
     given = figures(nominal.cases, nominal.runs)
-    if not (math.isfinite(chi2) and n and _at_noise(given, result.noise_floor)):
+    if not (math.isfinite(chi2) and n and at_noise(given, result.noise_floor)):
         return False
     more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
     gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))
@@ -80,7 +82,7 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     return gain <= level and lost <= level
 
 
-def _at_noise(fit: FitFigures, floor: float) -> bool:
+def at_noise(fit: FitFigures, floor: float) -> bool:
     """Whether both errors are at the noise."""
     return all(math.isnan(x) or x**2 <= AT_NOISE * floor**2 for x in (fit.rms, fit.held_out_rms))
 
@@ -131,6 +133,24 @@ def _numerics(result: Diagnosis, found: Sequence[Finding]) -> Diagnosis:
     if result.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
         return dataclasses.replace(result, verdict=Verdict.PARAMETERS_ONLY, summary=f"No physics is missing. {told}")
     return dataclasses.replace(result, summary=f"{result.summary} {told}")
+
+
+def _explained(result: Diagnosis, form: str) -> Diagnosis:
+    """What the equations leave unexplained, the corrected file in MuJoCo does not: its numerics are in the recordings."""
+    physics = [f for f in result.findings if f.kind == "physics"]
+    names = " and ".join(f"{f.effect.replace('_', ' ')} at the {f.place}" for f in physics)
+    what = f"The simulation left out {names}" if names else "No physics is missing: the numbers of the model were off"
+    fit, engine = result.fit["corrected"], result.surrogate["corrected"]
+    return dataclasses.replace(
+        result, verdict=Verdict.MISSING_PHYSICS if physics else Verdict.PARAMETERS_ONLY, map=None,
+        summary=f"{what}: corrected.xml, stepped by MuJoCo, has a held-out error of {fit.held_out_rms:.4g} {result.unit}, "
+        "which is noise.",
+        notes=(
+            f"The recordings bear the simulator's numerics: with {form} the file follows them, and the equations of motion leave "
+            f"{engine.held_out_rms:.4g} {result.unit}.",
+            *(n for n in result.notes if not n.startswith(("Structure remains", "No torque map", "Motion that"))),
+        ),
+    )  # fmt: skip
 
 
 def _as_given(result: Diagnosis) -> str:

@@ -21,8 +21,9 @@ from mjsim.mjcf.custom import Edit
 from mjsim.mjcf.load import load_model
 from mjsim.mjcf.write import write_corrected
 
-__all__ = ["Faithful", "write_as_author", "write_faithful"]
+__all__ = ["AUTHOR", "Faithful", "write_as_author", "write_faithful"]
 
+AUTHOR = "the author's settings"
 FINER = 5  # times the timestep
 
 
@@ -84,7 +85,7 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
         return write_corrected(model, axis, at, carried_only=(key,)).lacks
 
     if any(e.id.endswith("friction") for e in own):
-        yield "the author's settings", partial(write_as_author, model)
+        yield AUTHOR, partial(write_as_author, model)
     yield "stiff settings", plain
     if changed:
         yield "Euler integrator", partial(finer, euler=True, parts=1)
