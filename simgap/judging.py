@@ -13,10 +13,10 @@ import numpy as np
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, chi_square, figures, run_files, run_surrogate
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, run_files, run_surrogate
 from diagnose.verdict.reference_fit import refit_in_simulator
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
-from diagnose.verdict.reference_verdict import MISSES, Files, at_noise, by_simulator, nominal_stands
+from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import write_corrected
@@ -62,7 +62,7 @@ def write_judged(
     else:
         form = _write(model, axis, nominal, out, threads)
         runs = _polished(axis, form, result, nominal, out, threads)
-    if not found and not at_noise(figures(nominal.cases, runs), result.noise_floor):
+    if not found and not at_noise(nominal.cases, runs):
         form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
     files = Files(
         runs, form.lacks, form.form, found, () if found else _told(cause, nominal),

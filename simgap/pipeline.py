@@ -103,7 +103,7 @@ def diagnose_files(
     log = check_log(Machine.of(load_model(model)), [*loaded, *held])
     if log.verdict is LogVerdict.FIX and not accept_log:
         return _written(wrong_log(nominal, log, loaded, held, options.seed), nominal, model, out, truth, draw)
-    memory = Memory(out / STATE, _follows(nominal, loaded, held, options))
+    memory = Memory(out / STATE, _follows(nominal, loaded, held, options, model.read_bytes()))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
             if "force" not in (options.judge, loaded[0].judge) and loaded[0].velocity is not None and options.jobs > 1:
@@ -194,10 +194,12 @@ def _load_kernels(bodies: int) -> None:
             process.wait()
 
 
-def _follows(nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> str:
-    """Hash of what the fits of a diagnosis follow from; neither threads nor a budget change a fit."""
+def _follows(
+    nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options, model: bytes = b""
+) -> str:
+    """Hash of what the fits of a diagnosis follow from (of ``model``, its options); neither threads nor a budget change a fit."""
     same = dataclasses.replace(options, jobs=1, seconds=math.inf, effort=1.0)
-    return fingerprint(nominal, (*recordings, *held_out), len(recordings), same)
+    return fingerprint(nominal, (*recordings, *held_out), len(recordings), same, model)
 
 
 def _need_folder(out: Path) -> None:

@@ -22,8 +22,10 @@ from mjsim.ode import DivergedError, simulate
 from mjsim.plant import MujocoPlant, Start
 from mjsim.recording import Recording
 
-__all__ = ["Case", "Run", "cases_of", "chi_square", "error", "figures", "run_file", "run_files", "run_surrogate"]
+__all__ = ["Case", "Run", "at_noise", "cases_of", "chi_square", "error", "figures", "run_file", "run_files", "run_surrogate"]
 
+KNOWN = 0.05  # relative error of a noise variance that is taken from the fastest part of a signal
+CLEAR = 3.0  # standard deviations of a mean square of white noise, which are sqrt(2 / n)
 FIRST = 0.005  # [s] over which the speed at the first sample is a straight line, at least two samples
 FELT = 0.05  # of the noise, rms: least response to a start one standard deviation off, for the start to be refined
 
@@ -175,6 +177,15 @@ def chi_square(cases: Sequence[Case], runs: Sequence[Run | None], part: str = "e
         if keep.any():
             total += math.inf if run is None else float(np.sum((error(case, run)[keep] / case.sigma) ** 2))
     return total, n
+
+
+def at_noise(cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
+    """Whether the mean squared error of both kinds of data is that of the noise, as far as this is known."""
+    for part in ("estimation", "held_out"):
+        chi2, n = chi_square(cases, runs, part)
+        if n and not chi2 / n <= 1.0 + KNOWN + CLEAR * math.sqrt(2.0 / n):
+            return False
+    return True
 
 
 def figures(cases: Sequence[Case], runs: Sequence[Run | None]) -> FitFigures:

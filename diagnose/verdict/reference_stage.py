@@ -21,17 +21,16 @@ from pathlib import Path
 import numpy as np
 
 from diagnose.result import Diagnosis, Traces
-from diagnose.verdict.reference import Case, Run, cases_of, chi_square, error, run_files, run_surrogate
+from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, run_files, run_surrogate
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from mjsim.axis import Axis
 from mjsim.mjcf.faithful import write_as_author
 from mjsim.plant import MujocoPlant
 from mjsim.recording import Recording
 
-__all__ = ["APART", "AT_NOISE", "Nominal", "apart", "compare_nominal", "without_difference"]
+__all__ = ["APART", "Nominal", "apart", "compare_nominal", "without_difference"]
 
 APART = 0.2  # of the noise rms: a difference that adds 4 % to the variance, four standard deviations of it in 20,000 samples
-AT_NOISE = 1.05  # chi-square over n: the noise variance is known to some 4 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +73,8 @@ def compare_nominal(
     if not APART < nominal.apart < math.inf:
         return nominal
     by_engine = refit_in_engine(axis, cases, starts)
-    given, n = chi_square(cases, runs)
-    if by_engine is None or by_engine.chi2 < min(AT_NOISE * n, given):
+    given, _ = chi_square(cases, runs)
+    if by_engine is None or (at_noise(cases, by_engine.runs) and by_engine.chi2 < given):
         return dataclasses.replace(nominal, by_engine=by_engine)
     if given <= by_engine.chi2:
         refitted: Refit | None = Refit({}, axis, runs, given)

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnose.result import Diagnosis, Finding, FitFigures, Verdict
-from diagnose.verdict.reference import Run, chi_square, figures
-from diagnose.verdict.reference_stage import AT_NOISE, Nominal
+from diagnose.verdict.reference import Run, at_noise, chi_square, figures
+from diagnose.verdict.reference_stage import Nominal
 
-__all__ = ["MISSES", "Files", "at_noise", "by_simulator", "nominal_stands"]
+__all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
 
 MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
 # twice the gain of log-likelihood for numbers to be changed at all, and for each of them (SearchOptions: entry, price / 2)
@@ -57,12 +57,12 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
     if files.numerics:
         out = _numerics(out, files.numerics)
-    if out.verdict is Verdict.NO_MISMATCH and not at_noise(fits["nominal"], result.noise_floor):
+    if out.verdict is Verdict.NO_MISMATCH and not at_noise(nominal.cases, nominal.runs):
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
-    elif out.verdict is Verdict.UNEXPLAINED and not files.lacks and at_noise(fits["corrected"], result.noise_floor):
+    elif out.verdict is Verdict.UNEXPLAINED and not files.lacks and at_noise(nominal.cases, files.runs):
         out = _explained(out, files.form)
     told = files.lacks or files.sensitive or out.verdict is Verdict.UNEXPLAINED
-    if missed and not told and not at_noise(fits["corrected"], result.noise_floor):
+    if missed and not told and not at_noise(nominal.cases, files.runs):
         out = dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
     return out
 
@@ -72,7 +72,7 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     best = (result.surrogate or result.fit)["corrected"]
     chi2, n = chi_square(nominal.cases, nominal.runs)
     given = figures(nominal.cases, nominal.runs)
-    if not (math.isfinite(chi2) and n and at_noise(given, result.noise_floor)):
+    if not (math.isfinite(chi2) and n and at_noise(nominal.cases, nominal.runs)):
         return False
     more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
     gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))
@@ -80,11 +80,6 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     held = sum(int(c.held_out.sum()) for c in nominal.cases)
     lost = held * 2.0 * math.log(max(given.held_out_rms, 1e-300) / max(best.held_out_rms, 1e-300)) if held else 0.0
     return gain <= level and lost <= level
-
-
-def at_noise(fit: FitFigures, floor: float) -> bool:
-    """Whether both errors are at the noise."""
-    return all(math.isnan(x) or x**2 <= AT_NOISE * floor**2 for x in (fit.rms, fit.held_out_rms))
 
 
 def _missed(fit: FitFigures, engine: FitFigures) -> bool:

@@ -22,6 +22,8 @@ EFFECTS = {
     "coulomb": effect("coulomb_friction", torque_Nm=0.2),
     "presliding": effect("presliding_friction", torque_Nm=0.2, stiffness_Nm_rad=200.0),
     "stiff presliding": effect("presliding_friction", torque_Nm=0.2, stiffness_Nm_rad=2e5),
+    "damped presliding": effect("presliding_friction_with_damping", torque_Nm=0.2, stiffness_Nm_rad=2e4, damping_Nms_rad=200.0),
+    "fast mode": effect("extra_flexible_mode", inertia_kgm2=0.01, stiffness_Nm_rad=1.5e4, damping_Nms_rad=0.5),
     "offset": effect("torque_offset", torque_Nm=0.1),
 }
 
