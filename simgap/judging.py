@@ -18,6 +18,7 @@ from diagnose.verdict.reference_fit import refit_in_simulator
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
 from mjsim.axis import Axis
+from mjsim.effects import effect_class
 from mjsim.errors import InputError
 from mjsim.mjcf import write_corrected
 from mjsim.mjcf.adjust import adjust
@@ -57,16 +58,19 @@ def write_judged(
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal)))
     found: tuple[Finding, ...] = ()
-    if cause is not None and not nominal.simulator:
+    fewer = _without_creep(model, given, result, nominal, cause, out, threads)
+    if fewer is not None:
+        result, form, runs = fewer
+    elif cause is not None and not nominal.simulator:
         form, runs, found = _author_or_mended(model, axis, result, nominal, cause, out, threads)
     else:
         form = _write(model, axis, nominal, out, threads)
         runs = _polished(axis, form, result, nominal, out, threads)
-    if not found and not at_noise(nominal.cases, runs):
+    if fewer is None and not found and not at_noise(nominal.cases, runs):
         form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
     files = Files(
         runs, form.lacks, form.form, found, () if found else _told(cause, nominal),
-        _sensitive(MujocoPlant.load(out), nominal.cases, runs),
+        _sensitive(MujocoPlant.load(out), nominal.cases, runs), fewer is not None,
     )  # fmt: skip
     return by_simulator(result, nominal, files)
 
@@ -118,6 +122,38 @@ def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -
     tolerance = max([0.0, *(e.tolerance for e in axis.effects)])
     size = max(float(np.sqrt(np.mean(c.measured**2))) / c.sigma for c in nominal.cases)
     return write_faithful(model, axis, out, differs, max(APART, tolerance * size))
+
+
+def _without_creep(
+    model: Path, given: Axis, result: Diagnosis, nominal: Nominal, cause: numerics.Cause | None, out: Path, threads: int
+) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
+    """The diagnosis without laws of friction that were found beside the file's own, where MuJoCo's soft friction does as well.
+
+    A search by the equations takes the creep of the simulator's friction for presliding. None where it is not at the noise.
+    """
+    friction = [f for f in result.findings if f.kind == "physics" and effect_class(f.law).family == "friction"]
+    if cause is None or cause.setting.id != "soft_friction" or nominal.simulator or not friction:
+        return None
+    others = [f for f in result.findings if f not in friction]
+    values = {k: v.value for k, v in result.linear_parameters.items()}
+    axis = given.with_values(values).with_effects(
+        [effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()}) for f in others]
+    )
+    try:
+        lacks = write_as_author(model, axis, out)
+    except InputError:
+        return None
+    runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+    starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
+    write = partial(write_as_author, model)
+    better = refit_in_simulator(axis, write, out.name, nominal.cases, starts, threads)
+    if better is None:
+        return None
+    write(better.axis, out)
+    runs = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+    if not at_noise(nominal.cases, runs):
+        return None
+    return dataclasses.replace(result, findings=tuple(others)), Faithful(AUTHOR, math.nan, lacks, write), runs
 
 
 def _soft_or_not(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from diagnose.result import Diagnosis, Finding, FitFigures, Verdict
 from diagnose.verdict.reference import Run, at_noise, chi_square, figures
-from diagnose.verdict.reference_stage import Nominal
+from diagnose.verdict.reference_stage import APART, Nominal
 
 __all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
 
@@ -22,7 +22,8 @@ ENTRY, PRICE = 25.0, 4.0
 class Files:
     """What MuJoCo makes of the corrected file: its runs on the cases, what it lacks, its form.
 
-    numerics: findings of that class; sensitive: whether the smallest change of the start leads elsewhere.
+    numerics: findings of that class; sensitive: whether the smallest change of the start leads elsewhere;
+    bears: whether findings were dropped since the simulator's numerics explain the recordings as well.
     """
 
     runs: Sequence[Run | None]
@@ -31,6 +32,7 @@ class Files:
     numerics: tuple[Finding, ...] = ()
     notes: tuple[str, ...] = ()
     sensitive: bool = False
+    bears: bool = False
 
 
 def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis:
@@ -42,7 +44,8 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     fits = dict(result.fit)
     fits["nominal"], fits["corrected"] = figures(nominal.cases, nominal.runs), figures(nominal.cases, files.runs)
     notes = [*files.notes]
-    if files.lacks:
+    missed = _missed(fits["corrected"], engine["corrected"])
+    if files.lacks and missed:
         notes.append(
             f"Plain MuJoCo lacks in corrected.xml: {'; '.join(files.lacks)}. Its held-out error there is "
             f"{_told(fits['corrected'].held_out_rms)} {result.unit}, with these in simgap's replay "
@@ -51,7 +54,6 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     out = dataclasses.replace(result, fit=fits, surrogate=engine)
     if nominal_stands(result, nominal):
         return _no_mismatch(out, notes)
-    missed = _missed(fits["corrected"], engine["corrected"])
     if missed and not files.lacks:
         notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
@@ -59,7 +61,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         out = _numerics(out, files.numerics)
     if out.verdict is Verdict.NO_MISMATCH and not at_noise(nominal.cases, nominal.runs):
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
-    elif out.verdict is Verdict.UNEXPLAINED and not files.lacks and at_noise(nominal.cases, files.runs):
+    elif files.bears or (out.verdict is Verdict.UNEXPLAINED and at_noise(nominal.cases, files.runs)):
         out = _explained(out, files.form)
     told = files.lacks or files.sensitive or out.verdict is Verdict.UNEXPLAINED
     if missed and not told and not at_noise(nominal.cases, files.runs):
@@ -68,7 +70,12 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
 
 
 def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
-    """Whether the given file is as good as the best model, by the numbers that this one has more, on both kinds of data."""
+    """Whether the given file is at the noise and as good as the best model, by the numbers that this one has more.
+
+    Where search and simulator had the same numerics the search has answered that, with every one of its tests.
+    """
+    if (nominal.apart <= APART or nominal.simulator) and result.verdict is not Verdict.NO_MISMATCH:
+        return False
     best = (result.surrogate or result.fit)["corrected"]
     chi2, n = chi_square(nominal.cases, nominal.runs)
     given = figures(nominal.cases, nominal.runs)

@@ -160,8 +160,11 @@ def test_the_verdict_follows_the_figures(judged):
     n = figures(given.cases, given.runs)
     same = FitFigures(n.rms, n.nrmse, n.held_out_rms, n.held_out_nrmse)
     result = dataclasses.replace(result, fit=dict.fromkeys(("nominal", "refitted", "corrected"), same), noise_floor=SIGMA)
+    given = dataclasses.replace(given, simulator=False)  # the engine's search is told nothing of the simulator's numerics
     # the file as given is as good as anything
     assert nominal_stands(result, given)
+    # a search that had the simulator's numerics has answered that itself
+    assert not nominal_stands(result, dataclasses.replace(given, simulator=True))
     out = by_simulator(result, given, Files(given.runs, (), "as given"))
     assert out.verdict is Verdict.NO_MISMATCH
     assert set(out.as_dict()["fit"]) >= {"nominal", "corrected", "surrogate", "noise_floor"}
@@ -169,10 +172,10 @@ def test_the_verdict_follows_the_figures(judged):
     better = FitFigures(0.9 * n.rms, n.nrmse, 0.9 * n.held_out_rms, n.held_out_nrmse)
     result = dataclasses.replace(result, fit={**result.fit, "corrected": better}, noise_floor=0.9 * SIGMA)
     assert not nominal_stands(result, given)
-    out = by_simulator(result, given, Files(given.runs, (), "stiff settings"))
+    out = by_simulator(result, given, Files(given.engine, (), "stiff settings"))
     assert out.verdict is Verdict.UNEXPLAINED
     assert out.notes[0].startswith("Warning")
-    for told in (Files(given.runs, ("it lacks this",), ""), Files(given.runs, (), "", sensitive=True)):
+    for told in (Files(given.engine, ("it lacks this",), ""), Files(given.engine, (), "", sensitive=True)):
         assert by_simulator(result, given, told).verdict is result.verdict
 
 
