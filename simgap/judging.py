@@ -20,10 +20,10 @@ from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nomi
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
-from mjsim.mjcf import write_corrected
+from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mjcf.adjust import adjust
 from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author, write_faithful
-from mjsim.plant import MujocoPlant, Start
+from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
 
@@ -69,7 +69,7 @@ def write_judged(
     if fewer is None and not found and not at_noise(nominal.cases, runs):
         form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
     files = Files(
-        runs, form.lacks, form.form, found, () if found else _told(cause, nominal),
+        runs, form.lacks, form.form, found, (*(() if found else _told(cause, nominal)), *_refitted(axis, out)),
         _sensitive(MujocoPlant.load(out), nominal.cases, runs), fewer is not None,
     )  # fmt: skip
     return by_simulator(result, nominal, files)
@@ -78,6 +78,17 @@ def write_judged(
 def _told(cause: numerics.Cause | None, nominal: Nominal) -> tuple[str, ...]:
     told = numerics.note(cause, nominal)
     return (told,) if told else ()
+
+
+def _refitted(axis: Axis, out: Path) -> tuple[str, ...]:
+    """A note on the numbers of the file that were refitted in MuJoCo, and are not those of the fit."""
+    now = {p.name: p.value for p in ChainPlant(load_axis(out)).parameters}
+    told = [
+        f"{p.name} {p.value:.5g} -> {now[p.name]:.5g} {p.unit}"
+        for p in ChainPlant(axis).parameters
+        if p.name in now and not math.isclose(p.value, now[p.name], rel_tol=1e-6, abs_tol=1e-12)
+    ]
+    return (f"In corrected.xml these numbers are refitted in plain MuJoCo: {', '.join(told)}.",) if told else ()
 
 
 def _misses(result: Diagnosis, cases: Sequence[Case], runs: Sequence[Run | None], times: float) -> bool:

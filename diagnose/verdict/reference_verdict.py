@@ -137,6 +137,9 @@ def _numerics(result: Diagnosis, found: Sequence[Finding]) -> Diagnosis:
     return dataclasses.replace(result, summary=f"{result.summary} {told}")
 
 
+_UNMADE = ("Structure remains", "No torque map", "Motion that the model misses", "has taken its place", "in place of")  # of notes
+
+
 def _explained(result: Diagnosis, form: str) -> Diagnosis:
     """What the equations leave unexplained, the corrected file in MuJoCo does not: its numerics are in the recordings."""
     physics = [f for f in result.findings if f.kind == "physics"]
@@ -150,7 +153,7 @@ def _explained(result: Diagnosis, form: str) -> Diagnosis:
         notes=(
             f"The recordings bear the simulator's numerics: with {form} the file follows them, and the equations of motion leave "
             f"{engine.held_out_rms:.4g} {result.unit}.",
-            *(n for n in result.notes if not n.startswith(("Structure remains", "No torque map", "Motion that"))),
+            *(n for n in result.notes if not any(part in n for part in _UNMADE)),
         ),
     )  # fmt: skip
 
