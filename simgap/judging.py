@@ -22,7 +22,7 @@ from mjsim.effects import effect_class
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mjcf.adjust import adjust
-from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author, write_faithful
+from mjsim.mjcf.faithful import AUTHOR, Faithful, has_dry_friction, write_as_author, write_faithful
 from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
@@ -174,7 +174,7 @@ def _soft_or_not(
 
     A recording of a simulator bears its soft friction, which the equations do not have.
     """
-    if not any(e.id == "coulomb_friction" for e in axis.effects) or form.form == AUTHOR:
+    if not has_dry_friction(axis) or form.form == AUTHOR:
         return form, runs
     trial = out.with_name(f".{out.stem}.author.part.xml")
     try:

@@ -17,13 +17,14 @@ from mjsim.mjcf.xmltext import Node, XmlText
 __all__ = ["FRICTION_SETTINGS", "adjust", "author_friction"]
 
 FRICTION_SETTINGS = ("solreffriction", "solimpfriction")
-_SHORTENS = ("backlash", "time_delay", "presliding", "stribeck", "hysteresis")  # effects whose forms need a short timestep too
+_SHORTENS = ("solreflimit", "delay")  # attributes whose forms need a short timestep too, as added actuators do
 
 
 def author_friction(carried: Carried) -> list[Edit]:
     """Edits that give dry friction back the solver settings and the timestep that the author's file has."""
     back = [(kind, name, key, old) for kind, name, key, old in carried.undo if key in FRICTION_SETTINGS]
-    if not any(e.id.startswith(_SHORTENS) for e in carried.effects):
+    short = any(key in _SHORTENS for _, _, key, _ in carried.undo) or any(kind == "actuator" for kind, _ in carried.added)
+    if not short:
         back += [edit for edit in carried.undo if edit[0] == "option" and edit[2] == "timestep"]
     oldest: dict[tuple[str, str, str], Edit] = {}
     for edit in back:

@@ -15,13 +15,14 @@ from functools import partial
 from pathlib import Path
 
 from mjsim.axis import Axis
+from mjsim.effects.ports import Friction
 from mjsim.mjcf.adjust import adjust, author_friction
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.custom import Edit
 from mjsim.mjcf.load import load_model
 from mjsim.mjcf.write import write_corrected
 
-__all__ = ["AUTHOR", "Faithful", "write_as_author", "write_faithful"]
+__all__ = ["AUTHOR", "Faithful", "has_dry_friction", "write_as_author", "write_faithful"]
 
 AUTHOR = "the author's settings"
 FINER = 5  # times the timestep
@@ -84,7 +85,7 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
     def without(axis: Axis, at: Path, key: str) -> tuple[str, ...]:
         return write_corrected(model, axis, at, carried_only=(key,)).lacks
 
-    if any(e.id.endswith("friction") for e in own):
+    if has_dry_friction(Axis(axis.chain, own)):
         yield AUTHOR, partial(write_as_author, model)
     yield "stiff settings", plain
     if changed:
@@ -93,6 +94,11 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
         yield "finer timestep, Euler integrator", partial(finer, euler=True, parts=FINER)
     for e in changed:
         yield f"{e.key} carried only", partial(without, key=e.key)
+
+
+def has_dry_friction(axis: Axis) -> bool:
+    """Whether an effect of the axis is dry friction, which MuJoCo has with solver settings of its own."""
+    return any(isinstance(port, Friction) for e in axis.effects for port in e.ports(axis.chain))
 
 
 def write_as_author(model: Path, axis: Axis, out: Path) -> tuple[str, ...]:

@@ -117,9 +117,7 @@ def _one_of_each(axis: Axis) -> Iterator[Effect]:
                 yield effect
 
 
-def _write_axis(
-    editor: MjcfEditor, source: Model, axis: Axis, carried_only: Container[str] = ()
-) -> tuple[tuple[str, str], ...]:
+def _write_axis(editor: MjcfEditor, source: Model, axis: Axis, carried_only: Container[str] = ()) -> tuple[tuple[str, str], ...]:
     """Write the linear parameters and the effects of an axis; returns (effect, line) for what plain MuJoCo lacks of them."""
     linear = LinearWriter(editor, axis.chain)
     linear.write()
