@@ -102,7 +102,7 @@ def model(case: Case, *, true: bool) -> str:
     solver = STIFF if case.stiff else ""
     joint = f'damping="{damping!r}{quadratic}" frictionloss="{friction!r}" {solver if friction else ""}'
     gear = f'gear="{m.gear!r}"'
-    delay = ' delay="0.012" nsample="14"' if lacks == "time_delay" else ""
+    delay = ' delay="0.012" nsample="26"' if lacks == "time_delay" else ""
     bias = f' biastype="affine" biasprm="{0.1 * m.torque!r} 0 0"' if lacks == "torque_offset" else ""
     bodies = {
         "pendulum": f'<body name="arm"><joint name="j" axis="0 1 0" {joint}/>'
