@@ -15,6 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("mjsim", "ident", "diagnose", "simgap", "lab")  # each may import those before it and itself
 # commands that load the lab when they are called, and not before
 LOAD_LAB = tuple(f"simgap/commands/{name}.py" for name in ("benchmark", "demo", "proof", "study"))
+# stages of a diagnosis: each may import those before it and itself, at run time and for types alike
+STAGES = ("data", "problem", "fit", "evidence", "structure", "explain", "verdict", "pipeline")
+GROUND = ("options", "progress", "result", "thresholds")  # of diagnose: every stage may import these, and they no stage
 SOURCES = sorted(p for layer in LAYERS for p in (ROOT / layer).rglob("*.py") if "speed" not in p.parts)  # those are scripts
 LONGEST = 700
 # one compiled unit: numba inlines across functions of one file, and every runner calls it
@@ -144,6 +147,27 @@ def test_effects_know_no_mjcf():
         if module.startswith(("mjsim.mjcf", "mjsim.axis", "mujoco"))
     ]
     assert not wrong
+
+
+def stage_of(module: str) -> str:
+    """The stage of ``diagnose.STAGE...``, empty of any other module."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 and parts[0] == "diagnose" and parts[1] in (*STAGES, *GROUND) else ""
+
+
+def test_stages_of_a_diagnosis_are_imported_one_way():
+    wrong = []
+    for path in SOURCES:
+        own = stage_of(name_of(path))
+        for line, module in imported(path) if own else ():
+            other = stage_of(module)
+            if other in STAGES and (own in GROUND or STAGES.index(other) > STAGES.index(own)):
+                wrong.append(f"{relative(path)}:{line} imports {module}")
+    assert not wrong
+
+
+def test_the_flow_is_read_on_a_page():
+    assert len((ROOT / "diagnose/pipeline.py").read_text(encoding="utf-8").splitlines()) <= 120
 
 
 def test_the_sealed_plant_shares_no_physics_with_what_it_tests():

@@ -19,16 +19,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
-from diagnose.data.noise import white_noise_level
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
 from mjsim.ode import DivergedError, apply_input, count_work, inverse, sensed, simulate
 from mjsim.recording import Recording
 from mjsim.signals import lfilter
-from mjsim.system import MOST_STEPS, STEP, System, assemble, state_matrix
+from mjsim.system import MOST_STEPS, STEP, System, assemble
 
-__all__ = ["ForceView", "MotionView", "Signals", "View", "clean_band", "growth_when_held", "most_led"]
+__all__ = ["ForceView", "MotionView", "Signals", "View", "most_led"]
 
 
 ENOUGH = 4000  # samples that tell the noise ahead of a rounding
@@ -347,40 +346,6 @@ class ForceView:
     def noise(self, experiment: Experiment) -> float | None:
         """Not known beforehand: what acts on the torque is no sensor noise."""
         return None
-
-
-def growth_when_held(axis: Axis) -> float:
-    """Rate [1/s] at which what is behind the driven body swings up while that body is moved as recorded; below 0: it settles."""
-    s = assemble(Axis(axis.chain))
-    if s.n == 1:
-        return -math.inf
-    behind = [i for i in range(2 * s.n) if i not in (0, s.n)]
-    return float(np.max(np.linalg.eigvals(state_matrix(s.f)[np.ix_(behind, behind)]).real))
-
-
-def clean_band(axis: Axis, recording: Recording, share: float = 1e-3) -> float:
-    """Highest frequency [Hz], up to a tenth of the sampling rate, below which the encoder's noise is no torque to speak of.
-
-    Twice differentiated and multiplied by the inertia, the noise of the angle (from its sixth differences, at least its rounding)
-    grows with the fourth power of the frequency; it may make ``share`` of the recorded torque's power.
-    """
-    from scipy.signal import welch
-
-    highest = 0.1 / recording.dt
-    if recording.angle is None:
-        y, power = measured_velocity(recording), 2
-    else:
-        y, power = recording.angle, 4
-    steps = np.abs(np.diff(y))
-    rounding = float(np.min(steps[steps > 0], initial=math.inf))
-    noise = max(white_noise_level(y), rounding / math.sqrt(12.0) if rounding > 1e-9 * np.ptp(y) else 0.0)
-    inertia = sum(b.inertia * axis.chain.total_ratio(i) ** 2 for i, b in enumerate(axis.chain.bodies))
-    segment = min(len(y), max(256, 2 ** int(np.log2(len(y) / 6))))
-    f, torque = welch(axis.chain.gain * recording.torque, 1 / recording.dt, nperseg=segment)
-    false = inertia**2 * (2 * np.pi * f) ** power * noise**2 * 2 * recording.dt
-    dirty = np.flatnonzero((np.cumsum(false) > share * np.cumsum(torque)) & (f <= highest))
-    # from the top down: at the lowest frequencies neither counts
-    return highest if len(dirty) == 0 or f[dirty[0]] > 0.8 * highest else float(max(f[dirty[0]], 0.02 * highest))
 
 
 def _lagged(u: np.ndarray, lag: float, dt: float, before: float) -> np.ndarray:

@@ -16,6 +16,7 @@ from diagnose.data.experiment import measured_angle, measured_velocity
 from diagnose.evidence.force_orders import force_orders
 from diagnose.evidence.orders import find_orders, torque_to_velocity
 from diagnose.evidence.predictable import motion_error
+from diagnose.evidence.sensor_offset import excluded_by_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
@@ -26,7 +27,6 @@ from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
 from diagnose.structure.observer_search import among_led
 from diagnose.structure.search import Search
-from diagnose.verdict.decide import excluded_by_angle
 from mjsim.errors import InputError
 from mjsim.ode import simulate
 

@@ -1,26 +1,41 @@
-"""Decisions after the search: intervals, p-values, equivalents, what the angle channel rules out, what to measure next."""
+"""Decisions after the search: intervals, p-values, equivalents and the verdict."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Sequence
 
-import numpy as np
-
-from diagnose.data.experiment import Experiment, measured_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.result import Estimate, Finding
+from diagnose.options import Options
+from diagnose.result import Estimate, Verdict
 from diagnose.structure.search import ALIKE_C, Search
-from mjsim.axis import Axis
-from mjsim.effects import Effect, registered
-from mjsim.ode import DivergedError, simulate
+from diagnose.verdict.witnesses import Remaining, RepeatedRows
+from mjsim.effects import Effect
 
-__all__ = ["equivalents", "estimates", "excluded_by_angle", "next_experiment", "p_values", "unphysical"]
+__all__ = ["decide", "equivalents", "estimates", "only_repeated_rows", "p_values"]
 
-BLOCKS = 16  # of a recording: five errors from so few are 1.6e-4 by Student's distribution
-FURTHER = 3.0  # times the travel of the recording: an excitation that takes the axis further is not asked for
+
+def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> Verdict:
+    """Unexplained when a material part of the held-out residual is left; else by what was found.
+
+    Without effects the refitted parameters must gain more than their price, by the criterion, to count as changed.
+    """
+    if remaining.unexplained:
+        return Verdict.UNEXPLAINED
+    if best.effects:
+        return Verdict.MISSING_PHYSICS
+    fitter = search.fitter
+    as_is = fitter.residual(base.hypothesis)(fitter.hypothesis(()).start)
+    if as_is is None:
+        return Verdict.PARAMETERS_ONLY
+    count = len(base.hypothesis.entries)
+    gain = base.n * math.log(float(as_is @ as_is) / base.chi2)
+    return Verdict.PARAMETERS_ONLY if gain > search.options.entry + search.options.price * count / 2 else Verdict.NO_MISMATCH
+
+
+def only_repeated_rows(verdict: Verdict, rows: RepeatedRows, options: Options) -> bool:
+    """Whether rows that were not measured make the mismatch: it is then known, but no effect of the library."""
+    return rows.error > options.missed and verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY)
 
 
 def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]:
@@ -73,112 +88,3 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = AL
             continue
         out.append((search.criterion(f), rival.name() if rival.name() != effect.name() else rival.key))
     return tuple(dict.fromkeys(name for _, name in sorted(out)))
-
-
-def excluded_by_angle(experiments: Sequence[Experiment]) -> dict[str, str]:
-    """Effects that the angle channel contradicts without any model: each with the effect beside which alone it may stand, or "".
-
-    An offset of the velocity sensor shows as its drift from the angle; where it does, the axis itself does not move so, as by
-    an offset of the torque it would: that may be there as well, but not in place of it.
-    """
-    verdicts = []
-    for experiment in experiments:
-        r = experiment.recording
-        if r.velocity is None or r.angle is None or len(r) < 100:
-            continue
-        d = r.velocity[:-1] * 0.5 + r.velocity[1:] * 0.5 - np.diff(r.angle) / r.dt
-        if np.std(d) < 1e-9 * np.std(r.velocity):
-            continue  # one channel was computed from the other
-        # mean of v minus slope of q; its error from what blocks of the recording differ by, since noise may be coloured
-        blocks = [float(np.mean(b)) for b in np.array_split(d, BLOCKS)]
-        error = float(np.std(blocks, ddof=1)) / math.sqrt(BLOCKS) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
-        offset = float(np.mean(d))
-        verdicts.append(abs(offset) > 5 * error)
-    known = registered()
-    shown = [name for name, cls in known.items() if cls.shown_by_angle]
-    if verdicts and all(verdicts):
-        return {name: other for name, cls in known.items() for other in cls.taken_for if other in shown}
-    return dict.fromkeys(shown, "") if verdicts and not any(verdicts) else {}
-
-
-def unphysical(axis: Axis) -> tuple[str, ...]:
-    """Nominal values that no passive mechanism has."""
-    out = [
-        f"The nominal damping at {c.joint!r} is negative ({c.damping:g}): no passive spring has that. It may stand for a delay, "
-        "for friction or for a further mode that was left out when it was identified."
-        for c in axis.chain.couplings
-        if c.damping < 0
-    ]
-    out += [
-        f"The nominal viscous friction at {b.joint!r} is negative ({b.viscous:g})." for b in axis.chain.bodies if b.viscous < 0
-    ]
-    return tuple(out)
-
-
-def next_experiment(fitter: Fitter, search: Search, best: Fitted, findings: Sequence[Finding]) -> str | None:
-    """Name the excitation or load, of a few simple ones, under which the equivalents differ most.
-
-    None when there is nothing to tell. One that takes the axis much further than it went is not asked for.
-    """
-    pairs = []
-    for f in findings:
-        for name in f.equivalents:
-            rival = _rival_of(search, best, f, name)
-            if rival is not None:
-                pairs.append((f, name, rival))
-    if not pairs or fitter.view.channel != "velocity":
-        return None if not pairs else "Repeat the experiment at half and at twice the speed, and with another load."
-    r = fitter.experiments[0].recording
-    t = r.time - r.time[0]
-    level = float(np.sqrt(np.mean(r.torque**2)))
-    chirp = np.sin(2 * np.pi * (0.3 * t + 0.5 * (60.0 - 0.3) / max(r.duration, 1e-9) * t**2))
-    triangle = (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.2 * t))
-    trials: dict[str, tuple[np.ndarray, float]] = {  # the torque, and the load over that of the recording
-        "the same excitation at a quarter of the amplitude": (0.25 * r.torque, 1.0),
-        "the same excitation at half the amplitude": (0.5 * r.torque, 1.0),
-        "the same excitation at twice the amplitude": (2.0 * r.torque, 1.0),
-        f"the same excitation on top of a constant torque of {0.5 * level:.3g}": (r.torque + 0.5 * level, 1.0),
-        f"a chirp from 0.3 to 60 Hz of amplitude {1.4 * level:.3g}": (1.4 * level * chirp, 1.0),
-        f"a slow triangle (0.2 Hz) of amplitude {1.5 * level:.3g}": (1.5 * level * triangle, 1.0),
-        "the same excitation with half the load": (r.torque, 0.5),
-        "the same excitation with half as much load again": (r.torque, 1.5),
-    }
-    travel = float(np.ptp(measured_angle(r)))
-    out = []
-    for finding, name, rival in pairs[:3]:
-        scores = {}
-        for label, (torque, load) in trials.items():
-            try:
-                a = simulate(_loaded(best.axis, load), torque, r.dt)
-                b = simulate(_loaded(rival.axis, load), torque, r.dt)
-            except (DivergedError, ValueError):
-                continue
-            if max(float(np.ptp(a.angle)), float(np.ptp(b.angle))) < FURTHER * travel:
-                scores[label] = float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) / fitter.experiments[0].sigma
-        pair = f"{finding.effect.replace('_', ' ')} from {name.replace('_', ' ')}"
-        label = max(scores, key=lambda k: scores[k], default="")
-        if not scores:
-            out.append(f"What was tried to tell {pair} takes the axis much further than it went: measure at another place.")
-        elif scores[label] < 0.05:
-            out.append(f"No excitation and no load that was tried tells {pair}: measure at another place.")
-        else:
-            out.append(f"To tell {pair}, record {label}: their predictions then differ by {scores[label]:.2g} times the noise.")
-    return " ".join(out) or None
-
-
-def _loaded(axis: Axis, load: float) -> Axis:
-    """The axis with another load: the inertia of the last body, and the weight that is known to hang on it, times ``load``."""
-    if load == 1.0:
-        return axis
-    *others, last = axis.chain.bodies
-    chain = dataclasses.replace(axis.chain, bodies=(*others, dataclasses.replace(last, inertia=load * last.inertia)))
-    return dataclasses.replace(axis, chain=chain, effects=tuple(e.with_load(load) for e in axis.effects))
-
-
-def _rival_of(search: Search, best: Fitted, finding: Finding, name: str) -> Fitted | None:
-    rest = {k for k in best.key if k != f"{finding.law}@{finding.place}"}
-    for f in search.pool.values():
-        others = set(f.key) - rest
-        if rest <= set(f.key) and len(f.key) == len(best.key) and any(k == name or k.split("@")[0] == name for k in others):
-            return f
-    return None

@@ -18,7 +18,8 @@ from diagnose.evidence.force_orders import line_energy
 from diagnose.evidence.held_out import compare
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.pipeline import Options, choose_view, diagnose
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.choose_view import choose_view
 from diagnose.problem.hypothesis import make
 from diagnose.problem.view import ForceView
 from diagnose.result import Diagnosis

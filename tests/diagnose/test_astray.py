@@ -9,9 +9,10 @@ import pytest
 
 from diagnose.data.experiment import prepare
 from diagnose.fit.fitter import Fitter
-from diagnose.pipeline import Options, _closed, _only_astray, diagnose
+from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
+from diagnose.verdict.witnesses import _only_diverges, closed
 from lab.benchmark.cases import make_case
 from lab.benchmark.catalogue import OUTSIDE, compose, find
 from lab.benchmark.experiment import multisine, steps
@@ -24,12 +25,12 @@ GAP = 1.23e-3
 
 
 def test_the_part_of_an_error_that_was_closed():
-    assert _closed(3.0, 0.0) == 1.0  # rms 2 -> 1, the noise being 1
-    assert _closed(8.0, 3.0) == pytest.approx(0.5)  # rms 3 -> 2
-    assert _closed(8.0, 8.0) == 0.0
-    assert _closed(8.0, 15.0) == pytest.approx(-0.5)
-    assert _closed(0.0, 1.0) == 0.0
-    assert _closed(3.0, -0.1) == 1.0
+    assert closed(3.0, 0.0) == 1.0  # rms 2 -> 1, the noise being 1
+    assert closed(8.0, 3.0) == pytest.approx(0.5)  # rms 3 -> 2
+    assert closed(8.0, 8.0) == 0.0
+    assert closed(8.0, 15.0) == pytest.approx(-0.5)
+    assert closed(0.0, 1.0) == 0.0
+    assert closed(3.0, -0.1) == 1.0
 
 
 def _gap_recordings(sealed, **more):
@@ -63,7 +64,7 @@ def test_divergence_by_event_times_is_told_from_missing_physics(robot, sealed, m
         errors = [fitter.validate(f).rms for f in drawn]
         worst = drawn[int(np.argmax(errors))]
         assert max(errors) > 3 * NOISE
-        assert _only_astray(fitter, base, worst, Options()) is expected
+        assert _only_diverges(fitter, base, worst, Options()) is expected
     finally:
         fitter.close()
 

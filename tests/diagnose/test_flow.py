@@ -15,12 +15,13 @@ import scipy.signal
 from robot_axis import effect
 
 from diagnose.data.experiment import prepare
+from diagnose.evidence.sensor_offset import excluded_by_angle
 from diagnose.fit.fitter import Fitter
-from diagnose.pipeline import Options, choose_view, diagnose
-from diagnose.problem.view import ForceView, MotionView, growth_when_held
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.choose_view import choose_view, growth_when_held
+from diagnose.problem.view import ForceView, MotionView
 from diagnose.result import Verdict
 from diagnose.structure.candidates import candidates, conflicts, screen
-from diagnose.verdict.decide import excluded_by_angle
 from mjsim.effects import registered
 from mjsim.errors import InputError
 from mjsim.excitation import Cascade, close_loop, trapezoids

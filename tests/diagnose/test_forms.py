@@ -8,13 +8,14 @@ import pytest
 from diagnose.data.experiment import prepare
 from diagnose.data.scales import scales_by_place
 from diagnose.fit.fitter import Fitter
-from diagnose.pipeline import Options, _put_together, diagnose
+from diagnose.pipeline import Options, diagnose
 from diagnose.problem.hypothesis import make
 from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import Candidate
 from diagnose.structure.search import Search
+from diagnose.verdict.findings import merged
 from lab.benchmark.catalogue import compose, find
 from lab.benchmark.experiment import chirp as sealed_chirp
 from lab.benchmark.laws import GAP_IMPACT, Laws
@@ -158,15 +159,15 @@ def test_parts_that_nothing_tells_from_one_effect_are_named_by_it(robot):
         search = Search(fitter, SearchOptions())
         apart = fitter.fit(fitter.hypothesis(asymmetric.parts()))
         search.candidates = (Candidate("torque_ripple", "motor"),)
-        assert _put_together(search, apart) is apart
+        assert merged(search, apart) is apart
         search.candidates = (Candidate("asymmetric_friction", "motor"), Candidate("torque_ripple", "motor"))
-        found = _put_together(search, apart)
+        found = merged(search, apart)
         assert found.key == ("asymmetric_friction@motor",)
         assert found.chi2 == pytest.approx(apart.chi2, rel=1e-3)
         (effect,) = found.effects
         assert effect.asymmetry_Nm == pytest.approx(0.05, rel=0.05)
         lone = fitter.fit(fitter.hypothesis(asymmetric.parts()[:1]))
-        assert _put_together(search, lone) is lone
+        assert merged(search, lone) is lone
     finally:
         fitter.close()
 

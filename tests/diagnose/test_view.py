@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from diagnose.data.experiment import prepare
-from diagnose.problem.view import ForceView, clean_band
+from diagnose.problem.choose_view import clean_band
+from diagnose.problem.view import ForceView
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis

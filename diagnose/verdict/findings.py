@@ -1,0 +1,77 @@
+"""The effects that were found, with their numbers, evidence and equivalents."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
+from diagnose.result import Finding, NominalEffect
+from diagnose.structure.moves import put_together
+from diagnose.structure.search import ALIKE_C, Search
+from diagnose.verdict.decide import equivalents, estimates, p_values
+from mjsim.effects import Effect
+
+__all__ = ["element_of", "findings", "merged", "nominal_effect"]
+
+
+def merged(search: Search, best: Fitted) -> Fitted:
+    """The best structure with one compound effect for two, where the data do not tell them apart."""
+    for effects in put_together(search.candidates, best.effects):
+        simpler = search.fitter.fit(search.fitter.hypothesis(effects, best.linear, best.own), iterations=10)
+        if simpler.ok and search.ahead(best, simpler) <= ALIKE_C:
+            search.keep(simpler)
+            return search.pool[simpler.key]
+    return best
+
+
+def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
+    """The effects of the best structure, strongest first, each against the structure without it.
+
+    Rivals that may do as much in its place are fitted first, so that its equivalents are told from converged fits.
+    """
+    out = []
+    fewer = search.fitter.map([partial(search.without, best, effect) for effect in best.effects])
+    for effect, poorer in zip(best.effects, fewer, strict=True):
+        search.imitated(best, effect)
+        p_held, p_fit, gain = p_values(search, poorer, best)
+        before, after = search.held_out(poorer), search.held_out(best)
+        numbers = estimates(best, search.fitter, owner=effect.key)
+        out.append(
+            Finding(
+                effect=effect.name(),
+                form=effect.form_of and effect.id,
+                place=effect.place,
+                element=element_of(search.fitter, effect),
+                sentence=effect.describe(search.fitter.nominal.chain.motion),
+                parameters=numbers,
+                evidence={
+                    "held_out_error_before": before.rms if before else math.nan,
+                    "held_out_error_after": after.rms if after else math.nan,
+                    "p_value": min(1.0, p_held * max(1, search.tested)),
+                    "p_value_estimation": p_fit,
+                    "delta_chi2": gain,
+                    "hypotheses": float(search.tested),
+                },
+                equivalents=equivalents(search, best, effect),
+            )
+        )
+    out.sort(key=lambda f: -f.evidence["delta_chi2"])
+    return tuple(out)
+
+
+def nominal_effect(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:
+    """An effect of the nominal model, as it was given and as the best structure has it: what the recordings exercise of it."""
+    found = estimates(best, fitter, owner=effect.key)
+    said = len(best.fit.residual) - best.hypothesis.told[0]
+    for e, column in zip(best.hypothesis.entries, best.fit.J[:said].T, strict=True):
+        if e.owner == effect.key and not column.any():
+            found.pop(e.name, None)
+    return NominalEffect(effect.id, effect.place, element_of(fitter, effect), effect.values, found)
+
+
+def element_of(fitter: Fitter, effect: Effect) -> str:
+    """The MJCF element at which an effect acts."""
+    chain = fitter.nominal.chain
+    return chain.element(effect.place, coupling=effect.on_coupling(chain))

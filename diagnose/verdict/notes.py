@@ -1,0 +1,172 @@
+"""What else is to be said of a diagnosis: limits of the data, doubts, and how the answer was reached."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from diagnose.explain.second_encoder import judge_second_encoder
+from diagnose.fit.fitted import Fitted
+from diagnose.options import Options
+from diagnose.result import Finding, Verdict
+from diagnose.structure.search import Search
+from diagnose.verdict.witnesses import Remaining, RepeatedRows
+from mjsim.axis import Axis
+
+__all__ = ["DERIVED", "SHARED", "Outcome", "notes", "unphysical"]
+
+SHARED = (
+    "The estimation recordings fit without it: they hardly exercise what is missing, and the held-out ones do. So all recordings "
+    "were fitted over two thirds of their length, in blocks, and judged on the rest. Record an estimation run that exercises it."
+)
+
+DERIVED = (
+    "The velocity column is the difference of the angle column, sample by sample: it holds the angle's noise and nothing more, "
+    "half a sample off. The angle alone is used."
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the stages before the report have come to.
+
+    whitened: whether errors were whitened; mapped: whether a torque map is given; unit: of the judged channel.
+    """
+
+    search: Search
+    best: Fitted
+    found: tuple[Finding, ...]
+    remaining: Remaining
+    verdict: Verdict
+    rows: RepeatedRows
+    whitened: bool
+    mapped: bool
+    unit: str
+
+
+def notes(outcome: Outcome, options: Options) -> tuple[str, ...]:
+    """Sentences, in the order in which they are printed."""
+    said = [*_of_the_model(outcome), *_of_the_residual(outcome, options), *_of_the_search(outcome, options)]
+    if "gain" not in " ".join(said):
+        said.append(
+            "A pure error of the torque gain cannot be told from a common scale of all inertias, stiffnesses and dampings; "
+            "it is reported as changed parameters."
+        )
+    return tuple(said)
+
+
+def _of_the_model(outcome: Outcome) -> Iterator[str]:
+    nominal, kept = outcome.search.fitter.nominal, {e.key for e in outcome.best.hypothesis.carried}
+    yield from unphysical(nominal)
+    for e in nominal.effects:
+        if e.key not in kept:
+            yield (
+                f"{e.describe(nominal.chain.motion).removesuffix('.')}, as the nominal model had it: "
+                "what was found has taken its place."
+            )
+    if outcome.rows.count:
+        yield (
+            f"{outcome.rows.count} rows repeat velocity and angle of the row before to the last digit while the axis moves: the "
+            "logger or the sensor held them. They are left out of every fit and error. This is no physics of the axis."
+        )
+
+
+def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
+    remaining, fitter = outcome.remaining, outcome.search.fitter
+    structure, missed = remaining.structure, remaining.motion[1]
+    if missed is not None and remaining.unexplained:
+        yield (
+            "Motion that the model misses, confirmed by the angle, has "
+            f"{math.sqrt(max(missed, 0.0)):.2g} times the rms of the velocity noise on held-out data."
+        )
+    if structure.share > options.structure_share and structure.p_value < options.structure_p and not remaining.diverges:
+        yield (
+            f"Structure remains that no known effect accounts for: the recorded input and motion predict "
+            f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
+        )
+    if remaining.unexplained and not outcome.mapped:
+        yield "No torque map over one or two state variables lowers the held-out error for sure: none is given."
+    feedback = fitter.noise_known and any(e.recording.loop == "closed" for e in fitter.experiments)
+    if outcome.verdict is Verdict.UNEXPLAINED and feedback:
+        yield (
+            "The axis was under feedback. A torque that no model knows of (other axes, cables, the process) is missed motion in "
+            "a free run; judged by force (--judge force) it counts as error, and what repeats in spite of it is named."
+        )
+    if remaining.by_parameters:
+        yield (
+            "The estimation recordings leave parameters open that the held-out ones need: fitted to both together, the same "
+            "structure leaves nothing material. Record more of what the held-out ones contain before trusting the parameters."
+        )
+    if remaining.diverges:
+        yield (
+            "The free run diverges on the held-out recording: stick-slip or impacts come at other moments, by an error of the "
+            "parameters far within their intervals, and the rest follows. Where these leave no doubt of the motion nothing "
+            "material is left: what remains is how far such events carry, and no missing physics."
+        )
+    if remaining.by_encoder:
+        yield (
+            "What is left repeats with the turn of the encoder, whatever the speed: the encoder errs, the axis does not move so."
+        )
+
+
+def _of_the_search(outcome: Outcome, options: Options) -> Iterator[str]:
+    search, fitter, best = outcome.search, outcome.search.fitter, outcome.best
+    if fitter.spent and outcome.verdict is Verdict.UNEXPLAINED:
+        yield (
+            f"The search ended once it had taken {fitter.most_runs:.0f} simulations, and left structures untried: "
+            f"--effort {4 * options.effort:g} looks four times as long."
+        )
+    yield from _steps(search, best, outcome.unit)
+    for f in outcome.found:
+        if search.hardly_exercised(best, f"{f.form or f.effect}@{f.place}"):
+            yield (
+                f"The held-out recording hardly exercises {f.effect.replace('_', ' ')} at the {f.place}: it was judged on "
+                "stretches of the estimation recordings that were held out of its fit. Record a held-out run that exercises it."
+            )
+    second = judge_second_encoder(fitter.nominal.chain, fitter.experiments, fitter.held_out)
+    if second is not None:
+        yield second.sentence()
+    if not outcome.whitened:
+        return
+    yield "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."
+    if outcome.remaining.motion[1] is None:
+        yield (
+            "Coloured noise cannot be told from motion that the model misses, since one channel alone shows the motion: what "
+            "is left was taken for noise. Record angle and velocity."
+        )
+
+
+def _steps(search: Search, best: Fitted, unit: str) -> list[str]:
+    """What the simpler form of each found effect achieves: how the refinement was reached."""
+    out = []
+    after = search.held_out(best)
+    before = search.held_out(search.nominal())
+    for effect in best.effects:
+        rest = [k for k in best.key if k != effect.key]
+        for simple in type(effect).refines:
+            f = search.pool.get(tuple(sorted([*rest, f"{simple}@{effect.place}"])))
+            held = search.held_out(f) if f is not None else None
+            if held and after and before:
+                out.append(
+                    f"Held-out error {before.rms:.4g} {unit} for the refitted nominal model, {held.rms:.4g} with "
+                    f"{simple.replace('_', ' ')}, {after.rms:.4g} with {effect.id.replace('_', ' ')}."
+                    if not rest
+                    else f"Held-out error {held.rms:.4g} {unit} with {simple.replace('_', ' ')} in place of "
+                    f"{effect.id.replace('_', ' ')}, {after.rms:.4g} with it."
+                )
+    return out
+
+
+def unphysical(axis: Axis) -> tuple[str, ...]:
+    """Nominal values that no passive mechanism has."""
+    out = [
+        f"The nominal damping at {c.joint!r} is negative ({c.damping:g}): no passive spring has that. It may stand for a delay, "
+        "for friction or for a further mode that was left out when it was identified."
+        for c in axis.chain.couplings
+        if c.damping < 0
+    ]
+    out += [
+        f"The nominal viscous friction at {b.joint!r} is negative ({b.viscous:g})." for b in axis.chain.bodies if b.viscous < 0
+    ]
+    return tuple(out)

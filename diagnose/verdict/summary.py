@@ -1,0 +1,44 @@
+"""The answer in one sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from diagnose.result import Finding, FitFigures, Verdict
+
+__all__ = ["REPEATED_ROWS", "summary"]
+
+REPEATED_ROWS = (
+    "The mismatch is no physics of the axis: rows of the recordings repeat the row before and were not measured; where they "
+    "were, the nominal structure agrees to within the noise."
+)
+
+
+def summary(
+    verdict: Verdict, findings: Sequence[Finding], fits: Mapping[str, FitFigures], gap: float, known: bool, unit: str
+) -> str:
+    """The answer in one sentence."""
+    before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
+    names = " and ".join(f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at the {f.place}" for f in findings)
+    match verdict:
+        case Verdict.NO_MISMATCH:
+            return "Nothing is missing: the nominal model agrees with the recording to within its noise."
+        case Verdict.PARAMETERS_ONLY if not known:  # by force: of what is left nobody knows how much is noise
+            return (
+                "No missing physics can be named: with its parameters adjusted the nominal structure misses the held-out force "
+                f"by {100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and no known effect reliably lowers that."
+            )
+        case Verdict.PARAMETERS_ONLY:
+            return "No physics is missing: the nominal structure fits once its parameters are adjusted."
+        case Verdict.MISSING_PHYSICS:
+            share = min(100.0, 100 * gap)
+            closed = f", by {share:.1f} % of what {'exceeded the noise' if known else 'it was'}" if math.isfinite(gap) else ""
+            return (
+                f"The simulation left out {names}: putting it back lowers the held-out error "
+                f"from {before:.4g} to {after:.4g} {unit}{closed}."
+            )
+        case Verdict.UNEXPLAINED:
+            accounts = "accounts" if len(findings) == 1 else "account"
+            part = f" {names} {accounts} for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""
+            return f"The mismatch is not explained:{part} structure remains that none of the known effects accounts for."

@@ -1,0 +1,192 @@
+"""What the best structure leaves: whether it is material, and whether it is missing physics.
+
+Errors are mean squares in units of the noise variance. With m the error of the refitted nominal model above the noise and l that
+of the best structure, the part of the rms error that is closed is
+
+    1 - (sqrt(1 + l) - 1) / (sqrt(1 + m) - 1)
+
+Thresholds: docs/decisions/false-alarms.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.data.experiment import held_rows
+from diagnose.evidence.encoder import fit_beside_encoder
+from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
+from diagnose.fit.fitted import Fitted, HeldOut
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.whiten import noise_rms
+from diagnose.options import Options
+from diagnose.structure.search import Search
+
+__all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
+
+EVENTS = (30.0, 56.0, 100.0, 170.0)  # observer gains [1/s] at which a model is judged whose free run diverges
+POWER = 20.0  # times the material error that the nominal model must leave there, for the test to mean something
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What the best structure leaves, and what that is held to be.
+
+    structure: the part of the held-out residual that input and motion predict; motion: mean square of the motion that the
+    refitted nominal model and the best structure miss, over the noise variance, None where it cannot be told; unexplained: a
+    material error is left that is no effect of the library; diverges: it is that of a free run whose events come at other
+    moments; by_parameters: parameters fitted to every recording leave nothing; by_encoder: it repeats with the encoder's turn.
+    """
+
+    structure: Structure
+    motion: tuple[float | None, float | None]
+    unexplained: bool
+    diverges: bool = False
+    by_parameters: bool = False
+    by_encoder: bool = False
+
+
+@dataclass(frozen=True)
+class RepeatedRows:
+    """Rows of all recordings that repeat the row before and were not measured: how many, and the error that they add.
+
+    error: largest mean square over the recordings, over the noise variance.
+    """
+
+    count: int
+    error: float
+
+
+def closed(before: float, after: float) -> float:
+    """Part of the rms error above the noise that was closed, from mean squares above the noise's, in units of its variance."""
+    if before <= 0.0:
+        return 0.0
+    return 1.0 - (math.sqrt(1.0 + max(after, 0.0)) - 1.0) / (math.sqrt(1.0 + before) - 1.0)
+
+
+def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Structure, options: Options) -> Remaining:
+    """Judge what ``best`` leaves.
+
+    An error that is material is looked at once more by what may account for it other than missing physics: the divergence of a
+    free run with events, parameters that the estimation recordings leave open, an encoder that errs over its turn.
+    """
+    fitter = search.fitter
+    motion = motion_errors(fitter, base, best)
+    now = Remaining(structure, motion, _is_unexplained(search, base, search.held_out(best), structure, motion, options))
+    now = dataclasses.replace(now, unexplained=now.unexplained or _is_left_behind(fitter, base, best, options))
+    if not now.unexplained:
+        return now
+    if _only_diverges(fitter, base, best, options):
+        return dataclasses.replace(now, unexplained=False, diverges=True)
+    # what the estimation recordings leave open is no missing physics: every recording may settle the parameters
+    pooled = fitter.pooled(best)
+    now = _judged_again(search, base, pooled, now, options)
+    now = dataclasses.replace(now, unexplained=now.unexplained or _left_on_estimation(fitter, base, pooled, options))
+    now = dataclasses.replace(now, by_parameters=not now.unexplained)
+    beside = fit_beside_encoder(fitter, best, search.options.entry) if now.unexplained else None
+    if beside is None:
+        return now
+    # parameters that have bent to an encoder's error miss motion by it
+    now = _judged_again(search, base, beside, now, options)
+    unexplained = now.unexplained or _is_left_behind(fitter, base, beside, options)
+    return dataclasses.replace(now, unexplained=unexplained, by_encoder=not unexplained)
+
+
+def _judged_again(search: Search, base: Fitted, other: Fitted, now: Remaining, options: Options) -> Remaining:
+    """The same judgement of another fit of the best structure."""
+    fitter = search.fitter
+    structure, motion = remaining_structure(fitter, other), (now.motion[0], motion_error(fitter, other))
+    unexplained = _is_unexplained(search, base, fitter.validate(other), structure, motion, options)
+    return dataclasses.replace(now, structure=structure, motion=motion, unexplained=unexplained)
+
+
+def _is_unexplained(
+    search: Search, base: Fitted, after: HeldOut | None, structure: Structure, motion: tuple[float | None, float | None],
+    options: Options,
+) -> bool:  # fmt: skip
+    """Whether what is left on held-out data is material against the noise, and against the mismatch that there was.
+
+    Two witnesses: the part of the held-out error that the input and the motion predict, and the motion that the angle confirms.
+    """
+    before = search.held_out(base)
+    if before is None or after is None:
+        return False
+    predicted = structure.share * after.rms**2
+    clear = structure.p_value < options.structure_p and structure.share > options.structure_share
+    if not search.fitter.noise_known:
+        return clear and predicted > options.left * before.rms**2
+    variance = noise_rms(search.fitter, search.fitter.experiments[0]) ** 2
+    mismatch, left = before.rms**2 / variance - 1.0, after.rms**2 / variance - 1.0
+    if clear and closed(mismatch, predicted / variance) < options.closed:
+        return True
+    missed_before, missed_after = motion
+    if missed_before is None or missed_after is None or missed_after <= options.missed:
+        return False
+    # fast motion averages out in what the angle confirms: how much of all was closed is seen in the error itself
+    return closed(missed_before, missed_after) < options.closed and closed(mismatch, left) < options.closed
+
+
+def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
+    """Whether a material error is left on the recordings that the model was fitted to, and the angle confirms it as motion.
+
+    What a stand-in explains under one excitation it may leave under another, and that may be the one it was fitted to.
+    """
+    if not fitter.noise_known:
+        return False
+    left = best.chi2 / best.n - 1.0
+    if left <= options.missed or closed(base.chi2 / base.n - 1.0, left) >= options.closed:
+        return False
+    before, after = motion_errors(fitter, base, best, fitter.experiments)
+    return before is not None and after is not None and after > options.missed and closed(before, after) < options.closed
+
+
+def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
+    """Whether a held-out error is that of a free run whose events come at other moments.
+
+    Stick-slip and impacts make such a run diverge by an error of its parameters far within their intervals. While models drawn
+    by the covariance stay together, or under an observer gain that leaves an event no time to carry, the held-out recording still
+    judges: the model must leave no material error there, and the nominal one much more than that.
+    """
+    if not fitter.noise_known or not best.rough or best.chi2 > (1.0 + options.missed) * best.n:
+        return False
+
+    def judged(before: float | None, after: float | None) -> bool:
+        if before is None or after is None:
+            return False
+        # the measured noise enters through the observer gain: what is left is little, or little of what there was
+        little = after - 1.0 < options.missed or closed(before - 1.0, after - 1.0) >= options.closed
+        return little and before - 1.0 > POWER * options.missed
+
+    samples = fitter.foretold(best)
+    if samples is not None and judged(fitter.error_on(base, samples), fitter.error_on(best, samples)):
+        return True
+    return any(judged(*(fitter.led_error(f, rate) for f in (base, best))) for rate in EVENTS)
+
+
+def _left_on_estimation(fitter: Fitter, base: Fitted, pooled: Fitted, options: Options) -> bool:
+    """Whether a model fitted to every recording leaves the estimation recordings a material error, whitened if need be."""
+    r = fitter.residual(pooled.hypothesis)(pooled.fit.x) if fitter.noise_known else None
+    if r is None:
+        return False
+    left = float(r @ r) / base.n - 1.0
+    return left > options.missed and closed(base.chi2 / base.n - 1.0, left) < options.closed
+
+
+def repeated_rows(fitter: Fitter, best: Fitted) -> RepeatedRows:
+    """Rows that were held and not measured, over all recordings."""
+    if fitter.view.channel != "velocity":
+        return RepeatedRows(0, 0.0)
+    # one recording may be fitted in some blocks and held out in others
+    experiments = {id(e.recording): e for e in (*fitter.held_out, *fitter.experiments)}
+    count, most = 0, 0.0
+    for experiment in experiments.values():
+        rows = held_rows(experiment.recording)
+        count += int(rows.sum())
+        solved = fitter.own_values(best.hypothesis, best, experiment) if rows.any() and fitter.noise_known else None
+        e = fitter.error(solved[0], experiment, solved[1]) if solved is not None else None
+        if e is not None:
+            most = max(most, float(np.sum(e[rows] ** 2)) / len(e) / noise_rms(fitter, experiment) ** 2)
+    return RepeatedRows(count, most)
