@@ -163,7 +163,7 @@ def _located(fitter: Fitter, on: Played) -> Mismatch:
     counted = fitter.counted(experiment)
     every = fitter.view.decimate
     dt = experiment.recording.dt * every
-    noise = noise_rms(fitter, experiment) ** 2 if fitter.noise_known else 0.0
+    noise = fitter.noise.floor(noise_rms(fitter, experiment) ** 2, 0.0)
     energy = float(np.mean(e[counted] ** 2))
     above = max(0.0, 1.0 - noise / energy) if energy > 0 else 0.0
     spectrum, linear = _spectrum(fitter, experiment, e, dt)
@@ -207,7 +207,7 @@ def _spectrum(
     c = coherence(u, e, segment)
     count = 2 * len(e) / segment - 1
     c = np.maximum(0.0, (c - 1 / count) / (1 - 1 / count))
-    pn = noise_psd(fitter, experiment, 2 * np.pi * f * dt) * 2 * dt if fitter.noise_known else np.zeros_like(f)
+    pn = noise_psd(fitter, experiment, 2 * np.pi * f * dt) * 2 * dt if fitter.noise.absolute else np.zeros_like(f)
     excess = np.maximum(pe - pn, 0)
     total = float(np.sum(excess))
     return (f, pe, pn, py), float(np.sum(excess * c) / total) if total > 0 else 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from diagnose.fit.least_squares import Fit, Status
 from diagnose.problem.hypothesis import Hypothesis
+from diagnose.problem.noise_model import NoiseModel
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 
@@ -100,15 +101,15 @@ class Fitted:
         rng = np.random.default_rng(seed)
         return [np.clip(self.fit.x + width * (root @ rng.standard_normal(len(s))) / scale, lower, upper) for width in widths]
 
-    def standard_errors(self, noise_known: bool = True) -> np.ndarray:
+    def standard_errors(self, noise: NoiseModel | None = None) -> np.ndarray:
         """Standard errors [SI] of the vector's numbers (p,), from the Gauss-Newton Hessian and the residual variance.
 
         Two integrations of one law differ by up to about ENGINE of the noise, and that error does not average out over n samples:
-        it can shift an estimate by ENGINE sqrt(n) standard errors, which is added in quadrature. So can the whole of what is left
-        beside noise where bodies stick or strike: it is then an event at another moment, and the minimum one of many.
+        it can shift an estimate by ENGINE sqrt(n) standard errors, which is added in quadrature. So can the whole error above
+        the noise (known by default) of a nonsmooth model: it is then an event at another moment, and the minimum one of many.
         """
         J = self.fit.J
-        events = max(0.0, self.chi2 / self.n - UNEXPLAINED) if self.rough and noise_known else 0.0
+        events = max(0.0, self.chi2 / self.n - UNEXPLAINED) if self.rough and (noise is None or noise.absolute) else 0.0
         variance = self.chi2 / max(self.n - J.shape[1], 1) + self.n * (ENGINE**2 + events)
         scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)

@@ -139,6 +139,10 @@ class Fitter(Weighted):
         said = self.prior(fitted.hypothesis, fitted.fit.x)
         return (fitted.chi2 - float(said @ said)) / fitted.n
 
+    def above(self, fitted: Fitted, level: float) -> bool:
+        """Whether a fit leaves more than ``level`` times the noise variance for sure, its prior apart."""
+        return self.noise.exceeds(self.misfit(fitted), level)
+
     def hypothesis(self, effects: Sequence[Effect], linear: Mapping[str, float] | None = None,
                    own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
         """Lay out a hypothesis on these experiments."""
@@ -160,7 +164,7 @@ class Fitter(Weighted):
         iteration that is enough above it.
         """
         start = h.start if x0 is None else x0
-        rival = rival and self.noise_known and not h.rough
+        rival = rival and self.noise.absolute and not h.rough
         how = (iterations, step, tolerance, secant, tuple(fresh), rival, slow)
         key = self._key(h, start, how, borrow) if self.memory is not None else ""
         known = self.memory.recall(key) if self.memory is not None else None
@@ -268,7 +272,7 @@ class Fitter(Weighted):
         Can it explain them all? What one leaves open (a stiffness that is not excited) another may settle, and is no missing
         physics. One that leaves much of its own cannot.
         """
-        if self.noise_known and self.misfit(fitted) > FAR and (self.spent or not fitted.rough):
+        if self.above(fitted, FAR) and (self.spent or not fitted.rough):
             return fitted
         asked = (fitted.key, self.whitening.tobytes())
         known = self._pooled.get(asked)
@@ -281,7 +285,7 @@ class Fitter(Weighted):
         wider = self._beside(everything, everything, self.view)
         wider.guide = 1.0
         # one that leaves much of both need not be known to the last digit
-        much = FAR * sum(int(np.sum(self.counted(e))) for e in everything) if self.noise_known else math.inf
+        much = self.noise.cost_at(FAR, sum(int(np.sum(self.counted(e))) for e in everything))
         h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
         joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, SLOWLY))
         if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not self.spent:

@@ -12,6 +12,7 @@ from diagnose.data.experiment import Experiment
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Residual, Run, bounded, residual_and_jacobian
 from diagnose.problem.hypothesis import Hypothesis
+from diagnose.problem.noise_model import KnownNoise, ModelError, NoiseModel
 from diagnose.problem.view import View
 from mjsim.axis import Axis
 from mjsim.signals import lfilter, weigh_into
@@ -37,7 +38,8 @@ class Weighted:
         self._clear: dict[tuple[int, int], np.ndarray] = {}
         self._counts = {id(e): self.view.counts(e) for e in (*self.experiments, *self.held_out)}
         self._sigma = {id(e): self.view.noise(e) or self._rough_noise(e) for e in (*self.experiments, *self.held_out)}
-        self.noise_known = all(self.view.noise(e) is not None for e in self.experiments)
+        told = all(self.view.noise(e) is not None for e in self.experiments)
+        self.noise: NoiseModel = KnownNoise() if told else ModelError()
 
     def _rough_noise(self, experiment: Experiment) -> float:
         """A tenth of the nominal model's error: a weight where the noise is not known beforehand."""

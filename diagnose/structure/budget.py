@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from diagnose.problem.noise_model import KnownNoise
+
 __all__ = ["SearchOptions"]
 
 
@@ -18,10 +20,10 @@ class SearchOptions:
     seconds: budgets after which no further structure is tried; free: errors are those of free runs, which may have folds.
     """
 
-    price: float = 8.0
-    entry: float = 25.0
-    material: float = 0.0015
-    p_enter: float = 0.01
+    price: float = KnownNoise.prices.price
+    entry: float = KnownNoise.prices.entry
+    material: float = KnownNoise.prices.material
+    p_enter: float = KnownNoise.prices.p_enter
     depth: int = 3
     width: int = 10
     beam: int = 2

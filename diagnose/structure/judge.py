@@ -115,7 +115,7 @@ class Judge:
         counts for more than ``SPREAD`` times one of the estimation data, to which it was fitted.
         """
         more = len(richer.effects) > len(poorer.effects) and richer.chi2 < poorer.chi2
-        if self.fitter.noise_known or self.worth_of is None or not more:
+        if self.fitter.noise.absolute or self.worth_of is None or not more:
             return 0.0
         before, after = self.held_out(poorer), self.held_out(richer)
         if before is None or after is None or after.chi2 >= before.chi2:
@@ -137,7 +137,7 @@ class Judge:
         models. It is right if one of these bears it out, at so many times the p-value, and wrong if all speak against it.
         """
         self.fitter.map([partial(self.held_out, f) for f in (before, after)])
-        known = self.fitter.noise_known
+        known = self.fitter.noise.absolute
         views = [compare(self.held_out(before), self.held_out(after), known=known)]
         if self._astray(before, after):
             views += [compare(*pair, known=known) for pair in self._beside_events(before, after)]
@@ -151,7 +151,7 @@ class Judge:
     def _astray(self, *structures: Fitted) -> bool:
         """Whether the free run goes astray on held-out data of a structure that sticks or strikes, and alone fits the others."""
         fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
-        if not self.fitter.noise_known or not fits.rough or other.chi2 < UNEXPLAINED * other.n:
+        if not self.fitter.noise.absolute or not fits.rough or other.chi2 < UNEXPLAINED * other.n:
             return False
         if fits.chi2 > max(UNEXPLAINED * fits.n, fits.n + NEXT * (other.chi2 - other.n)):  # nor next to nothing beside the other
             return False
@@ -184,7 +184,7 @@ class Judge:
             return False
         if after.chi2 > before.chi2 - self.of_the_law(before) and set(before.key) < set(after.key):
             return False
-        asked = attempt if self.fitter.noise_known else max(1, len(self.candidates))
+        asked = self.fitter.noise.hypotheses(attempt, len(self.candidates))
         if not self._pays_on(self.compared(before, after), asked) and not self._pays_in_blocks(before, after, asked):
             again = self._begun_from(before, after)
             if again is None or not self._pays_again(before, again, 2 * asked):
@@ -221,20 +221,20 @@ class Judge:
         One that leaves less explains a part of what passed for noise (steps of a sensor), so that its level is not known any
         more: then what it leaves must have a colour.
         """
-        if not self.fitter.noise_known or base.chi2 > 1.05 * base.n:
+        if not self.fitter.noise.within(base.chi2 / base.n, 1.05):
             return True
         return base.chi2 < 0.95 * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
 
     def leaves_noise(self, f: Fitted) -> bool:
         """Whether what a structure leaves is as large as noise and, unless it is whitened, as white: no rival leaves less."""
-        if not self.fitter.noise_known or self.fitter.misfit(f) > UNEXPLAINED:
+        if not self.fitter.noise.within(self.fitter.misfit(f), UNEXPLAINED):
             return False
         return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=COLOURED) is None
 
     def solved(self, poorer: Fitted, richer: Fitted) -> bool:
         """Whether a structure leaves noise alone, or much less than one did that left what passed for noise."""
         return self.leaves_noise(richer) or (
-            self.fitter.noise_known and self.fitter.misfit(poorer) < UNEXPLAINED and richer.chi2 < 0.5 * poorer.chi2
+            self.fitter.noise.within(self.fitter.misfit(poorer), UNEXPLAINED) and richer.chi2 < 0.5 * poorer.chi2
         )
 
     def _feedback_does(self, before: Fitted, after: Fitted) -> bool:
@@ -244,7 +244,7 @@ class Judge:
         lag, a dead zone or a spring, and a slow one like an offset. Of the squared error that took away at most ``ANSWERED``.
         A law of which the data leave a size open is one of those as well: bristles that never slide are a spring.
         """
-        if self.fitter.noise_known:
+        if self.fitter.noise.absolute:
             return False
         added = [e for e in after.effects if e.key not in before.key]
         if not any(type(e).family in IMITATED for e in added) and not self._open(after, {e.key: e.amplitudes for e in added}):
@@ -258,7 +258,7 @@ class Judge:
         Where the error is the model's own an order must stand out of those beside it; one of so few periods has none beside it.
         It has to take most (``CLEAR``) of the squared error, on both recordings.
         """
-        if self.fitter.noise_known:
+        if self.fitter.noise.absolute:
             return False
         few = 2 * math.pi * FEW
         orders = {
@@ -270,7 +270,7 @@ class Judge:
 
     def _open(self, f: Fitted, sizes: Mapping[str, tuple[str, ...]]) -> bool:
         """Whether the 95 % interval of one of the sizes of effects, by key, holds zero."""
-        errors = f.standard_errors(self.fitter.noise_known)
+        errors = f.standard_errors(self.fitter.noise)
         return any(
             abs(e.si(float(x))) < 1.96 * float(s)
             for e, x, s in zip(f.hypothesis.entries, f.fit.x, errors, strict=True)
@@ -286,7 +286,7 @@ class Judge:
         These cannot where the two predict the same on them: if the richer one is right, its gain there is the mean square of
         their difference. What gains much on the recordings that are fitted must then pay on their own held-out stretches.
         """
-        if not self.fitter.noise_known or math.log(before.chi2 / after.chi2) < SHOWN * self.options.material:
+        if not self.fitter.noise.absolute or math.log(before.chi2 / after.chi2) < SHOWN * self.options.material:
             return False
         pair = (self.held_out(before), self.held_out(after))
         if pair[0] is None or pair[1] is None or self.compared(before, after).relative_gain < -self.options.material:
@@ -317,7 +317,7 @@ class Judge:
 
     def shake(self, f: Fitted) -> Fitted:
         """A structure in which bodies stick or strike at the lowest minimum about it, where it leaves little more than noise."""
-        if not self.options.free or not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
+        if not self.options.free or not f.rough or not self.fitter.noise.within(f.chi2 / f.n, SHAKEN):
             return f
         asked = (f.key, f.chi2, self.fitter.guide, self.fitter.whitening.tobytes())
         if asked not in self._shaken:
@@ -342,7 +342,7 @@ class Judge:
 
     def _brought_down(self, f: Fitted) -> None:
         """Land a structure that sticks or strikes, and shake it, where its runs are short enough: once, from where it is."""
-        if not self.options.free or not self.fitter.noise_known or self.fitter.view.channel != "velocity":
+        if not self.options.free or not self.fitter.noise.absolute or self.fitter.view.channel != "velocity":
             return
         length = self.fitter.length(f.hypothesis, f.fit.x)
         asked = (f.key, self.fitter.guide, round(math.log(f.chi2), 1))
@@ -362,7 +362,7 @@ class Judge:
         structures. Of two fits that the estimation data do not tell apart the one that shares the poorer's numbers is compared.
         """
         much = math.log(before.chi2 / after.chi2) > SHOWN * self.options.material
-        if not self.fitter.noise_known or after.rough or not set(before.key) < set(after.key) or not much:
+        if not self.fitter.noise.absolute or after.rough or not set(before.key) < set(after.key) or not much:
             return None
         if self.compared(before, after).relative_gain > -self.options.material:
             return None  # that is no error of a number
@@ -394,7 +394,7 @@ class Judge:
         Of its minima it may have missed the one to which the richer one has come by another way. One that leaves little more than
         noise is landed as well: a minute gain may be that of an event a sample sooner.
         """
-        if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
+        if not before.rough or not self.fitter.noise.absolute or not set(before.key) < set(after.key):
             return before
         asked = (before.key, before.chi2, after.key, after.chi2)
         if asked not in self._begun_beside:
@@ -413,7 +413,7 @@ class Judge:
         A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. A led model is put
         right within 1 / rate: there it must gain as well, a fair part of that. Of more than noise it must explain a fair part.
         """
-        if not before.rough or not self.fitter.noise_known or not set(before.key) < set(after.key):
+        if not before.rough or not self.fitter.noise.absolute or not set(before.key) < set(after.key):
             return False
         gain = self.gain(before, after)
         if before.chi2 > UNEXPLAINED * before.n and gain < FAIR * before.n * math.log(before.chi2 / before.n):
@@ -432,7 +432,7 @@ class Judge:
     def lacks_more(self, f: Fitted) -> bool:
         """Whether a structure lacks something else than the moments at which bodies stick, or a turn of an oscillation."""
         # led closely, what the motion was is nearly given, and the error is that of the torques: it has hardly any minima but one
-        led = self.fitter.led(f, self._closely(f), 20) if self.fitter.noise_known else None
+        led = self.fitter.led(f, self._closely(f), 20) if self.fitter.noise.absolute else None
         return led is not None and led.chi2 > LACKS * led.n
 
     def lacks_law(self, f: Fitted) -> bool:
@@ -442,7 +442,7 @@ class Judge:
         It is led closely first, where it has hardly any minima but one: begun at the free run's it may stay where that is.
         """
         f = self.pool.get(f.key, f)
-        if not f.rough or not self.fitter.noise_known or f.chi2 > SHAKEN * f.n:
+        if not f.rough or not self.fitter.noise.within(f.chi2 / f.n, SHAKEN):
             return False
         stays = f.n + STAYS * (f.chi2 - f.n)
         led = self.fitter.led(f, LEAD, 20)
@@ -462,7 +462,7 @@ class Judge:
 
     def beaten(self, f: Fitted, current: Fitted) -> bool:
         """Whether a structure stays behind another one when both are led, so that it is behind by no wrong minimum alone."""
-        if not self.fitter.noise_known:
+        if not self.fitter.noise.absolute:
             return False
         rate = self._closely(f, current)
         mine, best = self.fitter.map([partial(self.fitter.led, g, rate, 20) for g in (f, current)])
@@ -475,7 +475,7 @@ class Judge:
         position-locked effect has it is that effect's rival.
         """
         new = [e for e in after.effects if e.key not in before.key]
-        if len(new) != 1 or len(after.key) != len(before.key) + 1 or not self.fitter.noise_known:
+        if len(new) != 1 or len(after.key) != len(before.key) + 1 or not self.fitter.noise.absolute:
             return False
         asked = (before.key, before.chi2, new[0], after.chi2)
         if asked not in self._encoder:

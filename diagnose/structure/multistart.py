@@ -95,7 +95,7 @@ class Minima(Judge):
 
         An effect that only leads out of a wrong one is no missing physics.
         """
-        if not f.ok or not self.fitter.noise_known or self.fitter.misfit(f) < MISFIT:
+        if not f.ok or not self.fitter.above(f, MISFIT):
             return f
         rng = np.random.default_rng(0)
         nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
@@ -115,7 +115,7 @@ class Minima(Judge):
         nominal = {p.name: p.value for p in self.fitter.nominal.chain.linear_parameters()}
         ratios = [base.linear[name] / value for name, value in nominal.items() if value and name in base.linear]
         gone = any(r <= 0.0 or abs(math.log(r)) > GONE for r in ratios)
-        if not gone or not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED:
+        if not gone or not self.fitter.above(base, UNEXPLAINED):
             return
         for f in grown:
             new = [e for e in f.effects if e.key not in base.key and type(e).family in families]
@@ -128,7 +128,7 @@ class Minima(Judge):
         A body that sticks or strikes does so a sample sooner or later as a parameter moves, and the error jumps.
         """
         rough = f.fit.status is Status.STALLED or f.rough
-        if not rough or not self.fitter.noise_known or f.chi2 < 1.005 * f.n or self._slow(f):
+        if not rough or not self.fitter.noise.exceeds(f.chi2 / f.n, 1.005) or self._slow(f):
             return f
         for step in WIDE:
             wide = self.fitter.fit(f.hypothesis, f.fit.x, iterations=8, step=step, tolerance=1e-4)
@@ -142,7 +142,7 @@ class Minima(Judge):
         A free run of theirs ends in the minimum next to where it was begun, and which of them comes first is then chance. One
         that is soon run is shaken as well. Those in which nothing does that has not landed with their base are left as they are.
         """
-        if not self.fitter.noise_known:
+        if not self.fitter.noise.absolute:
             return
         new = list(running)
         if base.rough and base.chi2 < SHAKEN * base.n:
@@ -162,7 +162,7 @@ class Minima(Judge):
         """
         for f in structures if self.options.free and not self._late() else ():
             known = self.unfolded.get(f.key)
-            if not self.fitter.noise_known or f.chi2 < UNEXPLAINED * f.n or (known or 0) >= most or not folded(f):
+            if not self.fitter.noise.exceeds(f.chi2 / f.n, UNEXPLAINED) or (known or 0) >= most or not folded(f):
                 continue
             self.unfolded[f.key] = UNFOLDS
             if not self._late() and self.shake(f).chi2 < UNEXPLAINED * f.n:
@@ -232,7 +232,7 @@ class Minima(Judge):
 
     def _freed(self, f: Fitted, beside: Fitted) -> None:
         """Let go of a structure that sticks or strikes, once, which is behind one ``beside`` it in a free run alone."""
-        known = self.options.free and self.fitter.noise_known and f.rough
+        known = self.options.free and self.fitter.noise.absolute and f.rough
         if not known or f.key in self.unfolded or self.criterion(f) <= self.criterion(beside):
             return
         within = NEARBY * NEARBY if self.fitter.misfit(beside) > UNEXPLAINED else UNEXPLAINED  # of noise alone little is missed

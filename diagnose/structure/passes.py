@@ -72,10 +72,8 @@ def _search(
 ) -> tuple[Search, Fitted]:
     """One search by the fitter's present weights; ``known``: a structure of an earlier one, which is a rival from the start."""
     left = options.seconds - (time.monotonic() - began)
-    # independent samples are few where the residual is the model's own error: Akaike's price, and held-out data as the judge
     chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
-    if not fitter.noise_known:
-        chosen = dataclasses.replace(chosen, price=6.0, entry=10.0, material=0.02, p_enter=0.02)
+    chosen = dataclasses.replace(chosen, **dataclasses.asdict(fitter.noise.prices))
     search = Search(fitter, chosen, progress=progress, settled_by=settled_by)
     base = search.nominal()
     if not base.ok:
@@ -90,9 +88,9 @@ def _search(
     search.only_beside = excluded_by_angle(fitter.experiments)
     search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
     search.orders_of = lambda f: _orders(fitter, f)
-    if fitter.noise_known and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
+    if fitter.noise.absolute and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
         search.led_by = partial(among_led, search)
-    if not fitter.noise_known:
+    if not fitter.noise.absolute:
         search.effective = effective_share(fitter, base)
         search.effective_of = lambda f: effective_share(fitter, f)
         search.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
@@ -188,7 +186,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TAKEN
         return may_be_noise and _settled_from_nominal(fitter, f, surely) is not None
 
-    known = fitter.noise_known
+    known = fitter.noise.absolute
     search, best = _search(fitter, options, progress, began, settled_by if known else None)
     if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
         # or a fit on plain errors took the colour for response, where the excitation leaves parameters open

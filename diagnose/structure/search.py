@@ -110,7 +110,7 @@ class Search(Guided):
         # (a structure) a filter that may have taken it in
         whatever = CURVED if visible else CURVED[:1] if len(self.fitter.whitening) > 1 else ()
         tried += [s for s in ranked if effect_class(s.candidate.id).family in whatever and s not in tried]
-        if not base.effects and visible and self.fitter.noise_known and self.fitter.misfit(base) > MISFIT:
+        if not base.effects and visible and self.fitter.above(base, MISFIT):
             keys = {s.candidate.key for s in tried}
             tried += [s for s in self._look(base).from_nominal(self._additions(base)) if s.candidate.key not in keys]
         # nor is that of another law in the place of one that the nominal axis has
@@ -133,7 +133,7 @@ class Search(Guided):
         Another law of an effect is tried in its place, where that leaves something material: of one that stands in the structure
         by `refine`, of one that the nominal axis has here.
         """
-        material = self.fitter.noise_known and self.fitter.misfit(base) > UNEXPLAINED
+        material = self.fitter.above(base, UNEXPLAINED)
         return [
             c for c in self.candidates
             if not conflicts(c, base.effects) and (not effect_class(c.id).form_of or (material and replaced(base, c) is not None))
@@ -146,7 +146,7 @@ class Search(Guided):
         It is tried before all that is dear: refinements, other laws, led models.
         """
         base = ground(best, self.pool)
-        far = self.fitter.noise_known and self.fitter.misfit(base) > LACKS
+        far = self.fitter.above(base, LACKS)
         if not far or base.key in expanded or len(base.effects) >= self.options.depth or self._spent():
             return False
         ranked = self._look(base).screen(self._additions(base))
@@ -183,7 +183,7 @@ class Search(Guided):
         limits = self._limit(base)
         if any(self.criterion(f) < self.criterion(base) for f in limits):
             return limits  # of fewer numbers: it is gone on with
-        material = self.fitter.noise_known and (forms or self.fitter.misfit(base) > UNEXPLAINED)
+        material = (forms and self.fitter.noise.absolute) or self.fitter.above(base, UNEXPLAINED)
         grown = self._race(base, self._refinements(base, material=material))
         least = min((f.chi2 for f in grown), default=math.inf)
         if material and least > INEXACT * base.chi2:  # else the better effect is gone on with, and not the law of this one
@@ -234,13 +234,13 @@ class Search(Guided):
 
         What has entered since may tell them apart, or it may be what kept the better one from being seen.
         """
-        if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED or self._spent():
+        if not self.fitter.above(base, UNEXPLAINED) or self._spent():
             return []
         return self._race(base, self._new(base, in_place(self.pool, self.candidates, base, RIVAL)))
 
     def _twins(self, base: Fitted) -> None:
         """Fit the structures in which what moved as an effect of ``base`` does, beside a simpler one, takes its place."""
-        if not self.fitter.noise_known or self.fitter.misfit(base) < UNEXPLAINED or self._spent():
+        if not self.fitter.above(base, UNEXPLAINED) or self._spent():
             return
         self._race(base, self._new(base, in_place(self.pool, self.candidates, base, ALIKE)))
 
@@ -283,7 +283,7 @@ class Search(Guided):
 
         A linear model of its response knows what it can take up of what it leaves; it is trusted with ``HOPE`` times that.
         """
-        if not self.fitter.noise_known or base.chi2 > 1.5 * base.n or not f.fit.J.any():
+        if not self.fitter.noise.within(base.chi2 / base.n, 1.5) or not f.fit.J.any():
             return True
         left = f.chi2 - HOPE * (f.chi2 - left_over(f.fit.residual, orthonormal(f.fit.J)))
         return left <= 0.0 or self.gain(base, f) + f.n * math.log(f.chi2 / left) > floor
@@ -458,13 +458,13 @@ class Search(Guided):
                 break
             rivals = sorted((f for f in self.pool.values() if len(f.effects) == len(current.effects)), key=self.criterion)
             # beside a structure that leaves noise alone only one that leaves hardly more can be the ground of a better one
-            within = BEHIND[self.leaves_noise(current) + (self.fitter.noise_known and self.fitter.misfit(current) < UNEXPLAINED)]
+            within = BEHIND[self.leaves_noise(current) + self.fitter.noise.within(self.fitter.misfit(current), UNEXPLAINED)]
             near = [f for f in rivals if f.key != current.key and f.chi2 < within * current.chi2 and not formed(f)]
             # nor is what refines the best, and gains nothing by that, another ground, nor a delay at the other end
             near = [f for f in near if not (refines(f, current) and self.gain(current, f) < self.options.entry)]
             near = [f for f in near if not elsewhere(f, current)]
             beam = [current, *near[: self.options.beam - 1]]
-            if self.fitter.noise_known:
+            if self.fitter.noise.absolute:
                 beam = list({f.key: f for f in (ground(b, self.pool) for b in beam)}.values())
         current = self._against_other_laws(self._weigh(1.0, current))
         for _ in range(self.options.depth):
@@ -492,7 +492,7 @@ class Search(Guided):
         best = self._best(current)
         if best.key != current.key:
             best = self._guided(best)  # ahead of unfolding: what is left may be the price of the prior
-        simple = ground(best, self.pool) if self.fitter.noise_known else best
+        simple = ground(best, self.pool) if self.fitter.noise.absolute else best
         if not self._slow(simple):  # else, or more, once nothing can be added
             self._unfold([simple], most=1)
         self.shake(self.pool.get(best.key, best))
@@ -502,12 +502,12 @@ class Search(Guided):
         """Whether an effect has entered that explains little of so much that it is no part of what is missing."""
         # without what the prior costs, which may have weighed otherwise when the poorer one was fitted
         before, after = (float(np.sum(f.fit.residual[: f.n] ** 2)) / f.n for f in (poorer, richer))
-        return self.fitter.noise_known and after > MISFIT and before < after * math.exp(RIVAL)
+        return self.fitter.noise.exceeds(after, MISFIT) and before < after * math.exp(RIVAL)
 
     def _against_other_laws(self, current: Fitted) -> Fitted:
         """The best structure once those near it were tried by other laws: one may have come second by its law alone."""
         near = [f for f in with_other_laws(self.pool, self.candidates, current, RIVAL) if self.ahead(current, f) > ALIKE_C]
-        if not near or not self.fitter.noise_known or self._spent():
+        if not near or not self.fitter.noise.absolute or self._spent():
             return current
         for f in near[: self.options.beam]:
             self.refine(f, forms=True)
@@ -560,7 +560,7 @@ class Search(Guided):
 
     def _larger(self, current: Fitted, expanded: set[tuple[str, ...]]) -> list[Fitted]:
         """Structures one effect larger that gain much on the estimation data: where to go on from when none pays."""
-        if not self.fitter.noise_known or len(current.effects) + 1 >= self.options.depth:
+        if not self.fitter.noise.absolute or len(current.effects) + 1 >= self.options.depth:
             return []
         return sorted(promising(self.pool, current, expanded), key=self.criterion)[: self.options.beam]
 
@@ -585,13 +585,13 @@ class Search(Guided):
 
         Not at all once the budget is spent there.
         """
-        if self.fitter.spent and self.fitter.noise_known and self.fitter.misfit(fitted) > FAR:
+        if self.fitter.spent and self.fitter.above(fitted, FAR):
             return fitted
         fitted = self.shake(fitted)
         # a rough cost has no such minimum
         better = self.fitter.fit(
             fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-6 if fitted.rough else 1e-8,
-            slow=(FAR * fitted.n, ROUGHLY) if self.fitter.noise_known else (math.inf, 0.0),
+            slow=(self.fitter.noise.cost_at(FAR, fitted.n), ROUGHLY),
         )  # fmt: skip
         if better.ok and better.chi2 <= fitted.chi2:
             self.keep(better)
@@ -624,7 +624,7 @@ class Search(Guided):
 
     def imitated(self, best: Fitted, effect: Effect) -> None:
         """Fit, from the best structure, what may do as much as one of its effects in its place; the pool keeps them."""
-        if not self.fitter.noise_known:
+        if not self.fitter.noise.absolute:
             return
         if not self._spent():
             self._limit(best)

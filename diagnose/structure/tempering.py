@@ -30,7 +30,7 @@ class Guided(Minima):
         one, with friction and a lag not yet there). By `guide_of` a prior counts; it goes as the misfit goes.
         """
         misfit = f.chi2 / f.n
-        if not self.fitter.noise_known or misfit < least:
+        if not self.fitter.noise.exceeds(misfit, least):
             return self._weigh(1.0, f)
         weight, old = guide_of(self.fitter, f), self.fitter.guide
         return self._weigh(weight, f) if old == 1.0 or weight < 0.5 * old else f

@@ -42,7 +42,7 @@ def diagnosis(
     fits, gap = _figures(outcome, base, mapped)
     return Diagnosis(
         verdict=verdict,
-        summary=REPEATED_ROWS if by_rows else summary(verdict, found, fits, gap, fitter.noise_known, outcome.unit),
+        summary=REPEATED_ROWS if by_rows else summary(verdict, found, fits, gap, fitter.noise.absolute, outcome.unit),
         findings=found if verdict in (Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED) else (),
         mismatch=mismatches[0],
         mismatches=mismatches,
@@ -50,7 +50,7 @@ def diagnosis(
         nominal_parameters={p.name: p.value for p in fitter.nominal.chain.linear_parameters()},
         nominal_effects=tuple(nominal_effect(fitter, best, e) for e in best.hypothesis.carried),
         fit=fits,
-        noise_floor=noise_rms(fitter, fitter.experiments[0]) if fitter.noise_known else float("nan"),
+        noise_floor=fitter.noise.floor(noise_rms(fitter, fitter.experiments[0])),
         gap_closed=gap,
         rivals=rivals(search, best),
         failed=dict(search.failed),

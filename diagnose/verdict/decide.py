@@ -43,7 +43,7 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
 
     A phase is given within half a turn of zero: a fit may have gone round.
     """
-    errors = fitted.standard_errors(fitter.noise_known)
+    errors = fitted.standard_errors(fitter.noise)
     out = {}
     motion = fitter.nominal.chain.motion
     for e, x, s in zip(fitted.hypothesis.entries, fitted.fit.x, errors, strict=True):

@@ -56,7 +56,7 @@ def figures(fitter: Fitter, search: Search, base: Fitted, best: Fitted) -> tuple
     tasks = (given, partial(of, base), partial(of, best))
     fits = dict(zip(names, fitter.map(tasks), strict=True))
     before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
-    floor = float(np.mean([noise_rms(fitter, e) for e in fitter.held_out])) if fitter.noise_known else 0.0
+    floor = fitter.noise.floor(float(np.mean([noise_rms(fitter, e) for e in fitter.held_out])), 0.0)
     gap = (before - after) / (before - floor) if before > floor * 1.0001 else math.nan
     return fits, gap if best.effects else math.nan
 
@@ -107,7 +107,7 @@ def traces(fitter: Fitter, base: Fitted, best: Fitted, mapped: Fitted | None = N
             out.append(
                 Traces(experiment.recording.source, role, refitted.time, refitted.measured, given.predicted if given else None,
                        refitted.predicted, corrected.predicted, fitter.counted(experiment),
-                       noise_rms(fitter, experiment) if fitter.noise_known else math.nan,
+                       fitter.noise.floor(noise_rms(fitter, experiment)),
                        more[0].predicted if more and more[0] else None)
             )  # fmt: skip
     return tuple(out)

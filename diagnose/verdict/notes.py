@@ -87,7 +87,7 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
         )
     if remaining.unexplained and not outcome.mapped:
         yield "No torque map over one or two state variables lowers the held-out error for sure: none is given."
-    feedback = fitter.noise_known and any(e.recording.loop == "closed" for e in fitter.experiments)
+    feedback = fitter.noise.absolute and any(e.recording.loop == "closed" for e in fitter.experiments)
     if outcome.verdict is Verdict.UNEXPLAINED and feedback:
         yield (
             "The axis was under feedback. A torque that no model knows of (other axes, cables, the process) is missed motion in "

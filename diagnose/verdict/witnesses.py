@@ -116,7 +116,7 @@ def _is_unexplained(
         return False
     predicted = structure.share * after.rms**2
     clear = structure.p_value < options.structure_p and structure.share > options.structure_share
-    if not search.fitter.noise_known:
+    if not search.fitter.noise.absolute:
         return clear and predicted > options.left * before.rms**2
     variance = noise_rms(search.fitter, search.fitter.experiments[0]) ** 2
     mismatch, left = before.rms**2 / variance - 1.0, after.rms**2 / variance - 1.0
@@ -134,10 +134,8 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
 
     What a stand-in explains under one excitation it may leave under another, and that may be the one it was fitted to.
     """
-    if not fitter.noise_known:
-        return False
     left = best.chi2 / best.n - 1.0
-    if left <= options.missed or closed(base.chi2 / base.n - 1.0, left) >= options.closed:
+    if not fitter.noise.exceeds(left + 1.0, 1.0 + options.missed) or closed(base.chi2 / base.n - 1.0, left) >= options.closed:
         return False
     before, after = motion_errors(fitter, base, best, fitter.experiments)
     return before is not None and after is not None and after > options.missed and closed(before, after) < options.closed
@@ -150,7 +148,7 @@ def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options)
     by the covariance stay together, or under an observer gain that leaves an event no time to carry, the held-out recording still
     judges: the model must leave no material error there, and the nominal one much more than that.
     """
-    if not fitter.noise_known or not best.rough or best.chi2 > (1.0 + options.missed) * best.n:
+    if not best.rough or not fitter.noise.within(best.chi2 / best.n, 1.0 + options.missed):
         return False
 
     def judged(before: float | None, after: float | None) -> bool:
@@ -168,7 +166,7 @@ def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options)
 
 def _left_on_estimation(fitter: Fitter, base: Fitted, pooled: Fitted, options: Options) -> bool:
     """Whether a model fitted to every recording leaves the estimation recordings a material error, whitened if need be."""
-    r = fitter.residual(pooled.hypothesis)(pooled.fit.x) if fitter.noise_known else None
+    r = fitter.residual(pooled.hypothesis)(pooled.fit.x) if fitter.noise.absolute else None
     if r is None:
         return False
     left = float(r @ r) / base.n - 1.0
@@ -185,7 +183,7 @@ def repeated_rows(fitter: Fitter, best: Fitted) -> RepeatedRows:
     for experiment in experiments.values():
         rows = held_rows(experiment.recording)
         count += int(rows.sum())
-        solved = fitter.own_values(best.hypothesis, best, experiment) if rows.any() and fitter.noise_known else None
+        solved = fitter.own_values(best.hypothesis, best, experiment) if rows.any() and fitter.noise.absolute else None
         e = fitter.error(solved[0], experiment, solved[1]) if solved is not None else None
         if e is not None:
             most = max(most, float(np.sum(e[rows] ** 2)) / len(e) / noise_rms(fitter, experiment) ** 2)

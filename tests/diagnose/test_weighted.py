@@ -49,6 +49,6 @@ def test_a_rounded_model_is_fitted_from_afar_and_its_step_stays_where_it_is(fitt
 
 def test_sensitivities_are_taken_side_by_side_in_either_direction(fitter, stepped):
     refined = fitter.refined(fitter.fit(fitter.hypothesis([stepped()]), iterations=4))
-    errors = refined.standard_errors(noise_known=True)
+    errors = refined.standard_errors()
     assert np.all(np.isfinite(errors))
     assert refined.fit.x.shape == errors.shape
