@@ -26,6 +26,7 @@ __all__ = [
     "Mismatch",
     "NominalEffect",
     "Place",
+    "Refused",
     "Rival",
     "Share",
     "StateShare",
@@ -274,6 +275,26 @@ class Rival:
     status: str
 
 
+@dataclass(frozen=True)
+class Refused:
+    """A leading rival that is not the answer: the test that refused it, and by how much.
+
+    effects: its structure; against: the structure that it was compared with; test: which test; numbers: what the test measured,
+    and what it asks for ("needed" where that is a least value).
+    """
+
+    effects: tuple[str, ...]
+    against: tuple[str, ...]
+    test: str
+    numbers: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """By name."""
+        return {
+            "effects": list(self.effects), "against": list(self.against), "test": self.test, "numbers": dict(self.numbers),
+        }  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Traces:
     """Signals of one recording for the pictures (M samples): measured and the predictions, in the view's unit.
@@ -330,6 +351,7 @@ class Diagnosis:
     nominal_effects: tuple[NominalEffect, ...] = ()
     log: LogCheck | None = None
     surrogate: Mapping[str, FitFigures] = field(default_factory=dict)
+    refusals: tuple[Refused, ...] = ()
 
     def shares(self) -> tuple[float, ...]:
         """Each recording's share of the residual energy above noise of all of them."""
@@ -378,6 +400,7 @@ class Diagnosis:
                 {"effects": list(r.effects), "parameters": r.n_parameters, "rms": r.rms, "held_out_rms": r.held_out_rms,
                  "criterion": r.criterion, "status": r.status} for r in self.rivals
             ],
+            "refusals": [r.as_dict() for r in self.refusals],
             "failed": dict(self.failed),
             "notes": list(self.notes),
             "next_experiment": self.next_experiment,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from diagnose.problem.noise_model import KnownNoise
+from diagnose.problem.noise_model import KnownNoise, Prices
 
 __all__ = ["SearchOptions"]
 
@@ -31,3 +31,8 @@ class SearchOptions:
     runs: int = 14_000
     seconds: float = math.inf
     free: bool = True
+
+    @property
+    def prices(self) -> Prices:
+        """What an effect must achieve to enter."""
+        return Prices(self.price, self.entry, self.material, self.p_enter)

@@ -10,9 +10,9 @@ import dataclasses
 
 from diagnose.fit.fitted import UNEXPLAINED, Fitted
 from diagnose.fit.fitter import CLOSELY, WRONG
-from diagnose.structure.judge import LACKS
+from diagnose.fit.starts import restarted, warm_started
+from diagnose.structure.continuation import LACKS
 from diagnose.structure.moves import folded, formed, ground
-from diagnose.structure.multistart import begun_anew
 from diagnose.structure.search import Search
 
 __all__ = ["among_led"]
@@ -34,7 +34,7 @@ def among_led(search: Search) -> None:
     for led in _search(search):
         free = search.fitter.fit(search.fitter.hypothesis(led.effects, led.linear, led.own), iterations=20)
         search.keep(free)
-        missed = search.shake(free).chi2 > UNEXPLAINED * min(free.n, led.chi2)
+        missed = search.path.restart(free).chi2 > UNEXPLAINED * min(free.n, led.chi2)
         if missed and led.chi2 < MOMENTS * led.n:  # else it lacks more than those, and is where to go on from
             again = search.fitter.let_go(led, highest=CLOSELY)
             search.keep(free if again is None else again)
@@ -50,37 +50,38 @@ def _search(search: Search) -> list[Fitted]:
     led.work = search.fitter.work
     led.most_runs = led.runs + PART * (search.fitter.most_runs - led.runs)
     chosen = dataclasses.replace(search.options, width=WIDTH, beam=1, free=False)
-    other = Search(led, chosen, progress=search.progress, only_beside=search.only_beside)
-    other.candidates = search.candidates
+    other = Search(led, chosen, progress=search.progress)
+    other.state.only_beside = search.state.only_beside
+    other.state.consider(search.state.candidates)
     best = other.nominal()
     for _ in range(ROUNDS):
         if not best.ok or led.spent or best.chi2 < WRONG * best.n:
             break
-        before = other._guided(best)
+        before = other.tempering.tempered(best)
         base = ground(before, other.pool)
-        other.expand(base)
-        best = other._guided(_least(other))
+        other.growth.expand(base)
+        best = other.tempering.tempered(_least(other))
         if base.effects and set(base.key) < set(best.key):  # it may have missed the minimum to which what was added has led
-            other.keep(other._begun_at(best, base, 12))
+            other.keep(warm_started(led, best, base.key, 12))
         refined: set[tuple[str, ...]] = set()
         while best.key not in refined and WRONG < best.chi2 / best.n < NEAR and not led.spent:
             refined.add(best.key)
-            other.refine(best)
-            best = other._guided(_least(other))
+            other.growth.refine(best)
+            best = other.tempering.tempered(_least(other))
         if WRONG < best.chi2 / best.n < NEAR and not led.spent:
-            other.keep(begun_anew(led, best, [e for e in best.effects if type(e).rough]))
+            other.keep(restarted(led, best, [e for e in best.effects if type(e).rough]))
             best = other.pool[best.key]
         if best.chi2 > LITTLE * before.chi2:
             break
         for effect in best.effects if best.chi2 > WRONG * best.n else ():
-            for simpler in other._simpler(best, effect):  # what is missing is sought beside the simplest form
+            for simpler in other.reduction.simpler(best, effect):  # what is missing is sought beside the simplest form
                 simpler()
     led.most_runs = search.fitter.most_runs
     found = [f for f in other.pool.values() if f.effects and f.chi2 < min(LACKS * f.n, ALIKE * best.chi2)]
     found = sorted(found, key=lambda f: (formed(f), len(f.hypothesis.entries), f.chi2))[:MOST]
     found = [_spread(other, f) for f in found]
     search.fitter.work = led.work
-    search.tested += other.tested
+    search.state.tested += other.tested
     return found
 
 

@@ -85,15 +85,15 @@ def _search(
     if known is not None and known.effects:
         search.know(known)
     fitter.set_orders(*_orders(fitter, base))
-    search.only_beside = excluded_by_angle(fitter.experiments)
-    search.candidates = tuple(c for c in candidates(fitter, options.effects) if search.only_beside.get(c.id) != "")
+    search.state.only_beside = excluded_by_angle(fitter.experiments)
+    search.state.consider([c for c in candidates(fitter, options.effects) if search.state.only_beside.get(c.id) != ""])
     search.orders_of = lambda f: _orders(fitter, f)
     if fitter.noise.absolute and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
-        search.led_by = partial(among_led, search)
+        search.observed_by = partial(among_led, search)
     if not fitter.noise.absolute:
-        search.effective = effective_share(fitter, base)
+        search.context.effective = effective_share(fitter, base)
         search.effective_of = lambda f: effective_share(fitter, f)
-        search.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
+        search.context.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
     return search, search.run()
 
 
@@ -205,7 +205,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         filter_before, fitter.whitening = fitter.whitening, _scaled(fitter, best, filter_)
         before, found = search, best
         search, best = _search(fitter, options, progress, began, known=best if turn or earned else None)
-        search.tested += before.tested
+        search.state.tested += before.tested
         if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
             fitter.whitening = filter_before
             return before, found, len(filter_before) > 1
@@ -231,7 +231,7 @@ def _less_coloured(
         len(fitter.whitening) == 1
         or fitter.spent
         or refused is None
-        or search.gain(best, refused) < REFUSED * search.options.entry
+        or search.context.gain(best, refused) < REFUSED * search.options.entry
     ):
         return search, best
     settled = settle(fitter, refused)
@@ -242,9 +242,9 @@ def _less_coloured(
     kept = fitter.whitening
     fitter.whitening = _scaled(fitter, refused, filter_)
     again, better = _search(fitter, options, progress, began, known=refused)
-    again.tested += search.tested
+    again.state.tested += search.tested
     if better.effects and len(better.effects) > len(best.effects):
         return again, better
     fitter.whitening = kept
-    search.tested = again.tested
+    search.state.tested = again.tested
     return search, best

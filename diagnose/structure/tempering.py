@@ -1,72 +1,85 @@
-"""Nominal parameters that guide a search while much is missing: every structure is fitted again as their weight changes."""
+"""A tempered prior: the nominal parameters weigh more while much is missing, and all structures near are fitted again by that."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.whiten import guide_of
-from diagnose.structure.multistart import MISFIT, Minima
+from diagnose.structure.continuation import Continuation
+from diagnose.structure.multistart import MISFIT
+from diagnose.structure.state import State
 
-__all__ = ["Guided"]
+__all__ = ["Tempering"]
 
 WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weight of the prior, and of one that is slow to run
+NEAR = 3.0  # times the chi-square of the current structure, up to which a rival is fitted again
+HALF = 0.5  # of the present weight, below which a new one is worth the fits
 
 
 @dataclass
-class Guided(Minima):
-    """Everything fitted so far, by one weight of the nominal parameters."""
+class Tempering:
+    """Changes the weight of the prior in a search."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._unguided: Fitted | None = None
+    state: State
+    path: Continuation
+    _untempered: Fitted | None = field(default=None, init=False)
 
-    def _guided(self, f: Fitted, least: float = MISFIT) -> Fitted:
+    def tempered(self, f: Fitted, least: float = MISFIT) -> Fitted:
         """A fit from which to go on, the nominal linear parameters weighing as much as is fair beside so large a misfit.
 
         While physics is missing, refitted parameters stand in for it and lead away from it (an inertia three times the nominal
         one, with friction and a lag not yet there). By `guide_of` a prior counts; it goes as the misfit goes.
         """
-        misfit = f.chi2 / f.n
-        if not self.fitter.noise.exceeds(misfit, least):
-            return self._weigh(1.0, f)
-        weight, old = guide_of(self.fitter, f), self.fitter.guide
-        return self._weigh(weight, f) if old == 1.0 or weight < 0.5 * old else f
+        fitter = self.state.fitter
+        if not fitter.noise.exceeds(f.chi2 / f.n, least):
+            return self.weigh(1.0, f)
+        weight, old = guide_of(fitter, f), fitter.guide
+        return self.weigh(weight, f) if old == 1.0 or weight < HALF * old else f
 
-    def _weigh(self, guide: float, current: Fitted) -> Fitted:
-        """Weigh the prior by ``guide`` from now on: the structures that are near the current one are fitted again, others go."""
-        if guide == self.fitter.guide:
+    def weigh(self, weight: float, current: Fitted) -> Fitted:
+        """Weigh the prior by ``weight`` from now on: the structures near the current one are fitted again, others go."""
+        state, pool = self.state, self.state.pool
+        if weight == state.fitter.guide:
             return current
-        if self.fitter.guide == 1.0:
-            self._unguided = self.pool[()]
-        self.fitter.guide = guide
-        near = sorted((f for f in self.pool.values() if f.chi2 < 3.0 * current.chi2 and not self._slow(f)), key=self.criterion)
-        near = near[: 0 if self._late() else self.options.width]
-        again = {f.key: f for f in (self.pool[()], current, *near)}
-        self.pool.clear()
-        self.held.clear()
-        self.retried.clear()
-        self._without.clear()
+        if state.fitter.guide == 1.0:
+            self._untempered = pool[()]
+        state.fitter.guide = weight
+        slow = state.context.slow
+        near = sorted((f for f in pool.values() if f.chi2 < NEAR * current.chi2 and not slow(f)), key=state.context.criterion)
+        near = near[: 0 if state.late() else state.options.width]
+        again = {f.key: f for f in (pool[()], current, *near)}
+        pool.clear()
+        state.tried.clear()
+        state.warm.clear()
         near = [f for f in again.values() if f.key]
-        fits, lengths = [partial(self._weighed, f, last=f.key == current.key) for f in near], self.fitter.lengths(near)
-        if guide != 1.0:
-            fits.append(partial(self.fitter.fit, self.fitter.hypothesis(())))  # from the nominal parameters
+        fits, lengths = [partial(self._refitted, f, last=f.key == current.key) for f in near], state.fitter.lengths(near)
+        if weight != 1.0:
+            fits.append(partial(state.fitter.fit, state.fitter.hypothesis(())))  # from the nominal parameters
             lengths.append(math.inf)
-        elif self._unguided is not None:
-            self.keep(self._unguided)
-        for f in self.fitter.map(fits, lengths):
-            self.keep(self._smoothed(f) if f.key == current.key else f)
-        return self.pool.get(current.key, current)
+        elif self._untempered is not None:
+            state.keep(self._untempered)
+        for f in state.fitter.map(fits, lengths):
+            state.keep(self.path.smoothed(f) if f.key == current.key else f)
+        return pool.newest(current)
 
-    def _weighed(self, f: Fitted, *, last: bool) -> Fitted:
+    def alone(self, f: Fitted) -> Fitted:
+        """A structure by its own weights, its rivals left as they are: they will be raced again, on whitened errors."""
+        if self.state.fitter.guide == 1.0:
+            return f
+        self.state.pool.drop(*[k for k in self.state.pool if k and k != f.key])
+        return self.weigh(1.0, f)
+
+    def _refitted(self, f: Fitted, *, last: bool) -> Fitted:
         """A structure under another weight of the prior: to the ``last``, or as a rival, for which a gain of one in C is enough.
 
-        A rival's sensitivities are known, unless its cost is rough.
+        A rival's sensitivities are known, unless its cost is nonsmooth.
         """
+        fitter = self.state.fitter
         if last or f.rough:
-            most = SHORTER if self._slow(f) else WEIGHED
-            return self.fitter.fit(f.hypothesis, f.fit.x, iterations=most, tolerance=1e-6 if last else 1.0 / f.n)
-        fit = self.fitter.fit(f.hypothesis, f.fit.x, iterations=WEIGHED, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
+            most = SHORTER if self.state.context.slow(f) else WEIGHED
+            return fitter.fit(f.hypothesis, f.fit.x, iterations=most, tolerance=1e-6 if last else 1.0 / f.n)
+        fit = fitter.fit(f.hypothesis, f.fit.x, iterations=WEIGHED, tolerance=1.0 / f.n, borrow=f, secant=True, rival=True)
         return fit.to_go_on()

@@ -18,6 +18,7 @@ from diagnose.verdict.decide import estimates, only_repeated_rows
 from diagnose.verdict.figures import error_figures, figures, rivals, traces
 from diagnose.verdict.findings import nominal_effect
 from diagnose.verdict.notes import Outcome, notes
+from diagnose.verdict.refusals import refusals
 from diagnose.verdict.summary import REPEATED_ROWS, summary
 
 __all__ = ["diagnosis", "unit_of"]
@@ -53,7 +54,8 @@ def diagnosis(
         noise_floor=fitter.noise.floor(noise_rms(fitter, fitter.experiments[0])),
         gap_closed=gap,
         rivals=rivals(search, best),
-        failed=dict(search.failed),
+        refusals=refusals(search, best),
+        failed=dict(search.state.failed),
         notes=said,
         next_experiment=next_experiment(fitter, search.pool.values(), best, found),
         channel=fitter.view.channel,

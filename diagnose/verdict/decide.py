@@ -60,7 +60,7 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
     """(held-out one-sided p, estimation likelihood-ratio p, gain of chi-square in units of the richer model's variance)."""
     from scipy.special import chdtrc
 
-    held = search.compared(poorer, richer).p_value
+    held = search.context.compared(poorer, richer).p_value
     gain = richer.n * math.log(poorer.chi2 / richer.chi2)
     extra = max(1, len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
     return held, float(chdtrc(extra, max(gain, 0.0))), gain
@@ -79,7 +79,7 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = AL
         if len(f.key) != len(best.key) or len(others) != 1 or not rest <= set(f.key):
             continue
         (key,) = others
-        if key == effect.key or search.ahead(best, f) > margin:
+        if key == effect.key or search.context.ahead(best, f) > margin:
             continue
         rival = next(e for e in f.effects if e.key == key)
         if rival.name() == effect.name() and rival.place == effect.place:

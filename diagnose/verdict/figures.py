@@ -73,7 +73,7 @@ def rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     lengths = [n * (10.0 if i < JUDGED else 1.0) for i, n in enumerate(search.fitter.lengths(ranked))]
 
     def figures(f: Fitted, judged: bool) -> tuple[HeldOut | None, float]:
-        return search.held_out(f) if judged else search.held.get(f.key), _rms(search.fitter, f)
+        return search.held_out(f) if judged else search.pool.known_held_out(f), _rms(search.fitter, f)
 
     told = search.fitter.map([partial(figures, f, i < JUDGED) for i, f in enumerate(ranked)], lengths)
     for f, (held, rms) in zip(ranked, told, strict=True):

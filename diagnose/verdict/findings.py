@@ -18,9 +18,9 @@ __all__ = ["element_of", "findings", "merged", "nominal_effect"]
 
 def merged(search: Search, best: Fitted) -> Fitted:
     """The best structure with one compound effect for two, where the data do not tell them apart."""
-    for effects in put_together(search.candidates, best.effects):
+    for effects in put_together(search.state.candidates, best.effects):
         simpler = search.fitter.fit(search.fitter.hypothesis(effects, best.linear, best.own), iterations=10)
-        if simpler.ok and search.ahead(best, simpler) <= ALIKE_C:
+        if simpler.ok and search.context.ahead(best, simpler) <= ALIKE_C:
             search.keep(simpler)
             return search.pool[simpler.key]
     return best
@@ -32,9 +32,9 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
     Rivals that may do as much in its place are fitted first, so that its equivalents are told from converged fits.
     """
     out = []
-    fewer = search.fitter.map([partial(search.without, best, effect) for effect in best.effects])
+    fewer = search.fitter.map([partial(search.reduction.without, best, effect) for effect in best.effects])
     for effect, poorer in zip(best.effects, fewer, strict=True):
-        search.imitated(best, effect)
+        search.reduction.fit_confounders(best, effect)
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)

@@ -119,7 +119,7 @@ def _of_the_search(outcome: Outcome, options: Options) -> Iterator[str]:
         )
     yield from _steps(search, best, outcome.unit)
     for f in outcome.found:
-        if search.hardly_exercised(best, f"{f.form or f.effect}@{f.place}"):
+        if search.significance.hardly_exercised(best, f"{f.form or f.effect}@{f.place}"):
             yield (
                 f"The held-out recording hardly exercises {f.effect.replace('_', ' ')} at the {f.place}: it was judged on "
                 "stretches of the estimation recordings that were held out of its fit. Record a held-out run that exercises it."

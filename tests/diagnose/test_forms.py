@@ -158,9 +158,9 @@ def test_parts_that_nothing_tells_from_one_effect_are_named_by_it(robot):
     try:
         search = Search(fitter, SearchOptions())
         apart = fitter.fit(fitter.hypothesis(asymmetric.parts()))
-        search.candidates = (Candidate("torque_ripple", "motor"),)
+        search.state.consider((Candidate("torque_ripple", "motor"),))
         assert merged(search, apart) is apart
-        search.candidates = (Candidate("asymmetric_friction", "motor"), Candidate("torque_ripple", "motor"))
+        search.state.consider((Candidate("asymmetric_friction", "motor"), Candidate("torque_ripple", "motor")))
         found = merged(search, apart)
         assert found.key == ("asymmetric_friction@motor",)
         assert found.chi2 == pytest.approx(apart.chi2, rel=1e-3)

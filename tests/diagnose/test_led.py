@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from diagnose.data.experiment import prepare
+from diagnose.evidence.outcome import Pair, Veto
+from diagnose.evidence.rivals.events import LEAD, no_moment_of_an_event
 from diagnose.fit.fitter import Fitter
+from diagnose.fit.pool import Pool
 from diagnose.problem.view import MotionView, most_led
 from diagnose.structure.budget import SearchOptions
-from diagnose.structure.judge import LEAD
 from diagnose.structure.search import Search
 from diagnose.verdict.decide import estimates
 from mjsim.effects import effect_class
@@ -22,6 +24,19 @@ from mjsim.recording import Recording
 DT, N = 1e-3, 10_000
 NOISE = 0.05
 STICTION = {"torque_Nm": 0.05, "peak": 4.5}
+
+
+def events_only(search, before, after) -> bool:
+    """Whether the test of the moments of events refuses the richer structure."""
+    return isinstance(no_moment_of_an_event(search.context, Pair(before, after)), Veto)
+
+
+def pool_of(*fits) -> Pool:
+    """A pool in which these stand for their structures."""
+    pool = Pool()
+    for f in fits:
+        pool.put(f)
+    return pool
 
 
 @pytest.fixture(scope="module")
@@ -164,16 +179,17 @@ def test_a_race_lands_what_sticks_and_comes_near_its_winner(robot, fitter):
     other = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=0)
     for share, lands in ((0.8, True), (0.1, False)):
         winner = dataclasses.replace(other, fit=dataclasses.replace(other.fit, cost=share * plain.chi2))
-        search.pool, search._landed = {f.key: f for f in (plain, winner)}, set()
-        search._land([winner, plain], other)
+        search.context.pool, search.path._landed = pool_of(plain, winner), set()
+        search.path.land_near([winner, plain], other)
         assert (search.pool[plain.key].chi2 < 0.6 * plain.chi2) is lands
     near = dataclasses.replace(plain, fit=dataclasses.replace(plain.fit, cost=1.5 * plain.n))
-    search.pool, search._landed = {f.key: f for f in (plain, other)}, set()
-    search._land([other, plain], near)
+    search.context.pool, search.path._landed = pool_of(plain, other), set()
+    search.path.land_near([other, plain], near)
     assert search.pool[plain.key] is plain, "it has landed with the base to which nothing that sticks was added"
     led_ones = dataclasses.replace(SearchOptions(), free=False)
-    other = Search(fitter, led_ones, pool={plain.key: plain})
-    other._land([plain], plain)
+    other = Search(fitter, led_ones)
+    other.keep(plain)
+    other.path.land_near([plain], plain)
     assert other.pool[plain.key] is plain, "led models have no such minima"
 
 
@@ -204,9 +220,9 @@ def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
     true = fitter.hypothesis((effect_class("static_friction")(**STICTION), ripple))
     after = fitter.fit(true, iterations=15)
     assert after.chi2 < 0.9 * before.chi2
-    assert search._events_only(before, after)
+    assert events_only(search, before, after)
     bare = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.n * 1.0))
-    assert search._events_only(bare, after), "nor where noise alone is left: there are minima below the one that was found"
+    assert events_only(search, bare, after), "nor where noise alone is left: there are minima below the one that was found"
 
 
 def test_a_pair_is_led_once_but_for_the_last_digits_of_its_fits(robot, fitter, monkeypatch):
@@ -216,13 +232,13 @@ def test_a_pair_is_led_once_but_for_the_last_digits_of_its_fits(robot, fitter, m
     before, after = (fitter.fit(fitter.hypothesis(effects), iterations=1) for effects in ((stiction,), (stiction, ripple)))
     led, calls = fitter.led, []
     monkeypatch.setattr(fitter, "led", lambda *args, **how: calls.append(args) or led(*args, **how))
-    said = search._events_only(before, after)
+    said = events_only(search, before, after)
     first = len(calls)
     finer = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.chi2 * (1 - 1e-4)))
-    assert search._events_only(finer, after) == said
+    assert events_only(search, finer, after) == said
     assert 0 < first == len(calls)
     other = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.chi2 * 0.98))
-    search._events_only(other, after)
+    events_only(search, other, after)
     assert len(calls) > first
 
 
@@ -239,7 +255,7 @@ def test_an_effect_that_is_there_beside_stiction_gains_in_a_led_model_too(robot,
         stiction = effect_class("static_friction")(**STICTION)
         alone = other.fit(other.hypothesis((stiction,)), iterations=15)
         both = other.fit(other.hypothesis((stiction, ripple)), iterations=10)
-        assert not search._events_only(alone, both)
+        assert not events_only(search, alone, both)
     finally:
         other.close()
 
@@ -249,7 +265,7 @@ def test_a_structure_whose_fit_was_lost_is_no_obstacle(fitter):
     search = Search(fitter, SearchOptions(seconds=0.0))
     lost = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.1),)), iterations=1)
     assert lost.chi2 > 1.04 * lost.n
-    search._unfold([lost])
+    search.path.grow([lost])
     assert search.pool.get(lost.key) is None
 
 
@@ -259,13 +275,13 @@ def test_what_comes_back_to_the_minimum_that_is_known_is_not_let_go_again(fitter
     lost = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.1),)), iterations=1)
     search.keep(lost)
     let_go = []
-    for name, told in (("lacks_more", False), ("lacks_law", False), ("_smoothed", lost), ("shake", lost)):
-        monkeypatch.setattr(search, name, lambda *_, told=told: told)
+    for name, told in (("lacks_more", False), ("lacks_law", False), ("smoothed", lost), ("restart", lost)):
+        monkeypatch.setattr(search.path, name, lambda *_, told=told: told)
     monkeypatch.setattr(fitter, "unfolded", lambda *_: lost)
     monkeypatch.setattr(fitter, "let_go", lambda *_: let_go.append(1) or lost)
     for _ in range(3):
-        search._unfold([lost], most=1)
-        search._unfold([lost])
+        search.path.grow([lost], most=1)
+        search.path.grow([lost])
     assert let_go == [1]
 
 
@@ -286,9 +302,9 @@ def test_an_effect_beside_stiction_has_to_beat_it_where_the_richer_structure_has
     ripple = effect_class("torque_ripple")(amplitude_Nm=1e-5, cycles_per_rev=5.4, phase_rad=0.0)
     richer = fitter.fit(fitter.hypothesis((effect_class("static_friction")(**STICTION), ripple)), iterations=15)
     search.keep(wrong)
-    assert search.gain(wrong, richer) > search.options.entry
-    assert not search.pays(wrong, richer)
-    lower = search._beside(wrong, richer)
+    assert search.context.gain(wrong, richer) > search.options.entry
+    assert not search.significance.significant(wrong, richer)
+    lower = search.significance.poorer_from(wrong, richer)
     assert lower.key == wrong.key
     assert lower.chi2 < richer.chi2 + search.options.entry
     assert search.pool[wrong.key] is lower
@@ -300,14 +316,14 @@ def test_what_stays_behind_when_both_are_led_is_not_unfolded(fitter, monkeypatch
     right = fitter.fit(fitter.hypothesis((effect_class("static_friction")(**STICTION),)), iterations=10)
     coulomb = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=10)
     lost = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.054, peak=4.2),)), iterations=10)
-    assert search.beaten(coulomb, right)
-    assert not search.beaten(right, coulomb)
+    assert search.path.beaten(coulomb, right)
+    assert not search.path.beaten(right, coulomb)
     assert lost.chi2 > 1.04 * lost.n
-    assert not search.beaten(lost, right), "it is behind by the moments at which it sticks, and no more"
-    assert not search.lacks_more(lost)
-    monkeypatch.setattr("diagnose.structure.search.folded", lambda f: True)
+    assert not search.path.beaten(lost, right), "it is behind by the moments at which it sticks, and no more"
+    assert not search.path.lacks_more(lost)
+    monkeypatch.setattr("diagnose.structure.continuation.folded", lambda f: True)
     monkeypatch.setattr(fitter, "unfolded", lambda *_: pytest.fail("unfolded all the same"))
-    search._unfold([coulomb], right)
+    search.path.grow([coulomb], right)
 
 
 def test_stiction_beside_which_something_large_is_missing_is_not_let_go(robot, sticking):
@@ -321,7 +337,7 @@ def test_stiction_beside_which_something_large_is_missing_is_not_let_go(robot, s
     try:
         search = Search(other, SearchOptions())
         alone = other.fit(other.hypothesis((effect_class("static_friction")(**STICTION),)), iterations=10)
-        assert search.lacks_more(alone)
+        assert search.path.lacks_more(alone)
     finally:
         other.close()
 
@@ -329,7 +345,7 @@ def test_stiction_beside_which_something_large_is_missing_is_not_let_go(robot, s
 def test_what_is_behind_is_shaken_where_a_run_of_it_is_short(robot, fitter, monkeypatch):
     """Static friction in a wrong minimum left 0.98 of what passed for noise, Stribeck friction of no width 0.90."""
     search, shaken = Search(fitter, SearchOptions()), []
-    monkeypatch.setattr(search, "shake", lambda f: shaken.append(f.key))
+    monkeypatch.setattr(search.path, "restart", lambda f: shaken.append(f.key))
     monkeypatch.setattr(fitter, "landed", lambda f: None)
     sticks = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.05, peak=4.0),)), iterations=0)
     slow = {"torque_Nm": 0.05, "extra_static_torque_Nm": 0.15, "stribeck_velocity_rad_s": 0.01}
@@ -337,8 +353,8 @@ def test_what_is_behind_is_shaken_where_a_run_of_it_is_short(robot, fitter, monk
     first, second = (
         dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c * f.n)) for f, c in ((like, 0.90), (sticks, 0.98))
     )
-    search.pool = {f.key: f for f in (first, second)}
-    search._land([second, first], dataclasses.replace(first, hypothesis=fitter.hypothesis(())))
+    search.context.pool = pool_of(first, second)
+    search.path.land_near([second, first], dataclasses.replace(first, hypothesis=fitter.hypothesis(())))
     assert shaken == [sticks.key], "the first leaves noise alone"
 
 
@@ -378,6 +394,6 @@ def test_what_stays_when_led_is_led_closely_first(fitter, monkeypatch, on_the_wa
         return leaving(1.10 if direct else on_the_way)
 
     monkeypatch.setattr(fitter, "led", led)
-    assert search.lacks_law(wrong) is lacks
+    assert search.path.lacks_law(wrong) is lacks
     assert asked == [LEAD, 300.0, 100.0, LEAD]
-    assert not search.lacks_law(leaving(2.5)), "it leaves too much to tell"
+    assert not search.path.lacks_law(leaving(2.5)), "it leaves too much to tell"

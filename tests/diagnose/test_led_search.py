@@ -14,6 +14,8 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
 from diagnose.structure.budget import SearchOptions
+from diagnose.structure.growth import Growth
+from diagnose.structure.multistart import Multistart
 from diagnose.structure.observer_search import among_led
 from diagnose.structure.search import Search
 from mjsim.effects import effect_class
@@ -67,15 +69,15 @@ def test_what_sticks_is_asked_what_it_lacks_though_it_comes_near_only_as_another
     """Friction of another law had won the race; what sticks was not near the best until it was tried in its place."""
     laws = effect_class("coulomb_friction")(torque_Nm=0.05), effect_class("static_friction")(**STICTION)
     first, sticking = (search.fitter.fit(search.fitter.hypothesis([law]), iterations=3) for law in laws)
-    monkeypatch.setattr(Search, "expand", lambda self, base: self.keep(first) or [first])
-    monkeypatch.setattr(Search, "refine", lambda self, base, *, forms=False: self.keep(sticking) or [sticking])
+    monkeypatch.setattr(Growth, "expand", lambda self, base: self.state.keep(first) or [first])
+    monkeypatch.setattr(Growth, "refine", lambda self, base, *, forms=False: self.state.keep(sticking) or [sticking])
     asked = []
-    monkeypatch.setattr(Search, "_led_first", lambda self, current, best: asked.append({*self.pool}) or best)
-    monkeypatch.setattr(Search, "swap", lambda self, base: asked.append("swap") or [])
+    monkeypatch.setattr(Search, "_under_observer", lambda self, current, best: asked.append({*self.pool}) or best)
+    monkeypatch.setattr(Growth, "exchange", lambda self, base, *within: within or asked.append("exchange") or [])
     search.run()
     assert sticking.key not in asked[0]
     assert sticking.key in asked[1], "once more, before anything gives way to it"
-    assert asked[2] == "swap"
+    assert asked[2] == "exchange"
 
 
 def test_led_models_are_searched_where_the_best_explains_little_though_nothing_sticks(search):
@@ -83,21 +85,21 @@ def test_led_models_are_searched_where_the_best_explains_little_though_nothing_s
     lag = search.fitter.fit(search.fitter.hypothesis([effect_class("sensor_lag")(time_constant_s=1e-3)]), iterations=3)
     nominal = search.nominal()
     asked = []
-    search.led_by = lambda: asked.append(1)
+    search.observed_by = lambda: asked.append(1)
     much = dataclasses.replace(lag, fit=dataclasses.replace(lag.fit, cost=0.2 * nominal.chi2))
-    search._led_first(nominal, much)
+    search._under_observer(nominal, much)
     assert not asked
     little = dataclasses.replace(lag, fit=dataclasses.replace(lag.fit, cost=0.5 * nominal.chi2))
-    search._led_first(nominal, little)
-    search._led_first(nominal, little)
+    search._under_observer(nominal, little)
+    search._under_observer(nominal, little)
     assert asked == [1], "once"
 
 
 def test_led_models_are_not_begun_at_the_nominal_parameters_again(search, monkeypatch):
     """They have hardly any minima but one: what is short of its promise is so from there as well, and costs half a search."""
     asked = []
-    monkeypatch.setattr(Search, "_short_of_promise", lambda self, base, s: asked.append(self.options.free))
-    search.expand(search.nominal())
+    monkeypatch.setattr(Multistart, "short_of_promise", lambda self, base, s: asked.append(self.state.options.free))
+    search.growth.expand(search.nominal())
     among_led(search)
     assert True in asked
     assert False not in asked
@@ -105,7 +107,7 @@ def test_led_models_are_not_begun_at_the_nominal_parameters_again(search, monkey
 
 def test_no_structure_is_made_up_where_led_models_lack_what_none_has(search):
     """Of effects that cannot explain it none is fitted to a free run."""
-    search.candidates = tuple(c for c in search.candidates if c.id == "hysteresis")
+    search.state.consider(tuple(c for c in search.state.candidates if c.id == "hysteresis"))
     among_led(search)
     assert list(search.pool) == [()]
 

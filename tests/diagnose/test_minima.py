@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from robot_axis import effect
 
+from diagnose.evidence.context import Context
 from diagnose.evidence.held_out import Comparison
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.screening import APART
@@ -25,11 +26,11 @@ def test_a_lag_at_the_other_end_is_tried_as_soon_as_friction_is_there(fitter_of,
     for lag in lags:
         search.keep(fitter.fit(fitter.hypothesis([lag])))
     base = fitter.fit(fitter.hypothesis([STICKS, lags[1]], PLANT), iterations=6)
-    search._twins(base)
+    search.growth.exchange_confounders(base)
     key = tuple(sorted([STICKS.key, lags[0].key]))
     assert search.pool[key].chi2 < 1.1 * base.n < 0.5 * base.chi2
     runs = fitter.runs
-    search._twins(search.pool[key])
+    search.growth.exchange_confounders(search.pool[key])
     assert fitter.runs == runs, "nothing is left to explain"
 
 
@@ -42,7 +43,7 @@ def test_what_a_law_comes_to_is_built_on_in_its_place(fitter_of, pair):
     base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **numbers)], PLANT), iterations=5)
     assert base.chi2 < 1.5 * base.n
     search.keep(base)
-    assert search.expand(base) == []
+    assert search.growth.expand(base) == []
     assert search.pool[(STICKS.key,)].effects[0].peak == pytest.approx(2.4, rel=0.05)
     assert all(len(key) < 2 for key in search.pool)
 
@@ -55,11 +56,11 @@ def test_what_is_behind_in_a_free_run_alone_is_let_go(fitter_of, pair):
     beside = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **numbers)], PLANT), iterations=15)
     assert astray.chi2 > beside.chi2 > 1.1 * beside.n
     search.keep(astray)
-    search._freed(astray, beside)
+    search.path.release_once(astray, beside)
     found = search.pool[(STICKS.key,)]
     assert found.chi2 < 1.1 * found.n
     runs = fitter.runs
-    search._freed(astray, beside)
+    search.path.release_once(astray, beside)
     assert fitter.runs == runs, "once"
 
 
@@ -73,23 +74,23 @@ def test_a_richer_structure_is_compared_at_the_numbers_that_the_poorer_one_has_c
     before = fitter.fit(first.hypothesis, first.fit.x)
     assert after.chi2 < 0.5 * before.chi2
     search.keep(after)
-    assert search.compared(before, after).relative_gain > 0.0
-    assert search._begun_from(before, after) is None, "held-out data do not speak against it"
-    monkeypatch.setattr(search, "compared", lambda *pair: Comparison(-1.0, 1.0))
-    assert search._begun_from(before, after) is None, "it has come to the same numbers"
-    search._begun_richer.clear()
-    monkeypatch.setattr("diagnose.structure.judge.MOVED", 0.0)
-    begun = search._begun_from(before, after)
+    assert search.context.compared(before, after).relative_gain > 0.0
+    assert search.significance.richer_from(before, after) is None, "held-out data do not speak against it"
+    monkeypatch.setattr(Context, "compared", lambda self, *pair: Comparison(-1.0, 1.0))
+    assert search.significance.richer_from(before, after) is None, "it has come to the same numbers"
+    search.significance._richer.clear()
+    monkeypatch.setattr("diagnose.structure.significance.MOVED", 0.0)
+    begun = search.significance.richer_from(before, after)
     assert begun is not None
     assert begun.chi2 < after.chi2 + search.options.entry
     runs = fitter.runs
-    assert search._begun_from(before, after) is begun
+    assert search.significance.richer_from(before, after) is begun
     assert fitter.runs == runs, "once"
-    assert search._begun_from(begun, begun) is None, "of itself there is no other"
-    assert not search._pays_again(before, begun, 2)
+    assert search.significance.richer_from(begun, begun) is None, "of itself there is no other"
+    assert not search.significance.generalises_by(before, begun, 2)
     assert search.pool[after.key] is after, "it stands as it was"
     monkeypatch.undo()
-    assert search._pays_again(before, begun, 2)
+    assert search.significance.generalises_by(before, begun, 2)
     assert search.pool[after.key] is begun
 
 
@@ -99,12 +100,12 @@ def test_what_promises_beside_the_nominal_parameters_is_tried_though_refitted_on
     fitter = fitter_of(pair(friction))
     search = Search(fitter, SearchOptions())
     astray = fitter.fit(fitter.hypothesis((), search.nominal().linear), iterations=0)
-    first = search._look(astray).from_nominal(search._additions(astray))
+    first = search.race.look(astray).from_nominal(search.growth.additions(astray))
     assert len(first) == APART
     assert first[0].candidate.key == friction.key
-    search.expand(astray)
+    search.growth.expand(astray)
     assert search.pool[(friction.key,)].chi2 < 1.1 * astray.n < 0.1 * astray.chi2
-    assert not search._look(search.pool[(friction.key,)]).apart
+    assert not search.race.look(search.pool[(friction.key,)]).apart
 
 
 def test_a_limit_of_a_law_is_begun_at_its_other_starts_too(fitter_of, pair):
@@ -113,7 +114,7 @@ def test_a_limit_of_a_law_is_begun_at_its_other_starts_too(fitter_of, pair):
     search = Search(fitter, SearchOptions())
     numbers = {"torque_Nm": 0.15, "extra_static_torque_Nm": 0.03, "stribeck_velocity_rad_s": 0.3}
     base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **numbers)], PLANT), iterations=0)
-    found = search._begun_about((), STICKS.with_values({"peak": 1.2}), base)
+    found = search.starts._about_limit((), STICKS.with_values({"peak": 1.2}), base)
     alone = fitter.fit(fitter.hypothesis([STICKS.with_values({"peak": 1.2})], PLANT), iterations=20, rival=True)
     assert found.chi2 < 1.1 * found.n < alone.chi2
     assert found.effects[0].peak == pytest.approx(2.4, rel=0.1)
@@ -129,8 +130,8 @@ def test_what_cannot_be_told_from_an_answer_is_fitted_whatever_may_still_be_simu
     fitter.most_runs = fitter.runs - 1
     assert fitter.spent
     assert best.chi2 < 1.1 * best.n < 0.5 * far.chi2
-    search.imitated(far, far.effects[0])
+    search.reduction.fit_confounders(far, far.effects[0])
     assert not search.pool
-    search.imitated(best, best.effects[0])
+    search.reduction.fit_confounders(best, best.effects[0])
     (found,) = (f for key, f in search.pool.items() if key == ("sensor_lag@sensor",))
     assert found.chi2 < 1.1 * found.n

@@ -19,6 +19,7 @@ from diagnose.progress import Progress
 from diagnose.result import Verdict
 from diagnose.structure import passes
 from diagnose.structure.budget import SearchOptions
+from diagnose.structure.growth import Growth
 from diagnose.structure.search import Search
 from lab.benchmark.experiment import speed_multisine, trapezoid
 from lab.benchmark.laws import Laws
@@ -44,9 +45,9 @@ def test_the_nominal_structure_is_begun_elsewhere_where_it_leaves_much(search_of
     fitter = search.fitter
     stuck = fitter.fit(fitter.hypothesis((), ELSEWHERE))
     assert stuck.chi2 > 3 * stuck.n, "else there is nothing to show"
-    assert search._elsewhere(stuck).chi2 < 1.05 * stuck.n
+    assert search.starts._about_nominal(stuck).chi2 < 1.05 * stuck.n
     right = fitter.fit(fitter.hypothesis(()))
-    assert search._elsewhere(right) is right
+    assert search.starts._about_nominal(right) is right
 
 
 def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase(search_of, pair):
@@ -58,7 +59,7 @@ def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase
     stuck = fitter.fit(fitter.hypothesis((effect("position_dependent_friction", place="motor", **wrong),)))
     assert stuck.chi2 > 2 * stuck.n, "else there is nothing to show"
     search.keep(stuck)
-    search.refine(stuck)
+    search.growth.refine(stuck)
     found = search.pool[stuck.key]
     assert found.chi2 < 1.05 * found.n
     assert found.effects[0].values["cycles_per_rev"] == pytest.approx(3.0, rel=1e-3)
@@ -71,14 +72,14 @@ def test_where_the_held_out_recording_cannot_tell_stretches_of_the_other_one_do(
     before = search.nominal()
     search.know(search.fitter.fit(search.fitter.hypothesis((limit,))))
     after = search.pool[("actuator_saturation@actuator",)]
-    assert search.pays(before, after)
-    assert not search.hardly_exercised(after, "actuator_saturation@actuator")
+    assert search.significance.significant(before, after)
+    assert not search.significance.hardly_exercised(after, "actuator_saturation@actuator")
     heard = search.held_out(before), search.held_out(after)
-    search.held = {before.key: heard[1], after.key: heard[1]}
-    assert search.pays(before, after)
-    assert search.hardly_exercised(after, "actuator_saturation@actuator")
-    search.held = {before.key: heard[1], after.key: heard[0]}
-    assert not search.pays(before, after), "held-out data that speak against an effect are heard"
+    search.pool._held = {before.key: heard[1], after.key: heard[1]}
+    assert search.significance.significant(before, after)
+    assert search.significance.hardly_exercised(after, "actuator_saturation@actuator")
+    search.pool._held = {before.key: heard[1], after.key: heard[0]}
+    assert not search.significance.significant(before, after), "held-out data that speak against an effect are heard"
 
 
 def test_stretches_do_not_bear_out_what_one_part_of_a_recording_holds(search_of, record):
@@ -92,8 +93,8 @@ def test_stretches_do_not_bear_out_what_one_part_of_a_recording_holds(search_of,
     (after,) = (f for f in search.pool.values() if f.key)
     after = dataclasses.replace(after, fit=dataclasses.replace(after.fit, cost=0.9 * before.fit.cost))  # as if it gained much
     same = search.held_out(after)
-    search.held = {before.key: same, after.key: same}
-    assert not search.pays(before, after)
+    search.pool._held = {before.key: same, after.key: same}
+    assert not search.significance.significant(before, after)
 
 
 def test_digits_of_a_quantised_velocity_that_repeat_were_not_held(record):
@@ -155,7 +156,7 @@ def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
 def is_sought_on_whitened_errors_only(fitter, monkeypatch):
     """Search by a fitter, and find nothing."""
     searched_by = []
-    monkeypatch.setattr(passes.Search, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
+    monkeypatch.setattr(Growth, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
     _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
     assert whitened
     assert 1 not in searched_by, "nothing is sought on plain errors"

@@ -13,6 +13,7 @@ from robot_axis import effect
 from scipy.stats import wilcoxon
 
 from diagnose.data.experiment import prepare
+from diagnose.evidence.context import PUT_RIGHT
 from diagnose.evidence.held_out import Comparison, compare, signed_rank
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import FAR, Fitter
@@ -22,9 +23,9 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import Candidate, Screened, inherit, takes_place
-from diagnose.structure.judge import PUT_RIGHT
 from diagnose.structure.moves import at_limits, elsewhere, ground, named, promising, refines, simpler_at, with_other_laws
-from diagnose.structure.search import PORTION, Search
+from diagnose.structure.race import PORTION
+from diagnose.structure.search import Search
 from mjsim.effects import effect_class
 
 N, BLOCKS = 20_000, 40
@@ -143,9 +144,9 @@ def test_a_structure_without_an_effect_is_fitted_once(fitter_of, pair):
     fitter = fitter_of(pair(coulomb(0.3)))
     search = Search(fitter, SearchOptions(only=("coulomb_friction",)))
     best = search.run()
-    first = search.without(best, best.effects[0])
+    first = search.reduction.without(best, best.effects[0])
     runs = fitter.runs
-    assert search.without(best, best.effects[0]) is first
+    assert search.reduction.without(best, best.effects[0]) is first
     assert fitter.runs == runs
 
 
@@ -153,8 +154,8 @@ def test_the_search_ends_without_the_prior_that_guided_it(fitter_of, pair):
     fitter = fitter_of(pair(coulomb(0.3)))
     weights = []
     search = Search(fitter, SearchOptions(only=("coulomb_friction",)))
-    weigh = search._weigh
-    search._weigh = lambda guide, f: weights.append(guide) or weigh(guide, f)
+    weigh = search.tempering.weigh
+    search.tempering.weigh = lambda guide, f: weights.append(guide) or weigh(guide, f)
     free = search.nominal()
     best = search.run()
     assert max(weights) > 1.0, "so large a misfit is guided"
@@ -214,9 +215,10 @@ def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong
     wrong = {name: value * (3.0 if name == "kg" else 1.0) for name, value in good.linear.items()}
     stuck = fitter.fit(fitter.hypothesis((), wrong), iterations=0)
     stuck = dataclasses.replace(stuck, fit=dataclasses.replace(stuck.fit, status=Status.CONVERGED))
-    search.pool = {(): stuck, richer.key: richer}
+    search.pool.put(stuck)
+    search.pool.put(richer)
     assert stuck.chi2 > 2 * richer.chi2
-    assert search._eliminate(richer).key == ()
+    assert search.reduction.eliminate(richer).key == ()
     assert search.nominal().chi2 < 1.01 * good.chi2
     fitter.close()
 
@@ -239,9 +241,10 @@ def test_held_out_data_judge_structures_of_one_size_as_well(fitter_of, pair):
     right = fitter.fit(fitter.hypothesis([effect("coulomb_friction", torque_Nm=0.1)]))
     wrong = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.01)], right.linear))
     flattered = dataclasses.replace(wrong, fit=dataclasses.replace(wrong.fit, cost=0.5 * right.chi2))
-    search.pool |= {right.key: right, flattered.key: flattered}
+    for f in (right, flattered):
+        search.pool.put(f)
     assert search.criterion(flattered) < search.criterion(right)
-    assert search._best(right) is right, "by the estimation data alone it would be the other"
+    assert search.selection.best(right) is right, "by the estimation data alone it would be the other"
 
 
 def test_a_held_out_run_that_goes_astray_judges_as_far_as_it_foretells(fitter_of, pair, monkeypatch):
@@ -255,13 +258,13 @@ def test_a_held_out_run_that_goes_astray_judges_as_far_as_it_foretells(fitter_of
     monkeypatch.setattr(fitter, "led_held_out", lambda f, rate: None)
     monkeypatch.setattr(fitter, "foretold", lambda f: [half] if f is right else None)
     blind = compare(search.held_out(base), search.held_out(right), known=True)
-    judged = search.compared(base, right)
+    judged = search.context.compared(base, right)
     assert judged.relative_gain > 3 * blind.relative_gain
     assert judged.p_value < 1e-6
-    assert search.compared(right, base).relative_gain < 0, "and it speaks against the other just as far"
+    assert search.context.compared(right, base).relative_gain < 0, "and it speaks against the other just as far"
     monkeypatch.setattr(fitter, "foretold", lambda f: None)
-    search._samples.clear()
-    assert search.compared(base, right) == blind
+    search.context.memo.predicted.clear()
+    assert search.context.compared(base, right) == blind
 
 
 def test_a_held_out_run_that_goes_astray_is_judged_by_led_models_too(fitter_of, pair, monkeypatch):
@@ -278,10 +281,12 @@ def test_a_held_out_run_that_goes_astray_is_judged_by_led_models_too(fitter_of, 
     blind = compare(search.held_out(base), search.held_out(right), known=True)
     led = compare(*(clean.led_held_out(f, PUT_RIGHT) for f in (base, right)), known=True)
     assert blind.p_value > 2 * led.p_value
-    assert search.compared(base, right) == Comparison(led.relative_gain, 2 * led.p_value)
+    assert search.context.compared(base, right) == Comparison(led.relative_gain, 2 * led.p_value)
     nearly = dataclasses.replace(right, fit=dataclasses.replace(right.fit, cost=right.n + 0.02 * (base.chi2 - base.n)))
-    search.held[right.key] = search.held_out(right)
-    assert search.compared(base, nearly) == blind, "it leaves too much on the estimation data to be right but for its events"
+    search.pool._held[right.key] = search.held_out(right)
+    assert search.context.compared(base, nearly) == blind, (
+        "it leaves too much on the estimation data to be right but for its events"
+    )
 
 
 def test_only_laws_that_stick_or_strike_go_astray(fitter_of, pair):
@@ -297,11 +302,12 @@ def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fi
     right = fitter.fit(fitter.hypothesis([coulomb()]))
     wrong = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.01)], right.linear))
     nearly = dataclasses.replace(wrong, fit=dataclasses.replace(wrong.fit, cost=1.1 * right.chi2))
-    search.pool |= {right.key: right, nearly.key: nearly}
-    search.held = {k: search.held_out(right) for k in (right.key, nearly.key)}  # held-out data do not tell them apart
-    search.worth_of = lambda poorer, richer: 0.1 if richer.key == right.key else 1.0
-    assert search.ahead(nearly, right) > 0
-    assert search._best(right) is right
+    for f in (right, nearly):
+        search.pool.put(f)
+    search.pool._held = {k: search.held_out(right) for k in (right.key, nearly.key)}  # held-out data do not tell them apart
+    search.context.worth_of = lambda poorer, richer: 0.1 if richer.key == right.key else 1.0
+    assert search.context.ahead(nearly, right) > 0
+    assert search.selection.best(right) is right
 
 
 def test_a_held_out_run_that_needs_a_phase_of_its_own_is_judged_with_it(fitter_of, pair, monkeypatch):
@@ -328,14 +334,14 @@ def test_another_law_of_the_same_name_stands_once_it_fits_better_and_no_worse_on
     def scaled(factor: float) -> HeldOut:
         return dataclasses.replace(here, errors=here.errors * factor, sse=here.sse * factor**2)
 
-    search.held = {plain.key: here, better.key: scaled(0.9999)}
-    assert search.stands(plain, better)
-    assert not search.stands(search.nominal(), better), "of another name"
-    search.held[better.key] = scaled(1.0001)
-    assert not search.stands(plain, better), "held-out data speak against it"
-    search.held[better.key] = scaled(0.9999)
+    search.pool._held = {plain.key: here, better.key: scaled(0.9999)}
+    assert search.significance.better_law(plain, better)
+    assert not search.significance.better_law(search.nominal(), better), "of another name"
+    search.pool._held[better.key] = scaled(1.0001)
+    assert not search.significance.better_law(plain, better), "held-out data speak against it"
+    search.pool._held[better.key] = scaled(0.9999)
     level = dataclasses.replace(creeping, fit=dataclasses.replace(creeping.fit, cost=0.9999 * plain.chi2))
-    assert not search.stands(plain, level), "no better on the estimation data"
+    assert not search.significance.better_law(plain, level), "no better on the estimation data"
 
 
 def test_what_comes_near_is_tried_by_its_other_laws(fitter_of, pair):
@@ -352,10 +358,10 @@ def test_what_comes_near_is_tried_by_its_other_laws(fitter_of, pair):
         dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c)) for f, c in zip(fits, costs, strict=True)
     ]
     pool = {f.key: f for f in (best, *fits)}
-    near = [f.key for f in with_other_laws(pool, search.candidates, offset, 0.1)]
+    near = [f.key for f in with_other_laws(pool, search.state.candidates, offset, 0.1)]
     assert near == [("coulomb_friction@motor",), ("stribeck_friction@motor",)]
-    assert with_other_laws(pool, search.candidates, offset, 0.005) == []
-    assert with_other_laws(pool, search.candidates, friction, 0.1) == [], "what refines it fits as it does"
+    assert with_other_laws(pool, search.state.candidates, offset, 0.005) == []
+    assert with_other_laws(pool, search.state.candidates, friction, 0.1) == [], "what refines it fits as it does"
 
 
 def test_a_structure_is_promising_by_how_far_chi_square_falls_whatever_the_level_of_the_noise(fitter_of, pair):
@@ -384,7 +390,7 @@ def test_a_gain_on_all_of_a_held_out_run_counts_where_what_is_foretold_of_it_say
     own = fitter.validate
     monkeypatch.setattr(fitter, "validate", lambda f, samples=None: own(f) if samples is None else held(np.zeros(N)))
     on_all = compare(search.held_out(base), search.held_out(right), known=True)
-    judged = search.compared(base, right)
+    judged = search.context.compared(base, right)
     assert judged.relative_gain == on_all.relative_gain > 0.5
     assert judged.p_value == min(1.0, 2 * on_all.p_value) < 1e-6
 
@@ -401,20 +407,20 @@ def test_what_a_better_law_may_still_miss_is_no_effect_of_its_own(fitter_of, pai
     richer = fitter.fit(fitter.hypothesis([*other.effects, load], other.linear), iterations=0)
     costs = {own: 50.0, other: 1.2, richer: 1.0}
     own, other, richer = (dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=c * f.n)) for f, c in costs.items())
-    assert search.of_the_law(other) == 0.0, "nobody knows what the contract's own law leaves"
+    assert search.context.law_error(other) == 0.0, "nobody knows what the contract's own law leaves"
     search.keep(own)
-    assert search.of_the_law(own) == 0.0
-    assert search.of_the_law(other) == pytest.approx((0.01 * 48.8 + 0.02) * other.n)
-    assert not search.pays(other, richer)
-    assert search.floor(other) > 3_000
+    assert search.context.law_error(own) == 0.0
+    assert search.context.law_error(other) == pytest.approx((0.01 * 48.8 + 0.02) * other.n)
+    assert not search.significance.significant(other, richer)
+    assert search.context.floor(other) > 3_000
     near = dataclasses.replace(own, fit=dataclasses.replace(own.fit, cost=1.5 * own.n))
     search.pool.clear()
-    search._least.clear()
+    search.pool._least.clear()
     search.keep(near)
-    assert search.of_the_law(other) == pytest.approx(0.03 * 0.3 * other.n)
+    assert search.context.law_error(other) == pytest.approx(0.03 * 0.3 * other.n)
     search.keep(own)
     search.pool.clear()
-    assert search.of_the_law(other) > 0.0, "what has left the pool was fitted all the same"
+    assert search.context.law_error(other) > 0.0, "what has left the pool was fitted all the same"
 
 
 def test_a_rival_without_hope_is_not_fitted_on(fitter_of, pair):
@@ -425,9 +431,9 @@ def test_a_rival_without_hope_is_not_fitted_on(fitter_of, pair):
     poor = fitter.fit(fitter.hypothesis([coulomb(0.3)]), iterations=1)
     beside = [*right.effects, effect("gravity_load", place="arm", torque_Nm=1e-4, phase_rad=0.0)]
     idle = fitter.fit(fitter.hypothesis(beside, right.linear), iterations=2)
-    assert not search._promising(right, idle, search.floor(right))
-    assert search._promising(search.nominal(), poor, search.floor(right)), "far from noise all go on"
-    assert search._promising(idle, dataclasses.replace(right, fit=right.fit), -10.0), "as good, and simpler"
+    assert not search.race.promising(right, idle, search.context.floor(right))
+    assert search.race.promising(search.nominal(), poor, search.context.floor(right)), "far from noise all go on"
+    assert search.race.promising(idle, dataclasses.replace(right, fit=right.fit), -10.0), "as good, and simpler"
 
 
 def test_an_effect_that_explains_little_of_much_creeps_whatever_the_prior_weighs(fitter_of, pair):
@@ -447,10 +453,10 @@ def test_a_structure_that_leaves_less_than_noise_leaves_something_if_that_has_a_
     search = Search(fitter, SearchOptions())
     right, wrong = fitter.fit(fitter.hypothesis([coulomb()])), search.nominal()
     less = [dataclasses.replace(f, fit=dataclasses.replace(f.fit, cost=0.8 * f.n)) for f in (right, wrong)]
-    assert not search.visible(right)
-    assert not search.visible(less[0])
-    assert search.visible(less[1])
-    assert search.visible(wrong)
+    assert not search.context.visible(right)
+    assert not search.context.visible(less[0])
+    assert search.context.visible(less[1])
+    assert search.context.visible(wrong)
 
 
 def test_near_the_end_of_what_may_be_simulated_rivals_are_begun_a_few_at_a_time(fitter_of, pair):
@@ -458,20 +464,24 @@ def test_near_the_end_of_what_may_be_simulated_rivals_are_begun_a_few_at_a_time(
     fitter = fitter_of(pair(coulomb(0.3)))
     search = Search(fitter, SearchOptions())
     base = search.nominal()
-    ranked = [(base.effects, s) for s in search._look(base).screen(search.candidates) if s.candidate.id != "presliding_friction"]
+    ranked = [
+        (base.effects, s)
+        for s in search.race.look(base).screen(search.state.candidates)
+        if s.candidate.id != "presliding_friction"
+    ]
     slow = effect("presliding_friction", torque_Nm=50.0, stiffness_Nm_rad=2e3)  # which never slides
     stiff = (base.effects, Screened(Candidate(slow.id, slow.place), slow, 1e3, (slow,)))
     fitter.most_runs = fitter.runs + 1
-    ranked = search._within_reach(base, [stiff, *ranked])[: 3 * PORTION]
+    ranked = search.race._within_reach(base, [stiff, *ranked])[: 3 * PORTION]
     assert stiff not in ranked, "what is slow to run is not begun at all"
-    assert "too slow" in search.failed[slow.key], "and not dropped in silence"
+    assert "too slow" in search.state.failed[slow.key], "and not dropped in silence"
     assert len(ranked) == 3 * PORTION
-    assert len(search._race(base, ranked)) == PORTION
-    assert search._race(base, ranked) == []
+    assert len(search.race.run(base, ranked)) == PORTION
+    assert search.race.run(base, ranked) == []
     fitter.most_runs = math.inf
-    assert len(search._race(base, ranked)) == 3 * PORTION
-    assert stiff in search._within_reach(base, [stiff])
-    assert slow.key not in search.failed
+    assert len(search.race.run(base, ranked)) == 3 * PORTION
+    assert stiff in search.race._within_reach(base, [stiff])
+    assert slow.key not in search.state.failed
 
 
 def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
@@ -482,15 +492,15 @@ def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
     level = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 0.003}
     base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **level)]), iterations=3)
     assert [e.key for (e,) in at_limits(base)] == [sticks.key]
-    search._limit(base)
+    search.starts.limits(base)
     assert search.pool[(sticks.key,)].chi2 < 1.01 * base.chi2
     (found,) = search.pool[(sticks.key,)].effects
     assert found.torque_Nm == pytest.approx(0.1, rel=0.05)
     assert found.peak == pytest.approx(1.8, rel=0.05)
     search.pool.clear()
-    search.retried.clear()
-    search.candidates = tuple(c for c in search.candidates if c.id != sticks.id)
-    search._limit(base)
+    search.state.tried.clear()
+    search.state.consider(tuple(c for c in search.state.candidates if c.id != sticks.id))
+    search.starts.limits(base)
     assert not search.pool, "not offered"
 
 
@@ -500,36 +510,36 @@ def test_what_is_slow_to_run_is_tried_as_the_law_that_it_refines_from_its_own_nu
     search = Search(fitter, SearchOptions())
     stiff = effect("presliding_friction", torque_Nm=0.1, stiffness_Nm_rad=2e5)
     base = fitter.fit(fitter.hypothesis([stiff]), iterations=0)
-    assert search._slow(base)
+    assert search.context.slow(base)
     assert [e.key for (e,) in simpler_at(base)] == ["coulomb_friction@motor"]
     search.keep(fitter.fit(fitter.hypothesis([coulomb(0.9)]), iterations=0))
-    search._limit(base)
+    search.starts.limits(base)
     found = search.pool[("coulomb_friction@motor",)]
     assert found.chi2 < 1.01 * base.chi2
     assert found.effects[0].torque_Nm == pytest.approx(0.1, rel=0.01)
     soft = fitter.fit(fitter.hypothesis([effect("presliding_friction", torque_Nm=0.1, stiffness_Nm_rad=2.0)]), iterations=0)
-    assert not search._slow(soft)
+    assert not search.context.slow(soft)
     runs = fitter.runs
-    search._limit(soft)
+    search.starts.limits(soft)
     assert fitter.runs == runs, "what is soon run is left as it is"
 
 
-def test_a_structure_that_was_fitted_without_an_effect_is_not_begun_there_again(fitter_of, pair):
+def test_a_structure_that_was_fitted_without_an_effect_is_not_begun_there_again(fitter_of, pair, monkeypatch):
     sticks = effect("static_friction", torque_Nm=0.3, peak=1.3)
     fitter = fitter_of(pair(sticks))
     search = Search(fitter, SearchOptions())
     richer = fitter.fit(fitter.hypothesis([sticks, effect("torque_offset", torque_Nm=0.01)]))
     offset = next(e for e in richer.effects if e.id == "torque_offset")
-    rest = search.without(richer, offset)
+    rest = search.reduction.without(richer, offset)
     assert rest.rough
     begun = []
-    search._begun_at = lambda *asked: begun.append(asked) or rest
-    search._brought_down = lambda f: None
-    search._beside(rest, richer)
+    monkeypatch.setattr("diagnose.structure.significance.warm_started", lambda *asked: begun.append(asked) or rest)
+    search.path.land = lambda f: None
+    search.significance.poorer_from(rest, richer)
     assert not begun
-    search._without.clear()
-    search._begun_beside.clear()
-    search._beside(search.pool[rest.key], richer)
+    search.state.warm.clear()
+    search.significance._poorer.clear()
+    search.significance.poorer_from(search.pool[rest.key], richer)
     assert len(begun) == 1
 
 
@@ -554,10 +564,10 @@ def test_what_the_screen_has_first_is_fitted_from_the_nominal_parameters_where_i
     search.keep(begun)
     far = spring.with_values({"coefficient_Nm_rad3": 3e10})
     promised = Screened(Candidate(spring.id, spring.place), far, base.chi2 - base.n, (far,))
-    found = search._short_of_promise(base, promised)
+    found = search.starts.short_of_promise(base, promised)
     assert begun.chi2 > 2 * base.n > 1.5 * found.chi2
     assert search.pool[found.key] is found
-    assert search._short_of_promise(base, promised) is None, "it keeps what it promised"
+    assert search.starts.short_of_promise(base, promised) is None, "it keeps what it promised"
 
 
 def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(fitter_of, pair):
@@ -567,7 +577,7 @@ def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(f
     search = Search(fitter, SearchOptions())
     base = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.1)]))
     search.keep(base)
-    (found,) = (f for f in search.refine(base) if f.key == (weight.key,))
+    (found,) = (f for f in search.growth.refine(base) if f.key == (weight.key,))
     assert found.chi2 < 1.1 * found.n < base.chi2
     assert found.effects[0].torque_Nm == pytest.approx(25.0, rel=0.1)
     assert refines(found, base)
@@ -591,14 +601,14 @@ def test_what_is_locked_to_position_is_refined_again_at_the_order_that_now_stand
     search.keep(base)
     search.keep(fitter.fit(fitter.hypothesis([varying.with_values({"cycles_per_rev": 40.0})]), iterations=3))
     assert search.pool[(varying.key,)].chi2 < 1.2 * base.chi2
-    assert not [f for f in search.refine(base) if f.key == (varying.key,)]
+    assert not [f for f in search.growth.refine(base) if f.key == (varying.key,)]
     fitter.set_orders((6.0,))
-    (found,) = (f for f in search.refine(base) if f.key == (varying.key,))
+    (found,) = (f for f in search.growth.refine(base) if f.key == (varying.key,))
     assert found.chi2 < 1.1 * found.n < base.chi2
     assert found.effects[0].cycles_per_rev == pytest.approx(6.0, abs=0.01)
     fitter.set_orders((40.0, 6.0))
-    assert [f.key for f in search.refine(base)].count((varying.key,)) == 1
-    assert not [f for f in search.refine(base) if f.key == (varying.key,)], "once by these orders"
+    assert [f.key for f in search.growth.refine(base)].count((varying.key,)) == 1
+    assert not [f for f in search.growth.refine(base) if f.key == (varying.key,)], "once by these orders"
 
 
 def test_what_promises_to_take_up_nearly_all_is_tried_before_what_is_dear(fitter_of, pair):
@@ -607,10 +617,10 @@ def test_what_promises_to_take_up_nearly_all_is_tried_before_what_is_dear(fitter
     search = Search(fitter, SearchOptions())
     alone = fitter.fit(fitter.hypothesis([coulomb()]))
     search.keep(alone)
-    assert search._promises(alone, set())
-    assert not search._promises(alone, {alone.key}), "it was tried"
+    assert search.growth.promises(alone, set())
+    assert not search.growth.promises(alone, {alone.key}), "it was tried"
     both = search.fitter.fit(fitter.hypothesis([coulomb(), effect("time_delay", place="actuator", delay_s=1.5e-3)]))
-    assert not search._promises(both, set()), "nothing is left"
+    assert not search.growth.promises(both, set()), "nothing is left"
 
 
 def test_nothing_beside_the_simpler_form_promises_what_a_refinement_does(fitter_of, pair):
@@ -618,7 +628,7 @@ def test_nothing_beside_the_simpler_form_promises_what_a_refinement_does(fitter_
     search = Search(fitter, SearchOptions())
     simple = fitter.fit(fitter.hypothesis([coulomb()]))
     search.keep(simple)
-    assert not search._promises(simple, set())
+    assert not search.growth.promises(simple, set())
 
 
 def test_other_laws_of_an_effect_wait_for_a_better_effect(fitter_of, pair):
@@ -628,12 +638,12 @@ def test_other_laws_of_an_effect_wait_for_a_better_effect(fitter_of, pair):
     search.nominal()
     simple = fitter.fit(fitter.hypothesis([coulomb()]))
     search.keep(simple)
-    grown = search.refine(simple)
+    grown = search.growth.refine(simple)
     assert min(f.chi2 for f in grown) < 0.5 * simple.chi2
     assert ("coulomb_friction_with_creep@motor",) not in search.pool
     only = Search(fitter, SearchOptions(only=("coulomb_friction", "coulomb_friction_with_creep")))
     only.keep(simple)
-    only.refine(simple, forms=True)
+    only.growth.refine(simple, forms=True)
     assert ("coulomb_friction_with_creep@motor",) in only.pool
 
 
@@ -654,9 +664,9 @@ def test_a_further_body_is_begun_at_the_nominal_parameters_where_refitted_ones_s
     as_is = fitter.fit(fitter.hypothesis(()), iterations=0)
     gone = fitter.fit(fitter.hypothesis((), as_is.linear | {"ka": 0.4 * as_is.linear["ka"]}), iterations=0)
     lost = fitter.fit(fitter.hypothesis([mode.with_values({"inertia_kgm2": 1e-3})], gone.linear), iterations=0)
-    search._from_nominal(as_is, [lost], ("structure",))
+    search.starts.from_nominal(as_is, [lost], ("structure",))
     assert not search.pool, "they are where they were"
-    search._from_nominal(gone, [lost], ("coupling",))
+    search.starts.from_nominal(gone, [lost], ("coupling",))
     assert not search.pool
-    search._from_nominal(gone, [lost], ("structure",))
+    search.starts.from_nominal(gone, [lost], ("structure",))
     assert search.pool[lost.key].chi2 < 1.1 * lost.n < 0.1 * lost.chi2

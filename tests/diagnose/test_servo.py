@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from diagnose.data.experiment import prepare
+from diagnose.evidence.rivals import servo
+from diagnose.evidence.rivals.servo import size_is_open
 from diagnose.fit.fitter import Fitter
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import ForceView
 from diagnose.result import Verdict
-from diagnose.structure import judge
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.search import Search
 from mjsim.axis import Axis, Body, Chain
@@ -65,7 +66,7 @@ def test_the_answer_to_unknown_torques_is_named_nothing(seed):
 
 
 def test_without_that_rule_it_would_be(monkeypatch):
-    monkeypatch.setattr(judge, "IMITATED", set())
+    monkeypatch.setattr(servo, "IMITATED", set())
     assert any(told(seed, unknown=0.4).findings for seed in (0, 1, 2))
 
 
@@ -90,6 +91,8 @@ def test_bristles_that_never_slide_are_a_spring():
     search = Search(fitter, SearchOptions())
     bristles = effect_class("presliding_friction")(place="motor", torque_Nm=300.0, stiffness_Nm_rad=50.0)
     dry = effect_class("coulomb_friction")(place="motor", torque_Nm=8.0)
-    assert search._open(fitter.fit(fitter.hypothesis((bristles,)), iterations=1), {bristles.key: bristles.amplitudes})
-    assert not search._open(fitter.fit(fitter.hypothesis((dry,))), {dry.key: dry.amplitudes})
+    assert size_is_open(
+        search.context, fitter.fit(fitter.hypothesis((bristles,)), iterations=1), {bristles.key: bristles.amplitudes}
+    )
+    assert not size_is_open(search.context, fitter.fit(fitter.hypothesis((dry,))), {dry.key: dry.amplitudes})
     fitter.close()

@@ -34,12 +34,12 @@ def fit(task: Task) -> Answer:
         base = refitted(fitter)
         # entry 0: whatever promises any gain at all may be fitted
         search = Search(fitter, SearchOptions(entry=0.0, depth=DEPTH))
-        search.pool[()] = base.fitted
+        search.pool.put(base.fitted)
         current = base.fitted
         while len(current.effects) < DEPTH:
             fitter.set_orders(orders(fitter, current))
-            search.candidates = candidates(fitter)
-            search.expand(current)
+            search.state.consider(candidates(fitter))
+            search.growth.expand(current)
             richer = [f for f in search.pool.values() if len(f.effects) == len(current.effects) + 1]
             best = min(richer, key=bic, default=current)
             if bic(best) >= bic(current):

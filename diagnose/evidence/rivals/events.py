@@ -1,0 +1,57 @@
+"""Another order of events as the rival of what is added to a nonsmooth structure.
+
+A free run that sticks once too often is wrong from there on, and whatever moves that event gains much. Under an observer gain a
+model is put right within 1 / gain: there the added effect must gain as well, a fair part of that. Of more than noise it must
+explain a fair part.
+"""
+
+from __future__ import annotations
+
+import math
+
+from diagnose.evidence.context import Context
+from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
+from diagnose.fit.fitted import UNEXPLAINED, Fitted
+from diagnose.fit.fitter import SAME
+from diagnose.fit.pool import Key
+from diagnose.fit.starts import warm_started
+
+__all__ = ["LEAD", "no_moment_of_an_event"]
+
+LEAD = 30.0  # observer gain [1/s] at which nonsmooth rivals are judged
+FAIR = 0.25  # part of the residual, and under the observer gain of its gain, that an effect beside a nonsmooth one must explain
+
+
+def no_moment_of_an_event(context: Context, pair: Pair) -> Outcome:
+    """Refuse an effect that gains in the free run alone, or too little of what is left."""
+    before, after = pair.before, pair.after
+    if not before.rough or not context.fitter.noise.absolute or not pair.nested:
+        return PASS
+    gain = context.gain(before, after)
+    if before.chi2 > UNEXPLAINED * before.n:
+        needed = FAIR * before.n * math.log(before.chi2 / before.n)
+        if gain < needed:
+            return Veto("events", {"gain": gain, "needed": needed})
+    observed, needed = _gain_under_observer(context, before, after), max(context.prices.entry, FAIR * gain)
+    return Veto("events", {"gain": observed, "needed": needed}) if observed < needed else PASS
+
+
+def _gain_under_observer(context: Context, before: Fitted, after: Fitted) -> float:
+    """The gain in C under the observer gain ``LEAD``; infinite where one of the two cannot be run so."""
+    fitter, memo = context.fitter, context.memo.observed
+    asked = next((a for a in memo if _alike(a, before, after)), (before.key, before.chi2, after.key, after.chi2))
+    if asked not in memo:
+        richer, own = (fitter.led(f, LEAD, 15, spread=0 if context.slow(f) else 8, keep=2) for f in (after, before))
+        begun = warm_started(fitter, after, before.key, 0)
+        poorer = [f for f in (own, fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
+        if richer is None or not poorer:
+            memo[asked] = math.inf
+        else:
+            memo[asked] = context.gain(min(poorer, key=lambda f: f.chi2), richer)
+    return memo[asked]
+
+
+def _alike(asked: tuple[Key, float, Key, float], before: Fitted, after: Fitted) -> bool:
+    """Whether two structures are those that were asked about, by keys and chi-squares, but for the last digits of a fit."""
+    same = (asked[0], asked[2]) == (before.key, after.key)
+    return same and all(abs(math.log(f.chi2 / known)) < SAME for f, known in ((before, asked[1]), (after, asked[3])))

@@ -1,0 +1,49 @@
+"""The incumbent: the structure of the lowest criterion that is significant against the present one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diagnose.fit.fitted import Fitted
+from diagnose.structure.moves import refines
+from diagnose.structure.significance import Significance
+from diagnose.structure.state import State
+
+__all__ = ["Selection"]
+
+SAME_SIZE = 0.5  # of C: by so much a structure of the same size must be ahead
+
+
+@dataclass
+class Selection:
+    """Selects among the structures of a pool."""
+
+    state: State
+    significance: Significance
+
+    def best(self, current: Fitted) -> Fitted:
+        """The structure with the best criterion among those that are significant against the current one."""
+        context, pool, attempt = self.state.context, self.state.pool, 0
+        for f in sorted(pool.values(), key=context.criterion):
+            current = pool.newest(current)
+            larger = self._larger(f, current)
+            unseen = context.unseen_gain(current, f) if larger and f.key != current.key else 0.0
+            needed = context.prices.entry if larger else SAME_SIZE
+            if f.key == current.key or context.ahead(f, current) + unseen < needed:
+                continue
+            attempt += larger
+            if self._takes_over(f, current, attempt, larger=larger):
+                return f
+        return pool.newest(current)
+
+    def _larger(self, f: Fitted, current: Fitted) -> bool:
+        """Whether a structure says more than the current one: more effects, a refinement, or (by held-out data) more numbers."""
+        larger = len(f.effects) > len(current.effects) or refines(f, current)
+        if self.state.context.worth_of is None:
+            return larger
+        return larger or len(f.hypothesis.entries) > len(current.hypothesis.entries)
+
+    def _takes_over(self, f: Fitted, current: Fitted, attempt: int, *, larger: bool) -> bool:
+        if larger:
+            return self.significance.significant(current, f, attempt)
+        return self.significance.dominates(f, current) and not self.significance.contradicted(f, current)
