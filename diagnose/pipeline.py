@@ -66,7 +66,7 @@ def diagnose(
         nonlocal taken
         used = (corrected(group, corrections or {}) for group in experiments)
         fitter = Fitter(nominal, view, *used, options.jobs, varies, memory=memory)
-        fitter.most_runs = max(options.effort * RUNS - taken, AGAIN * options.effort * RUNS)
+        fitter.allow(max(options.effort * RUNS - taken, AGAIN * options.effort * RUNS))
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
                 return _diagnose(fitter, options, Progress(progress), began)
@@ -87,6 +87,7 @@ def diagnose(
 def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
     search, best, whitened = searched(fitter, options, progress, began)
+    fitter = search.fitter
     base = search.nominal()
     progress.stage("validate", "what is left, intervals, rivals")
     best = search.polish(merged(search, best))

@@ -21,6 +21,7 @@ from diagnose.evidence.held_out import Comparison, compare
 from diagnose.fit.fitted import UNEXPLAINED, Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.pool import Key, Pool
+from diagnose.fit.validation import in_blocks, observed_held_out, predicted_samples
 from diagnose.fit.whiten import lags_of, whitening_filter, worth_of_errors
 from diagnose.problem.noise_model import KnownNoise, Prices
 from mjsim.effects import effect_class
@@ -149,11 +150,11 @@ class Context:
         fits = min(structures, key=lambda f: f.chi2 / f.n)
         asked = (fits.key, fits.chi2)
         if asked not in self.memo.predicted:
-            self.memo.predicted[asked] = self.fitter.foretold(fits)
+            self.memo.predicted[asked] = predicted_samples(self.fitter, fits)
         samples, pairs = self.memo.predicted[asked], []
         if samples is not None:
             pairs.append([self.fitter.validate(f, samples) for f in structures])
-        observed = [self.fitter.led_held_out(f, PUT_RIGHT) for f in structures]
+        observed = [observed_held_out(self.fitter, f, PUT_RIGHT) for f in structures]
         return pairs if None in observed else [*pairs, observed]
 
     def compared_in_blocks(self, before: Fitted, after: Fitted) -> Comparison | None:
@@ -169,7 +170,7 @@ class Context:
         if pair[0] is None or pair[1] is None or self.compared(before, after).relative_gain < -material:
             return None
         expected = float(np.sum((pair[0].errors - pair[1].errors) ** 2)) / pair[1].chi2
-        parts = self.fitter.in_blocks() if expected < 2 * material else None
+        parts = in_blocks(self.fitter) if expected < 2 * material else None
         if parts is None:
             return None
         key = (before.key, before.chi2, after.key, after.chi2)

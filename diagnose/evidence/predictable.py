@@ -19,7 +19,7 @@ from diagnose.evidence.encoder import whole_orders
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.least_squares import bounded
+from diagnose.problem.problem import bounded
 from mjsim.axis import Axis
 from mjsim.ode import simulate
 from mjsim.quantity import Motion

@@ -29,9 +29,10 @@ from diagnose.evidence.held_out import compare
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.least_squares import Fit, Linearised, Status, bounded, jacobian, levenberg_marquardt, orthonormal
+from diagnose.fit.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt, orthonormal
 from diagnose.fit.whiten import effective_share
 from diagnose.problem.hypothesis import Hypothesis
+from diagnose.problem.problem import bounded
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
 from mjsim.axis import Axis

@@ -10,13 +10,13 @@ from functools import partial
 
 import numpy as np
 
+from diagnose.problem.problem import Residual
+
 __all__ = [
     "Fit",
     "Linearised",
-    "Residual",
     "Run",
     "Status",
-    "bounded",
     "jacobian",
     "levenberg_marquardt",
     "orthonormal",
@@ -87,7 +87,6 @@ class Fit:
         return self.linear.arrays[1]
 
 
-Residual = Callable[[np.ndarray], np.ndarray | None]
 Task = Callable[[], np.ndarray | None]
 Run = Callable[[Sequence[Task]], list[np.ndarray | None]]
 Beside = Callable[[Task, Task], tuple[np.ndarray | None, Task | None]]
@@ -157,11 +156,6 @@ def _secants(r0: np.ndarray, columns: Sequence[np.ndarray | None], steps: Sequen
         np.subtract(c, r0, out=J[:, i])
     J /= np.array(steps)
     return J
-
-
-def bounded(values: np.ndarray) -> np.ndarray:
-    """Where values are numbers whose squares are: an axis that its fitted numbers make unstable swings up without end."""
-    return np.asarray(np.abs(values) < 1e100)
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:

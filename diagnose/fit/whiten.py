@@ -13,7 +13,7 @@ from diagnose.data.experiment import Experiment
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Status
-from diagnose.fit.weighted import PRIOR
+from diagnose.problem.problem import PRIOR
 from mjsim.signals import freqz
 
 __all__ = [
@@ -180,18 +180,13 @@ def innovation(fitter: Fitter, fitted: Fitted, filter_: np.ndarray) -> float:
 
     The weight is taken from the fastest part of the noise, which says little of the whole where the noise is coloured.
     """
-    kept = fitter.whitening
-    total, count = 0.0, 0
-    try:
-        fitter.whitening = filter_
-        for i, experiment in enumerate(fitter.experiments):
-            e = fitter.error_of(fitted, i)
-            if e is not None:
-                w, keep = fitter.whitened(e, experiment)
-                total += float(np.sum(w[keep] ** 2))
-                count += int(np.sum(keep))
-    finally:
-        fitter.whitening = kept
+    by, total, count = fitter.relax(whitening=filter_), 0.0, 0
+    for i, experiment in enumerate(fitter.experiments):
+        e = fitter.error_of(fitted, i)
+        if e is not None:
+            w, keep = by.whitened(e, experiment)
+            total += float(np.sum(w[keep] ** 2))
+            count += int(np.sum(keep))
     return float(np.sqrt(total / count)) if total > 0 else 1.0
 
 
@@ -211,22 +206,18 @@ def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray,
     noise model, which feedback does not bias. Source: D. Cochrane, G. H. Orcutt, J. Am. Stat. Assoc. 44 (1949) 32; Ljung
     (1999), ch. 13.4.
     """
-    kept, now, current = fitter.whitening, whitening_filter(fitter, fitted), fitted
+    now, current = whitening_filter(fitter, fitted), fitted
     if now is None:
         return None
-    try:
-        for _ in range(rounds):
-            fitter.whitening = now
-            current = fitter.fit(current.hypothesis, current.fit.x, iterations=12)
-            new = whitening_filter(fitter, current)
-            if not current.ok or new is None:
-                break
-            settled = alike(new, now, 2e-3) and current.fit.status is not Status.BUDGET
-            now = new
-            if settled:
-                break
-    finally:
-        fitter.whitening = kept
+    for _ in range(rounds):
+        current = fitter.relax(whitening=now).fit(current.hypothesis, current.fit.x, iterations=12)
+        new = whitening_filter(fitter, current)
+        if not current.ok or new is None:
+            break
+        settled = alike(new, now, 2e-3) and current.fit.status is not Status.BUDGET
+        now = new
+        if settled:
+            break
     return now, current
 
 

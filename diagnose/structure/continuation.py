@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from diagnose.evidence.rivals.events import LEAD
+from diagnose.fit import path
 from diagnose.fit.fitted import UNEXPLAINED, Fitted, key_of
-from diagnose.fit.fitter import CLOSELY, SAME
+from diagnose.fit.fitter import SAME
 from diagnose.fit.least_squares import Status
 from diagnose.structure.moves import folded
 from diagnose.structure.state import State
@@ -47,9 +48,9 @@ class Continuation:
         fitter, pool = self.state.fitter, self.state.pool
         if not self.state.options.free or not f.rough or not fitter.noise.within(f.chi2 / f.n, SHAKEN):
             return f
-        asked = (f.key, f.chi2, fitter.guide, fitter.whitening.tobytes())
+        asked = (f.key, f.chi2, fitter.prior_weight, fitter.whitening.tobytes())
         if asked not in self._restarted:
-            lower = fitter.shaken(f)
+            lower = path.restarted_about(fitter, f)
             self._restarted |= {asked, (f.key, lower.chi2, *asked[2:])}
             self.state.keep(lower)
         known = pool.newest(f)
@@ -60,11 +61,11 @@ class Continuation:
         fitter = self.state.fitter
         if not self.state.options.free or not fitter.noise.absolute or fitter.view.channel != "velocity":
             return
-        asked = (f.key, fitter.guide, round(math.log(f.chi2), 1))
+        asked = (f.key, fitter.prior_weight, round(math.log(f.chi2), 1))
         if asked in self._landed or self.state.context.slow(f):
             return
         self._landed.add(asked)
-        landed = fitter.landed(f)
+        landed = path.landed(fitter, f)
         if landed is not None:
             self.state.keep(landed)
         if fitter.length(f.hypothesis, f.fit.x) < SHORT:
@@ -136,7 +137,7 @@ class Continuation:
                 last = state.pool.newest(f)
                 if state.late() or last.chi2 < UNEXPLAINED * last.n:
                     break
-                now = state.fitter.unfolded(last, linear)
+                now = path.over_horizons(state.fitter, last, linear)
                 state.keep(now)
                 if not now.ok or now.chi2 > 0.9 * last.chi2:
                     break
@@ -149,7 +150,7 @@ class Continuation:
             last = state.pool.newest(f)
             if last.chi2 < UNEXPLAINED * last.n or not last.rough or state.late() or self.lacks_law(last):
                 break
-            free = state.fitter.let_go(last, seed) if state.released < RELEASES else None
+            free = path.released(state.fitter, last, seed) if state.released < RELEASES else None
             if free is None:
                 break
             state.released += 1
@@ -171,7 +172,7 @@ class Continuation:
             return
         state.released += 1
         state.horizons[f.key] = 1
-        free = state.fitter.let_go(f)
+        free = path.released(state.fitter, f)
         if free is not None:
             state.keep(free)
             self.restart(free)
@@ -180,7 +181,7 @@ class Continuation:
         """Whether a structure lacks something else than the moments of its events, or a turn of an oscillation."""
         fitter = self.state.fitter
         # under a close observer gain the motion is nearly given, and the error is that of the torques: hardly any minima but one
-        led = fitter.led(f, self._close_gain(f), 20) if fitter.noise.absolute else None
+        led = path.observed(fitter, f, self._close_gain(f), 20) if fitter.noise.absolute else None
         return led is not None and led.chi2 > LACKS * led.n
 
     def lacks_law(self, f: Fitted) -> bool:
@@ -194,9 +195,9 @@ class Continuation:
         if not f.rough or not fitter.noise.within(f.chi2 / f.n, SHAKEN):
             return False
         stays = f.n + STAYS * (f.chi2 - f.n)
-        led = fitter.led(f, LEAD, 20)
+        led = path.observed(fitter, f, LEAD, 20)
         for gain in (self._close_gain(f), BETWEEN, LEAD) if led is not None and led.chi2 > stays else ():
-            led = fitter.led(led or f, gain, 20)
+            led = path.observed(fitter, led or f, gain, 20)
         return led is not None and led.chi2 > stays
 
     def sticks(self, f: Fitted) -> bool:
@@ -210,7 +211,7 @@ class Continuation:
         if not fitter.noise.absolute:
             return False
         gain = self._close_gain(f, current)
-        mine, best = fitter.map([partial(fitter.led, g, gain, 20) for g in (f, current)])
+        mine, best = fitter.map([partial(path.observed, fitter, g, gain, 20) for g in (f, current)])
         return mine is not None and best is not None and self.state.context.gain(mine, best) > self.state.options.entry
 
     def smooths(self, current: Fitted, f: Fitted) -> bool:
@@ -222,4 +223,4 @@ class Continuation:
     def _close_gain(self, *structures: Fitted) -> float:
         """The close observer gain [1/s]: that of the lightest driven body among structures."""
         nominal = self.state.fitter.nominal.chain.bodies[0].inertia
-        return CLOSELY * min(1.0, *(f.axis.chain.bodies[0].inertia / nominal for f in structures))
+        return path.CLOSELY * min(1.0, *(f.axis.chain.bodies[0].inertia / nominal for f in structures))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 
 from diagnose.fit.fitted import UNEXPLAINED, Fitted
-from diagnose.fit.fitter import CLOSELY, WRONG
+from diagnose.fit.path import CLOSELY, WRONG, observed, released
 from diagnose.fit.starts import restarted, warm_started
 from diagnose.structure.continuation import LACKS
 from diagnose.structure.moves import folded, formed, ground
@@ -36,7 +36,7 @@ def among_led(search: Search) -> None:
         search.keep(free)
         missed = search.path.restart(free).chi2 > UNEXPLAINED * min(free.n, led.chi2)
         if missed and led.chi2 < MOMENTS * led.n:  # else it lacks more than those, and is where to go on from
-            again = search.fitter.let_go(led, highest=CLOSELY)
+            again = released(search.fitter, led, highest=CLOSELY)
             search.keep(free if again is None else again)
         known = search.pool.get(led.key)  # none where no free run of it could be fitted
         if known is not None and known.chi2 < UNEXPLAINED * known.n:
@@ -45,10 +45,9 @@ def among_led(search: Search) -> None:
 
 def _search(search: Search) -> list[Fitted]:
     """The structures, led closely, those of the fewest numbers first."""
-    led = search.fitter.leading(CLOSELY, search.fitter.held_out)
-    led.guide = 1.0
-    led.work = search.fitter.work
-    led.most_runs = led.runs + PART * (search.fitter.most_runs - led.runs)
+    problem = search.fitter.problem.under_observer(CLOSELY, search.fitter.held_out).relax(prior_weight=1.0)
+    led = search.fitter.beside(problem, counts_here=True)
+    led.allow(led.runs + PART * (search.fitter.most_runs - led.runs))
     chosen = dataclasses.replace(search.options, width=WIDTH, beam=1, free=False)
     other = Search(led, chosen, progress=search.progress)
     other.state.only_beside = search.state.only_beside
@@ -62,25 +61,24 @@ def _search(search: Search) -> list[Fitted]:
         other.growth.expand(base)
         best = other.tempering.tempered(_least(other))
         if base.effects and set(base.key) < set(best.key):  # it may have missed the minimum to which what was added has led
-            other.keep(warm_started(led, best, base.key, 12))
+            other.keep(warm_started(other.fitter, best, base.key, 12))
         refined: set[tuple[str, ...]] = set()
         while best.key not in refined and WRONG < best.chi2 / best.n < NEAR and not led.spent:
             refined.add(best.key)
             other.growth.refine(best)
             best = other.tempering.tempered(_least(other))
         if WRONG < best.chi2 / best.n < NEAR and not led.spent:
-            other.keep(restarted(led, best, [e for e in best.effects if type(e).rough]))
+            other.keep(restarted(other.fitter, best, [e for e in best.effects if type(e).rough]))
             best = other.pool[best.key]
         if best.chi2 > LITTLE * before.chi2:
             break
         for effect in best.effects if best.chi2 > WRONG * best.n else ():
             for simpler in other.reduction.simpler(best, effect):  # what is missing is sought beside the simplest form
                 simpler()
-    led.most_runs = search.fitter.most_runs
+    led.allow(search.fitter.most_runs)
     found = [f for f in other.pool.values() if f.effects and f.chi2 < min(LACKS * f.n, ALIKE * best.chi2)]
     found = sorted(found, key=lambda f: (formed(f), len(f.hypothesis.entries), f.chi2))[:MOST]
     found = [_spread(other, f) for f in found]
-    search.fitter.work = led.work
     search.state.tested += other.tested
     return found
 
@@ -92,7 +90,7 @@ def _least(search: Search) -> Fitted:
 
 def _spread(search: Search, f: Fitted) -> Fitted:
     """The best fit of a structure from points about it as well, where its error may have several minima."""
-    found = search.fitter.led(f, CLOSELY, 12, spread=12, keep=3) if folded(f) else None
+    found = observed(search.fitter, f, CLOSELY, 12, spread=12, keep=3) if folded(f) else None
     if found is not None and found.chi2 < f.chi2:
         search.keep(found)
         return found

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from diagnose.evidence.predictable import motion_error
 from diagnose.evidence.sensor_offset import excluded_by_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
+from diagnose.fit.validation import pooled
 from diagnose.fit.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
 from diagnose.options import Options
 from diagnose.problem.view import MotionView
@@ -67,7 +69,7 @@ def _search(
     options: Options,
     progress: Progress,
     began: float,
-    settled_by: Callable[[Fitted], bool] | None = None,
+    settled_by: Callable[[Fitter, Fitted], bool] | None = None,
     known: Fitted | None = None,
 ) -> tuple[Search, Fitted]:
     """One search by the fitter's present weights; ``known``: a structure of an earlier one, which is a rival from the start."""
@@ -84,16 +86,17 @@ def _search(
     _need_same_sign(fitter, base)
     if known is not None and known.effects:
         search.know(known)
-    fitter.set_orders(*_orders(fitter, base))
+    fitter = fitter.with_orders(*_orders(fitter, base))
+    search.use(fitter)
     search.state.only_beside = excluded_by_angle(fitter.experiments)
     search.state.consider([c for c in candidates(fitter, options.effects) if search.state.only_beside.get(c.id) != ""])
-    search.orders_of = lambda f: _orders(fitter, f)
+    search.orders_of = _orders
     if fitter.noise.absolute and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
         search.observed_by = partial(among_led, search)
     if not fitter.noise.absolute:
         search.context.effective = effective_share(fitter, base)
-        search.effective_of = lambda f: effective_share(fitter, f)
-        search.context.worth_of = lambda poorer, richer: worth(fitter, poorer, richer)
+        search.effective_of = effective_share
+        search.context.worth_of = partial(worth, fitter)
     return search, search.run()
 
 
@@ -134,25 +137,52 @@ def _whitening(fitter: Fitter, search: Search, best: Fitted) -> tuple[np.ndarray
     return nominal[0], False
 
 
-def _settled_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitted], bool]) -> Fitted | None:
+def _settled_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitter, Fitted], bool]) -> Fitted | None:
     """The nominal structure settled with its own filter, where it leaves noise alone; None where it does not, or is white.
 
-    Begun where its nominal parameters hold it. What the estimation recordings leave open is asked of all recordings together.
+    Started where its nominal parameters hold it. What the estimation recordings leave open is asked of all recordings together.
     """
-    fitter.guide = guide_of(fitter, base)
-    try:
-        held = fitter.fit(fitter.hypothesis(()))
-    finally:
-        fitter.guide = 1.0
+    held = fitter.relax(prior_weight=guide_of(fitter, base)).fit(fitter.hypothesis(()))
     settled = settle(fitter, held)
-    if settled is None or noise_only(settled[1]):
+    if settled is None or noise_only(fitter, settled[1]):
         return None if settled is None else settled[1]
-    kept, fitter.whitening = fitter.whitening, settled[0]
-    try:
-        pooled = fitter.pooled(settled[1])
-    finally:
-        fitter.whitening = kept
-    return settled[1] if noise_only(pooled) else None
+    by_all = pooled(fitter.relax(whitening=settled[0]), settled[1])
+    return settled[1] if noise_only(fitter, by_all) else None
+
+
+@dataclass(frozen=True)
+class _NoiseOnly:
+    """Whether what a structure leaves is noise and no missed motion.
+
+    missed: largest mean square of missed motion over that of the noise; unknown: the answer where one channel alone shows it.
+    """
+
+    missed: float
+    unknown: bool = False
+
+    def __call__(self, fitter: Fitter, f: Fitted) -> bool:
+        found = motion_error(fitter, f)
+        return self.unknown if found is None else found < self.missed
+
+
+def _settled_by(fitter: Fitter, f: Fitted, missed: float) -> bool:
+    """Whether a structure leaves coloured noise alone, so that nothing more is sought on plain errors.
+
+    It must leave more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion.
+    """
+    if whitening_filter(fitter, f, material=2 * missed) is None or offset_share(fitter, f) >= OFFSET:
+        return False
+    found = motion_error(fitter, f)
+    if found is None or found < missed:
+        return found is not None
+    fitted_to = motion_error(fitter, f, on=fitter.experiments)
+    if f.effects and (fitted_to is None or fitted_to >= missed):
+        return False
+    surely = _NoiseOnly(missed)
+    if surely(fitter, pooled(fitter, f)):  # or the excitation leaves parameters open, which noise has settled
+        return True
+    may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TAKEN
+    return may_be_noise and _settled_from_nominal(fitter, f, surely) is not None
 
 
 def searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
@@ -164,33 +194,13 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     asked as it settles with its own filter, too. A structure found on whitened errors may bear out another filter, or none:
     then it is sought once more.
     """
-
-    def noise_only(f: Fitted, unknown: bool) -> bool:
-        missed = motion_error(fitter, f)
-        return unknown if missed is None else missed < options.missed
-
-    surely = partial(noise_only, unknown=False)
-
-    def settled_by(f: Fitted) -> bool:
-        # more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion either
-        if whitening_filter(fitter, f, material=2 * options.missed) is None or offset_share(fitter, f) >= OFFSET:
-            return False
-        missed = motion_error(fitter, f)
-        if missed is None or missed < options.missed:
-            return missed is not None
-        fitted_to = motion_error(fitter, f, on=fitter.experiments)
-        if f.effects and (fitted_to is None or fitted_to >= options.missed):
-            return False
-        if surely(fitter.pooled(f)):  # or the excitation leaves parameters open, which noise has settled
-            return True
-        may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TAKEN
-        return may_be_noise and _settled_from_nominal(fitter, f, surely) is not None
-
     known = fitter.noise.absolute
-    search, best = _search(fitter, options, progress, began, settled_by if known else None)
-    if not known or not (noise_only(best, unknown=True) or noise_only(fitter.pooled(best), unknown=True)):
+    search, best = _search(fitter, options, progress, began, partial(_settled_by, missed=options.missed) if known else None)
+    fitter = search.fitter
+    noise_only = _NoiseOnly(options.missed, unknown=True)
+    if not known or not (noise_only(fitter, best) or noise_only(fitter, pooled(fitter, best))):
         # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
-        settled = _settled_from_nominal(fitter, search.nominal(), surely) if known else None
+        settled = _settled_from_nominal(fitter, search.nominal(), _NoiseOnly(options.missed)) if known else None
         if settled is None:
             return search, best, False
         best = settled
@@ -202,49 +212,46 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if alike(filter_, fitter.whitening / fitter.whitening[0]) or (spent and earned):
             break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
-        filter_before, fitter.whitening = fitter.whitening, _scaled(fitter, best, filter_)
         before, found = search, best
-        search, best = _search(fitter, options, progress, began, known=best if turn or earned else None)
+        whitened = fitter.relax(whitening=_scaled(fitter, best, filter_))
+        search, best = _search(whitened, options, progress, began, known=best if turn or earned else None)
+        fitter = search.fitter
         search.state.tested += before.tested
         if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
-            fitter.whitening = filter_before
-            return before, found, len(filter_before) > 1
-    return (*_less_coloured(fitter, options, progress, began, search, best), len(fitter.whitening) > 1)
+            before.use(before.fitter.with_orders(fitter.orders, fitter.problem.swung))
+            return before, found, len(before.fitter.whitening) > 1
+    search, best = _less_coloured(options, progress, began, search, best)
+    return search, best, len(search.fitter.whitening) > 1
 
 
 def _scaled(fitter: Fitter, f: Fitted, filter_: np.ndarray) -> np.ndarray:
-    """A filter that leaves what a structure leaves at rms one."""
+    """A filter that leaves the residual of a structure at rms one."""
     return filter_ / innovation(fitter, f, filter_) if len(filter_) > 1 else filter_
 
 
-def _less_coloured(
-    fitter: Fitter, options: Options, progress: Progress, began: float, search: Search, best: Fitted
-) -> tuple[Search, Fitted]:
+def _less_coloured(options: Options, progress: Progress, began: float, search: Search, best: Fitted) -> tuple[Search, Fitted]:
     """The search once more by the filter of a structure that held-out data refused by the filter of a poorer one.
 
     A filter from a residual with a missed effect in it takes the effect for noise: it lets little of it through, on held-out data
-    too. What the estimation data want all the same may bear out another filter, under which it pays; else all stays as it was.
+    too. What the estimation data want all the same may bear out another filter, under which it is significant; else all stays.
     """
+    fitter = search.fitter
     rivals = [f for f in search.pool.values() if set(best.key) < set(f.key)]
     refused = min(rivals, key=search.criterion, default=None)
-    if (
-        len(fitter.whitening) == 1
-        or fitter.spent
-        or refused is None
-        or search.context.gain(best, refused) < REFUSED * search.options.entry
-    ):
+    if len(fitter.whitening) == 1 or fitter.spent or refused is None:
+        return search, best
+    if search.context.gain(best, refused) < REFUSED * search.options.entry:
         return search, best
     settled = settle(fitter, refused)
     filter_ = np.ones(1) if settled is None else settled[0]
     if alike(filter_, fitter.whitening / fitter.whitening[0]):
         return search, best
     progress.stage("search", "again, since a structure that was refused leaves less colour")
-    kept = fitter.whitening
-    fitter.whitening = _scaled(fitter, refused, filter_)
-    again, better = _search(fitter, options, progress, began, known=refused)
+    whitened = fitter.relax(whitening=_scaled(fitter, refused, filter_))
+    again, better = _search(whitened, options, progress, began, known=refused)
     again.state.tested += search.tested
     if better.effects and len(better.effects) > len(best.effects):
         return again, better
-    fitter.whitening = kept
+    search.use(fitter.with_orders(again.fitter.orders, again.fitter.problem.swung))
     search.state.tested = again.tested
     return search, best

@@ -50,7 +50,7 @@ class Race:
     def look(self, base: Fitted) -> Look:
         """The first look at the rivals of a structure, by the present weights and orders."""
         fitter = self.state.fitter
-        asked = (base.key, base.chi2, fitter.guide, fitter.orders, id(fitter.scales))
+        asked = (base.key, base.chi2, fitter.prior_weight, fitter.orders, id(fitter.scales))
         if self._last is None or self._last[0] != asked:
             self._last = asked, look(fitter, base)
         return self._last[1]

@@ -89,8 +89,7 @@ class Look:
     def took(self) -> None:
         """Have what was simulated so far counted."""
         if self.every > 1:
-            self.whole.took(self.fitter.work)
-            self.fitter.work = 0
+            self.whole.took(self.fitter.engine.counter.drain())
 
     def screen(self, supposed: Sequence[Candidate], replacing: Effect | None = None) -> list[Screened]:
         """`candidates.screen`; gains are of all samples."""
@@ -226,7 +225,7 @@ def look(fitter: Fitter, base: Fitted) -> Look:
     for every in range(most, 1, -1):
         coarse = dataclasses.replace(view, step=COARSE)
         experiments = tuple(_thin(e, every) for e in fitter.experiments)
-        part = fitter.thinned(experiments, coarse, every)
+        part = fitter.beside(fitter.problem.thinned(experiments, coarse, every), remembers=True)
         seen = _seen(base, _rows(fitter, every), every)
         (r,) = part.run([partial(part.residual(base.hypothesis), base.fit.x)])
         fitter.took(part.work)
@@ -235,5 +234,6 @@ def look(fitter: Fitter, base: Fitted) -> Look:
         off = r - seen.fit.residual
         if float(off @ off) < FAITHFUL[base.rough and view.lead == 0] * (seen.chi2 - seen.n):
             same = _corrected(experiments, [fitter.sigma(e) for e in fitter.experiments], off)
-            return Look(fitter.thinned(same, coarse, every), seen, fitter, every, Look(fitter, base, fitter))
+            thin = fitter.beside(fitter.problem.thinned(same, coarse, every), remembers=True)
+            return Look(thin, seen, fitter, every, Look(fitter, base, fitter))
     return Look(fitter, base, fitter)

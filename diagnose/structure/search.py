@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class _Round:
     creeps: int = 0
 
 
-@dataclass
+@final
 class Search:
     """A search by a fitter's weights, composed of its moves.
 
@@ -63,17 +64,19 @@ class Search:
     gain finds; effective_of, orders_of: effective share of the samples and spatial orders in the residual of a structure.
     """
 
-    fitter: Fitter
-    options: SearchOptions
-    progress: Progress = field(default_factory=Progress)
-    settled_by: Callable[[Fitted], bool] | None = None
-    observed_by: Callable[[], None] | None = None
-    effective_of: Callable[[Fitted], float] | None = None
-    orders_of: Callable[[Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
-
-    def __post_init__(self) -> None:
-        self.context = Context(self.fitter, self.options.prices)
-        self.state = State(self.context, self.options, self.progress)
+    def __init__(
+        self,
+        fitter: Fitter,
+        options: SearchOptions,
+        progress: Progress | None = None,
+        settled_by: Callable[[Fitter, Fitted], bool] | None = None,
+    ) -> None:
+        self.options, self.progress, self.settled_by = options, progress or Progress(), settled_by
+        self.observed_by: Callable[[], None] | None = None
+        self.effective_of: Callable[[Fitter, Fitted], float] | None = None
+        self.orders_of: Callable[[Fitter, Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
+        self.context = Context(fitter, options.prices)
+        self.state = State(self.context, options, self.progress)
         self.path = Continuation(self.state)
         self.significance = Significance(self.state, self.path)
         self.selection = Selection(self.state, self.significance)
@@ -82,7 +85,16 @@ class Search:
         self.growth = Growth(self.state, self.path, self.selection, self.starts, self.race)
         self.reduction = Reduction(self.state, self.path, self.significance, self.starts)
         self.tempering = Tempering(self.state, self.path)
-        self.state.consider(candidates(self.fitter, self.options.only))
+        self.state.consider(candidates(fitter, options.only))
+
+    @property
+    def fitter(self) -> Fitter:
+        """The fitter by the present weights and orders."""
+        return self.context.fitter
+
+    def use(self, fitter: Fitter) -> None:
+        """Go on by another fitter of the same recordings."""
+        self.context.fitter = fitter
 
     @property
     def pool(self) -> Pool:
@@ -180,11 +192,11 @@ class Search:
         now.stagnant.add(now.current.key)
         if now.beam:
             return False
-        tempered = self.fitter.guide != 1.0
+        tempered = self.fitter.prior_weight != 1.0
         if not tempered and not now.helped:  # a round with the nominal parameters' help, ahead of what is dear
             now.helped = True
             now.current = self.tempering.tempered(now.current, UNEXPLAINED)
-        if tempered or self.fitter.guide == 1.0:
+        if tempered or self.fitter.prior_weight == 1.0:
             self._continue_multimodal(now.current)
             if not self._is_incumbent(now.current):
                 return False
@@ -208,9 +220,9 @@ class Search:
         self.state.grant_half()  # for what goes beside an effect that was dear to find
         now.current = self.tempering.tempered(best)
         if self.effective_of is not None:
-            self.context.effective = self.effective_of(now.current)
+            self.context.effective = self.effective_of(self.fitter, now.current)
         if self.orders_of is not None and now.current.chi2 > ORDERS_FROM * now.current.n:
-            self.fitter.set_orders(*self.orders_of(now.current))
+            self.use(self.fitter.with_orders(*self.orders_of(self.fitter, now.current)))
         self._tell(now.current)
 
     def _beam(self, current: Fitted) -> list[Fitted]:
@@ -290,7 +302,7 @@ class Search:
 
     def _settled(self, f: Fitted) -> bool:
         """Whether the residual of a structure is noise alone, so that more is sought on whitened errors only."""
-        return self.settled_by is not None and self.settled_by(f)
+        return self.settled_by is not None and self.settled_by(self.fitter, f)
 
     def _under_observer(self, current: Fitted, best: Fitted) -> Fitted:
         """The best structure once a nonsmooth one near it was asked, under an observer gain, what it lacks; far from the noise.

@@ -36,17 +36,17 @@ class Tempering:
         fitter = self.state.fitter
         if not fitter.noise.exceeds(f.chi2 / f.n, least):
             return self.weigh(1.0, f)
-        weight, old = guide_of(fitter, f), fitter.guide
+        weight, old = guide_of(fitter, f), fitter.prior_weight
         return self.weigh(weight, f) if old == 1.0 or weight < HALF * old else f
 
     def weigh(self, weight: float, current: Fitted) -> Fitted:
         """Weigh the prior by ``weight`` from now on: the structures near the current one are fitted again, others go."""
         state, pool = self.state, self.state.pool
-        if weight == state.fitter.guide:
+        if weight == state.fitter.prior_weight:
             return current
-        if state.fitter.guide == 1.0:
+        if state.fitter.prior_weight == 1.0:
             self._untempered = pool[()]
-        state.fitter.guide = weight
+        state.context.fitter = state.fitter.relax(prior_weight=weight)
         slow = state.context.slow
         near = sorted((f for f in pool.values() if f.chi2 < NEAR * current.chi2 and not slow(f)), key=state.context.criterion)
         near = near[: 0 if state.late() else state.options.width]
@@ -67,7 +67,7 @@ class Tempering:
 
     def alone(self, f: Fitted) -> Fitted:
         """A structure by its own weights, its rivals left as they are: they will be raced again, on whitened errors."""
-        if self.state.fitter.guide == 1.0:
+        if self.state.fitter.prior_weight == 1.0:
             return f
         self.state.pool.drop(*[k for k in self.state.pool if k and k != f.key])
         return self.weigh(1.0, f)

@@ -21,6 +21,7 @@ from diagnose.evidence.encoder import fit_beside_encoder
 from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
+from diagnose.fit.validation import error_on, observed_error, pooled, predicted_samples
 from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.structure.search import Search
@@ -82,9 +83,9 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
     if _only_diverges(fitter, base, best, options):
         return dataclasses.replace(now, unexplained=False, diverges=True)
     # what the estimation recordings leave open is no missing physics: every recording may settle the parameters
-    pooled = fitter.pooled(best)
-    now = _judged_again(search, base, pooled, now, options)
-    now = dataclasses.replace(now, unexplained=now.unexplained or _left_on_estimation(fitter, base, pooled, options))
+    by_all = pooled(fitter, best)
+    now = _judged_again(search, base, by_all, now, options)
+    now = dataclasses.replace(now, unexplained=now.unexplained or _left_on_estimation(fitter, base, by_all, options))
     now = dataclasses.replace(now, by_parameters=not now.unexplained)
     beside = fit_beside_encoder(fitter, best, search.options.entry) if now.unexplained else None
     if beside is None:
@@ -158,15 +159,15 @@ def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options)
         little = after - 1.0 < options.missed or closed(before - 1.0, after - 1.0) >= options.closed
         return little and before - 1.0 > POWER * options.missed
 
-    samples = fitter.foretold(best)
-    if samples is not None and judged(fitter.error_on(base, samples), fitter.error_on(best, samples)):
+    samples = predicted_samples(fitter, best)
+    if samples is not None and judged(error_on(fitter, base, samples), error_on(fitter, best, samples)):
         return True
-    return any(judged(*(fitter.led_error(f, rate) for f in (base, best))) for rate in EVENTS)
+    return any(judged(*(observed_error(fitter, f, gain) for f in (base, best))) for gain in EVENTS)
 
 
-def _left_on_estimation(fitter: Fitter, base: Fitted, pooled: Fitted, options: Options) -> bool:
+def _left_on_estimation(fitter: Fitter, base: Fitted, by_all: Fitted, options: Options) -> bool:
     """Whether a model fitted to every recording leaves the estimation recordings a material error, whitened if need be."""
-    r = fitter.residual(pooled.hypothesis)(pooled.fit.x) if fitter.noise.absolute else None
+    r = fitter.residual(by_all.hypothesis)(by_all.fit.x) if fitter.noise.absolute else None
     if r is None:
         return False
     left = float(r @ r) / base.n - 1.0

@@ -10,6 +10,7 @@ import pytest
 from diagnose.data.experiment import prepare
 from diagnose.evidence.outcome import Pair, Veto
 from diagnose.evidence.rivals.events import LEAD, no_moment_of_an_event
+from diagnose.fit import path
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.pool import Pool
 from diagnose.problem.view import MotionView, most_led
@@ -93,7 +94,7 @@ def test_a_led_model_measures_without_bias(robot):
     try:
         base = fitter.fit(fitter.hypothesis(()))
         inertia = robot.chain.bodies[0].inertia
-        assert fitter.led(base, 300.0).linear["Jm"] == pytest.approx(inertia, rel=0.01)
+        assert path.observed(fitter, base, 300.0).linear["Jm"] == pytest.approx(inertia, rel=0.01)
     finally:
         fitter.close()
 
@@ -131,8 +132,8 @@ def test_a_slow_sensor_leaves_no_room_for_a_high_rate(robot, fitter):
     assert most_led(robot) == np.inf
     assert 100.0 < most_led(slow) < 1000.0
     lagging = fitter.fit(fitter.hypothesis((effect_class("sensor_lag")(time_constant_s=5e-3),)), iterations=0)
-    assert fitter.led(lagging, 1000.0, 0) is None
-    assert fitter.led(lagging, 100.0, 0) is not None
+    assert path.observed(fitter, lagging, 1000.0, 0) is None
+    assert path.observed(fitter, lagging, 100.0, 0) is not None
 
 
 def test_stiction_is_found_where_plain_fits_stick(robot, fitter):
@@ -141,7 +142,7 @@ def test_stiction_is_found_where_plain_fits_stick(robot, fitter):
     plain = fitter.fit(fitter.hypothesis((start,), far), iterations=25)
     best = plain
     for seed in range(3):
-        free = fitter.let_go(best, seed)
+        free = path.released(fitter, best, seed)
         assert free is not None
         best = min(best, free, key=lambda f: f.chi2)
     assert best.chi2 < 0.6 * plain.chi2
@@ -153,7 +154,7 @@ def test_a_led_model_that_leaves_more_than_noise_is_not_let_go(fitter):
     """Coulomb friction in place of stiction: no order of events will do, and the rest of the way is spared."""
     before = fitter.runs
     wrong = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=10)
-    assert fitter.let_go(wrong) is None
+    assert path.released(fitter, wrong) is None
     assert fitter.runs - before < 1500
 
 
@@ -162,12 +163,12 @@ def test_a_few_steps_down_from_a_led_model_come_nearer_at_a_fraction_of_the_cost
     far = {p.name: 1.06 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"}
     plain = fitter.fit(fitter.hypothesis((start,), far), iterations=25)
     before = fitter.runs
-    landed = fitter.landed(plain)
+    landed = path.landed(fitter, plain)
     assert landed.chi2 < 0.6 * plain.chi2
     assert abs(landed.effects[0].peak - STICTION["peak"]) < 0.6 * abs(plain.effects[0].peak - STICTION["peak"])
     assert fitter.runs - before < 1000
     wrong = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=0.05),)), iterations=10)
-    assert fitter.landed(wrong) is None, "led, it leaves more than noise"
+    assert path.landed(fitter, wrong) is None, "led, it leaves more than noise"
 
 
 def test_a_race_lands_what_sticks_and_comes_near_its_winner(robot, fitter):
@@ -195,7 +196,7 @@ def test_a_race_lands_what_sticks_and_comes_near_its_winner(robot, fitter):
 
 def test_the_same_fit_each_time(fitter):
     start = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.0),)), iterations=5)
-    first, second = (fitter.led(start, LEAD, 3, spread=4, keep=2) for _ in range(2))
+    first, second = (path.observed(fitter, start, LEAD, 3, spread=4, keep=2) for _ in range(2))
     assert np.array_equal(first.fit.x, second.fit.x)
 
 
@@ -230,8 +231,8 @@ def test_a_pair_is_led_once_but_for_the_last_digits_of_its_fits(robot, fitter, m
     ripple = effect_class("torque_ripple")(amplitude_Nm=1e-3, cycles_per_rev=5.4, phase_rad=0.0)
     stiction = effect_class("static_friction")(**STICTION)
     before, after = (fitter.fit(fitter.hypothesis(effects), iterations=1) for effects in ((stiction,), (stiction, ripple)))
-    led, calls = fitter.led, []
-    monkeypatch.setattr(fitter, "led", lambda *args, **how: calls.append(args) or led(*args, **how))
+    led, calls = path.observed, []
+    monkeypatch.setattr("diagnose.evidence.rivals.events.observed", lambda *args, **how: calls.append(args) or led(*args, **how))
     said = events_only(search, before, after)
     first = len(calls)
     finer = dataclasses.replace(before, fit=dataclasses.replace(before.fit, cost=before.chi2 * (1 - 1e-4)))
@@ -277,8 +278,8 @@ def test_what_comes_back_to_the_minimum_that_is_known_is_not_let_go_again(fitter
     let_go = []
     for name, told in (("lacks_more", False), ("lacks_law", False), ("smoothed", lost), ("restart", lost)):
         monkeypatch.setattr(search.path, name, lambda *_, told=told: told)
-    monkeypatch.setattr(fitter, "unfolded", lambda *_: lost)
-    monkeypatch.setattr(fitter, "let_go", lambda *_: let_go.append(1) or lost)
+    monkeypatch.setattr(path, "over_horizons", lambda *_: lost)
+    monkeypatch.setattr(path, "released", lambda *_: let_go.append(1) or lost)
     for _ in range(3):
         search.path.grow([lost], most=1)
         search.path.grow([lost])
@@ -289,10 +290,10 @@ def test_points_about_a_fit_lead_to_lower_minima(fitter):
     """Of the many narrow minima of a free run that sticks, to one that no gradient led to; the same each time."""
     start = effect_class("static_friction")(torque_Nm=0.0503, peak=4.55)
     plain = fitter.fit(fitter.hypothesis((start,)), iterations=25)
-    lower = fitter.shaken(plain)
+    lower = path.restarted_about(fitter, plain)
     assert plain.rough
     assert lower.chi2 < plain.chi2 - 25.0
-    assert fitter.shaken(plain).chi2 == lower.chi2
+    assert path.restarted_about(fitter, plain).chi2 == lower.chi2
 
 
 def test_an_effect_beside_stiction_has_to_beat_it_where_the_richer_structure_has_led(fitter):
@@ -322,7 +323,7 @@ def test_what_stays_behind_when_both_are_led_is_not_unfolded(fitter, monkeypatch
     assert not search.path.beaten(lost, right), "it is behind by the moments at which it sticks, and no more"
     assert not search.path.lacks_more(lost)
     monkeypatch.setattr("diagnose.structure.continuation.folded", lambda f: True)
-    monkeypatch.setattr(fitter, "unfolded", lambda *_: pytest.fail("unfolded all the same"))
+    monkeypatch.setattr(path, "over_horizons", lambda *_: pytest.fail("unfolded all the same"))
     search.path.grow([coulomb], right)
 
 
@@ -346,7 +347,7 @@ def test_what_is_behind_is_shaken_where_a_run_of_it_is_short(robot, fitter, monk
     """Static friction in a wrong minimum left 0.98 of what passed for noise, Stribeck friction of no width 0.90."""
     search, shaken = Search(fitter, SearchOptions()), []
     monkeypatch.setattr(search.path, "restart", lambda f: shaken.append(f.key))
-    monkeypatch.setattr(fitter, "landed", lambda f: None)
+    monkeypatch.setattr(path, "landed", lambda *_: None)
     sticks = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.05, peak=4.0),)), iterations=0)
     slow = {"torque_Nm": 0.05, "extra_static_torque_Nm": 0.15, "stribeck_velocity_rad_s": 0.01}
     like = fitter.fit(fitter.hypothesis((effect_class("stribeck_friction")(**slow),)), iterations=0)
@@ -360,10 +361,10 @@ def test_what_is_behind_is_shaken_where_a_run_of_it_is_short(robot, fitter, monk
 
 def test_a_structure_is_led_once_from_where_it_is(fitter):
     f = fitter.fit(fitter.hypothesis([effect_class("static_friction")(**STICTION)]), iterations=2)
-    led, before = fitter.led(f, 300.0, 3), fitter.work
-    assert fitter.led(f, 300.0, 3) is led
+    led, before = path.observed(fitter, f, 300.0, 3), fitter.work
+    assert path.observed(fitter, f, 300.0, 3) is led
     assert fitter.work == before
-    assert fitter.led(f, 100.0, 3) is not led
+    assert path.observed(fitter, f, 100.0, 3) is not led
     assert fitter.work > before
 
 
@@ -388,12 +389,12 @@ def test_what_stays_when_led_is_led_closely_first(fitter, monkeypatch, on_the_wa
 
     wrong, asked = leaving(1.15), []
 
-    def led(f, rate, iterations):
-        asked.append(rate)
+    def led(by, f, gain, iterations):
+        asked.append(gain)
         direct = len(asked) == 1
         return leaving(1.10 if direct else on_the_way)
 
-    monkeypatch.setattr(fitter, "led", led)
+    monkeypatch.setattr(path, "observed", led)
     assert search.path.lacks_law(wrong) is lacks
     assert asked == [LEAD, 300.0, 100.0, LEAD]
     assert not search.path.lacks_law(leaving(2.5)), "it leaves too much to tell"

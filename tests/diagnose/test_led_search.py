@@ -118,7 +118,7 @@ def test_a_structure_that_cannot_be_run_free_is_left_out(search, monkeypatch):
     lost = dataclasses.replace(led, fit=dataclasses.replace(led.fit, cost=np.inf, status=Status.FAILED))
     monkeypatch.setattr("diagnose.structure.observer_search._search", lambda _: [led])
     monkeypatch.setattr(search.fitter, "fit", lambda *_, **__: lost)
-    monkeypatch.setattr(search.fitter, "let_go", lambda *_, **__: None)
+    monkeypatch.setattr("diagnose.structure.observer_search.released", lambda *_, **__: None)
     among_led(search)
     assert list(search.pool) == [()]
 

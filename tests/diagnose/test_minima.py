@@ -127,7 +127,7 @@ def test_what_cannot_be_told_from_an_answer_is_fitted_whatever_may_still_be_simu
     search = Search(fitter, SearchOptions())
     best = fitter.fit(fitter.hypothesis([lag], PLANT))
     far = fitter.fit(fitter.hypothesis([lag.with_values({"time_constant_s": 5e-3})], PLANT), iterations=0)
-    fitter.most_runs = fitter.runs - 1
+    fitter.allow(fitter.runs - 1)
     assert fitter.spent
     assert best.chi2 < 1.1 * best.n < 0.5 * far.chi2
     search.reduction.fit_confounders(far, far.effects[0])

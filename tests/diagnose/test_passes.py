@@ -12,6 +12,7 @@ from robot_axis import effect
 from diagnose.data.experiment import held_rows, prepare
 from diagnose.evidence.predictable import motion_error, remaining_structure
 from diagnose.fit.fitter import Fitter
+from diagnose.fit.validation import pooled
 from diagnose.fit.whiten import settle
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
@@ -53,8 +54,8 @@ def test_the_nominal_structure_is_begun_elsewhere_where_it_leaves_much(search_of
 def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase(search_of, pair):
     truth = {"torque_Nm": 0.15, "relative_amplitude": 0.4, "cycles_per_rev": 3.0, "phase_rad": -2.5}
     search = search_of(*pair(effect("position_dependent_friction", place="motor", **truth), amplitude=1.5))
+    search.use(search.fitter.with_orders((2.2, 3.3)))
     fitter = search.fitter
-    fitter.set_orders((2.2, 3.3))
     wrong = {"torque_Nm": 0.15, "relative_amplitude": 0.1, "cycles_per_rev": 3.3, "phase_rad": 0.5}
     stuck = fitter.fit(fitter.hypothesis((effect("position_dependent_friction", place="motor", **wrong),)))
     assert stuck.chi2 > 2 * stuck.n, "else there is nothing to show"
@@ -145,8 +146,7 @@ def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
     assert motion_error(fitter, settled) < Options().missed
     coloured = remaining_structure(fitter, settled)
     assert coloured.p_value < 1e-6, "else there is nothing to show"
-    fitter.whitening = filter_
-    white = remaining_structure(fitter, settled)
+    white = remaining_structure(fitter.relax(whitening=filter_), settled)
     assert white.share < Options().structure_share or white.p_value > Options().structure_p
     result = diagnose(robot, [first], [other], Options(jobs=1))
     assert result.verdict in (Verdict.PARAMETERS_ONLY, Verdict.NO_MISMATCH)
@@ -156,7 +156,7 @@ def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
 def is_sought_on_whitened_errors_only(fitter, monkeypatch):
     """Search by a fitter, and find nothing."""
     searched_by = []
-    monkeypatch.setattr(Growth, "expand", lambda self, base: searched_by.append(len(fitter.whitening)) or [])
+    monkeypatch.setattr(Growth, "expand", lambda self, base: searched_by.append(len(self.state.fitter.whitening)) or [])
     _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
     assert whitened
     assert 1 not in searched_by, "nothing is sought on plain errors"
@@ -168,8 +168,7 @@ def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot
     """A null whose plain fit missed motion by eleven times the noise was searched on plain errors until the budget was spent."""
     first, other = fed_back
     fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
-    pooled = fitter.pooled
-    monkeypatch.setattr(fitter, "pooled", lambda f: dataclasses.replace(pooled(f), n=-1))
+    monkeypatch.setattr(passes, "pooled", lambda by, f: dataclasses.replace(pooled(by, f), n=-1))
     monkeypatch.setattr(passes, "motion_error", lambda _, f, **on: 0.0 if f.n == -1 else 11.0)
     is_sought_on_whitened_errors_only(fitter, monkeypatch)
 
@@ -183,9 +182,9 @@ def test_what_a_filter_leaves_open_all_recordings_may_settle(robot, looped):
     plain = fitter.fit(fitter.hypothesis(()))
     filter_, settled = settle(fitter, plain)
     assert motion_error(fitter, settled) > Options().missed, "else there is nothing to show"
-    assert motion_error(fitter, fitter.pooled(plain)) > Options().missed, "else there is nothing to show"
-    fitter.whitening = filter_
-    assert motion_error(fitter, fitter.pooled(settled)) < Options().missed
+    assert motion_error(fitter, pooled(fitter, plain)) > Options().missed, "else there is nothing to show"
+    whitened = fitter.relax(whitening=filter_)
+    assert motion_error(whitened, pooled(whitened, settled)) < Options().missed
     result = diagnose(robot, [first], [other], Options(jobs=1))
     assert result.verdict in (Verdict.PARAMETERS_ONLY, Verdict.NO_MISMATCH)
 
@@ -199,17 +198,19 @@ def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkey
     one = fitter.fit(fitter.hypothesis((both.effects[0],)))
     answers = [both, one, one]
 
-    def answer(*asked, **known):
+    def answer(by, *asked, **known):
         if len(answers) == 2 and spent:
-            fitter.most_runs = fitter.runs - 1
+            fitter.allow(fitter.runs - 1)
+        search = Search(by, SearchOptions())
+        search.nominal()
         return search, answers.pop(0)
 
     monkeypatch.setattr(passes, "_search", answer)
     monkeypatch.setattr(passes, "_whitening", lambda *asked: (np.array([1.0, -0.1 * len(answers)]), False))
-    _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
+    by, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
     assert found is (both if spent else one)
     assert whitened is not spent
-    assert len(fitter.whitening) == (1 if spent else 2)
+    assert len(by.fitter.whitening) == (1 if spent else 2)
 
 
 def test_the_mean_of_coloured_noise_is_not_sought_as_an_offset(robot, tmp_path, monkeypatch):
@@ -233,9 +234,9 @@ def test_what_is_found_with_the_last_simulation_must_earn_its_filter(search_of, 
     one = fitter.fit(fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.3),)))
     none = fitter.fit(fitter.hypothesis(()))
     answers = [one, none]
-    fitter.most_runs = 0
+    fitter.allow(0)
     assert fitter.spent
-    monkeypatch.setattr(passes, "_search", lambda *asked, **known: (search, answers.pop(0)))
+    monkeypatch.setattr(passes, "_search", lambda by, *asked, **known: (Search(by, SearchOptions()), answers.pop(0)))
     monkeypatch.setattr(passes, "_whitening", lambda *asked: (np.array([1.0, -0.5]), earned))
     _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
     assert found is (one if earned else none)

@@ -13,13 +13,15 @@ from robot_axis import effect
 from scipy.stats import wilcoxon
 
 from diagnose.data.experiment import prepare
+from diagnose.evidence import context
 from diagnose.evidence.context import PUT_RIGHT
 from diagnose.evidence.held_out import Comparison, compare, signed_rank
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import FAR, Fitter
 from diagnose.fit.least_squares import Status
-from diagnose.fit.weighted import PRIOR
+from diagnose.fit.validation import observed_held_out, predicted_samples
 from diagnose.pipeline import Options, diagnose
+from diagnose.problem.problem import PRIOR
 from diagnose.problem.view import MotionView
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import Candidate, Screened, inherit, takes_place
@@ -85,15 +87,14 @@ def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, pair):
     """Inertias and stiffnesses are held by their logarithm, the others by their ratio."""
     fitter = fitter_of(pair())
     h = fitter.hypothesis(())
-    np.testing.assert_allclose(fitter.prior(h, h.start), 0.0, atol=1e-12)
-    fitter.guide = 4.0
+    np.testing.assert_allclose(fitter.problem.prior(h, h.start), 0.0, atol=1e-12)
+    fitter = fitter.relax(prior_weight=4.0)
     off = fitter.hypothesis((), {"Jm": 2 * fitter.nominal.chain.bodies[0].inertia})
-    assert np.max(fitter.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) / PRIOR)
+    assert np.max(fitter.problem.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) / PRIOR)
 
 
 def test_what_a_prior_costs_is_no_misfit(fitter_of, pair):
-    fitter = fitter_of(pair())
-    fitter.guide = 1e4
+    fitter = fitter_of(pair()).relax(prior_weight=1e4)
     inertia = fitter.nominal.chain.bodies[0].inertia
     off = fitter.fit(fitter.hypothesis((), {"Jm": 1.2 * inertia}), iterations=0)
     errors = off.fit.residual[: -len(fitter.nominal.chain.linear_parameters())]
@@ -105,7 +106,7 @@ def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, pai
     """Those of the recordings as they are, those of the prior anew."""
     fitter = fitter_of(pair(coulomb()))
     lender = fitter.fit(fitter.hypothesis([coulomb()]), iterations=3)
-    fitter.guide = 100.0
+    fitter = fitter.relax(prior_weight=100.0)
     asked = []
 
     def run(tasks):
@@ -159,7 +160,7 @@ def test_the_search_ends_without_the_prior_that_guided_it(fitter_of, pair):
     free = search.nominal()
     best = search.run()
     assert max(weights) > 1.0, "so large a misfit is guided"
-    assert fitter.guide == 1.0
+    assert search.fitter.prior_weight == 1.0
     assert search.pool[()].chi2 == free.chi2, "the rival to beat is the freely refitted nominal model"
     assert best.key == ("coulomb_friction@motor",)
     assert best.effects[0].torque_Nm == pytest.approx(0.3, rel=0.01)
@@ -255,14 +256,14 @@ def test_a_held_out_run_that_goes_astray_judges_as_far_as_it_foretells(fitter_of
     search = Search(fitter, SearchOptions())
     base, right = search.nominal(), fitter.fit(fitter.hypothesis([coulomb()]))
     monkeypatch.setattr(Fitted, "rough", property(lambda f: f.key == right.key))
-    monkeypatch.setattr(fitter, "led_held_out", lambda f, rate: None)
-    monkeypatch.setattr(fitter, "foretold", lambda f: [half] if f is right else None)
+    monkeypatch.setattr(context, "observed_held_out", lambda by, f, gain: None)
+    monkeypatch.setattr(context, "predicted_samples", lambda by, f: [half] if f is right else None)
     blind = compare(search.held_out(base), search.held_out(right), known=True)
     judged = search.context.compared(base, right)
     assert judged.relative_gain > 3 * blind.relative_gain
     assert judged.p_value < 1e-6
     assert search.context.compared(right, base).relative_gain < 0, "and it speaks against the other just as far"
-    monkeypatch.setattr(fitter, "foretold", lambda f: None)
+    monkeypatch.setattr(context, "predicted_samples", lambda by, f: None)
     search.context.memo.predicted.clear()
     assert search.context.compared(base, right) == blind
 
@@ -276,10 +277,10 @@ def test_a_held_out_run_that_goes_astray_is_judged_by_led_models_too(fitter_of, 
     search = Search(fitter, SearchOptions())
     base, right = search.nominal(), fitter.fit(fitter.hypothesis([coulomb()]))
     monkeypatch.setattr(Fitted, "rough", property(lambda f: f.key == right.key))
-    monkeypatch.setattr(fitter, "foretold", lambda f: None)
-    monkeypatch.setattr(fitter, "led_held_out", lambda f, rate: clean.led_held_out(f, rate))
+    monkeypatch.setattr(context, "predicted_samples", lambda by, f: None)
+    monkeypatch.setattr(context, "observed_held_out", lambda by, f, gain: observed_held_out(clean, f, gain))
     blind = compare(search.held_out(base), search.held_out(right), known=True)
-    led = compare(*(clean.led_held_out(f, PUT_RIGHT) for f in (base, right)), known=True)
+    led = compare(*(observed_held_out(clean, f, PUT_RIGHT) for f in (base, right)), known=True)
     assert blind.p_value > 2 * led.p_value
     assert search.context.compared(base, right) == Comparison(led.relative_gain, 2 * led.p_value)
     nearly = dataclasses.replace(right, fit=dataclasses.replace(right.fit, cost=right.n + 0.02 * (base.chi2 - base.n)))
@@ -291,7 +292,7 @@ def test_a_held_out_run_that_goes_astray_is_judged_by_led_models_too(fitter_of, 
 
 def test_only_laws_that_stick_or_strike_go_astray(fitter_of, pair):
     fitter = fitter_of(pair(coulomb()))
-    assert fitter.foretold(fitter.fit(fitter.hypothesis(()))) is None
+    assert predicted_samples(fitter, fitter.fit(fitter.hypothesis(()))) is None
 
 
 def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fitter_of, pair):
@@ -385,8 +386,8 @@ def test_a_gain_on_all_of_a_held_out_run_counts_where_what_is_foretold_of_it_say
     search = Search(fitter, SearchOptions())
     base, right = search.nominal(), fitter.fit(fitter.hypothesis([coulomb()]))
     monkeypatch.setattr(Fitted, "rough", property(lambda f: f.key == right.key))
-    monkeypatch.setattr(fitter, "led_held_out", lambda f, rate: None)
-    monkeypatch.setattr(fitter, "foretold", lambda f: [start & ~start] if f is right else None)
+    monkeypatch.setattr(context, "observed_held_out", lambda by, f, gain: None)
+    monkeypatch.setattr(context, "predicted_samples", lambda by, f: [start & ~start] if f is right else None)
     own = fitter.validate
     monkeypatch.setattr(fitter, "validate", lambda f, samples=None: own(f) if samples is None else held(np.zeros(N)))
     on_all = compare(search.held_out(base), search.held_out(right), known=True)
@@ -443,7 +444,8 @@ def test_an_effect_that_explains_little_of_much_creeps_whatever_the_prior_weighs
     base = search.nominal()
     trifle = fitter.fit(fitter.hypothesis([effect("quadratic_friction", coefficient_Nm_s2_rad2=1e-9)], base.linear), iterations=0)
     right = fitter.fit(fitter.hypothesis([coulomb(0.3)]))
-    for fitter.guide in (1.0, 1e9):
+    for weight in (1.0, 1e9):
+        search.use(fitter.relax(prior_weight=weight))
         assert search._creeps(base, trifle)
         assert not search._creeps(base, right), "it leaves noise"
 
@@ -471,14 +473,14 @@ def test_near_the_end_of_what_may_be_simulated_rivals_are_begun_a_few_at_a_time(
     ]
     slow = effect("presliding_friction", torque_Nm=50.0, stiffness_Nm_rad=2e3)  # which never slides
     stiff = (base.effects, Screened(Candidate(slow.id, slow.place), slow, 1e3, (slow,)))
-    fitter.most_runs = fitter.runs + 1
+    fitter.allow(fitter.runs + 1)
     ranked = search.race._within_reach(base, [stiff, *ranked])[: 3 * PORTION]
     assert stiff not in ranked, "what is slow to run is not begun at all"
     assert "too slow" in search.state.failed[slow.key], "and not dropped in silence"
     assert len(ranked) == 3 * PORTION
     assert len(search.race.run(base, ranked)) == PORTION
     assert search.race.run(base, ranked) == []
-    fitter.most_runs = math.inf
+    fitter.allow(math.inf)
     assert len(search.race.run(base, ranked)) == 3 * PORTION
     assert stiff in search.race._within_reach(base, [stiff])
     assert slow.key not in search.state.failed
@@ -595,18 +597,18 @@ def test_what_is_locked_to_position_is_refined_again_at_the_order_that_now_stand
     values = {"torque_Nm": 0.1, "relative_amplitude": 0.4, "phase_rad": 0.3}
     varying = effect("position_dependent_friction", cycles_per_rev=6.0, **values)
     fitter = fitter_of(pair(varying))
-    fitter.set_orders((40.0,))
+    fitter = fitter.with_orders((40.0,))
     search = Search(fitter, SearchOptions())
     base = fitter.fit(fitter.hypothesis([coulomb()]))
     search.keep(base)
     search.keep(fitter.fit(fitter.hypothesis([varying.with_values({"cycles_per_rev": 40.0})]), iterations=3))
     assert search.pool[(varying.key,)].chi2 < 1.2 * base.chi2
     assert not [f for f in search.growth.refine(base) if f.key == (varying.key,)]
-    fitter.set_orders((6.0,))
+    search.use(fitter.with_orders((6.0,)))
     (found,) = (f for f in search.growth.refine(base) if f.key == (varying.key,))
     assert found.chi2 < 1.1 * found.n < base.chi2
     assert found.effects[0].cycles_per_rev == pytest.approx(6.0, abs=0.01)
-    fitter.set_orders((40.0, 6.0))
+    search.use(fitter.with_orders((40.0, 6.0)))
     assert [f.key for f in search.growth.refine(base)].count((varying.key,)) == 1
     assert not [f for f in search.growth.refine(base) if f.key == (varying.key,)], "once by these orders"
 

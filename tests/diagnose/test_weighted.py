@@ -32,7 +32,7 @@ def test_the_sensitivities_of_a_rounded_model_are_those_ahead_of_the_rounding(fi
     np.testing.assert_array_equal(r, fitter.residual(rounded)(x))
     np.testing.assert_allclose(J[:, shared], expected, atol=1e-9 * np.max(np.abs(expected)))
     assert np.any(J[:, own[0]]), "its own numbers show in the digits alone"
-    assert fitter.slope(smooth) is None
+    assert fitter.problem.slope(smooth) is None
     plain = np.column_stack([fitter.residual(rounded)(x + 1e-3 * np.eye(len(x))[i]) - r for i in shared]) / 1e-3
     off = np.linalg.norm(plain - expected, axis=0) / np.linalg.norm(expected, axis=0)
     assert np.median(off) > 0.1

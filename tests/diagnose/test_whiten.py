@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -65,7 +66,9 @@ def test_noise_far_larger_than_its_innovations_is_whitened_by_its_own_poles(reco
     counts = np.ones(6000, bool)
     counts[np.random.default_rng(6).integers(0, 6000, 20)] = False
     fitter, f = fitted(record, robot, noise)
-    fitter._counts = dict.fromkeys(fitter._counts, counts)
+    (experiment,) = fitter.experiments
+    part = dataclasses.replace(experiment, counts=counts)
+    fitter = fitter.beside(fitter.problem.on((part,), (experiment,)))
     np.testing.assert_allclose(whitening_filter(fitter, f)[:3], poles, atol=0.05)
     counts[::30] = False  # no stretch is long enough
     assert whitening_filter(fitter, f) is not None
@@ -73,8 +76,6 @@ def test_noise_far_larger_than_its_innovations_is_whitened_by_its_own_poles(reco
 
 def fitted(record, robot, noise):
     """A fitter whose residual at the true axis is a given noise."""
-    import dataclasses
-
     r = record(changed=False, noise=0.0)
     r = dataclasses.replace(r, velocity=r.velocity + noise)
     fitter = Fitter(robot, MotionView(), (prepare(r),), (prepare(r),), 1)
@@ -98,9 +99,8 @@ def test_coloured_noise_is_whitened(record, robot):
     rho = np.array([white[:-k] @ white[k:] for k in range(1, 20)]) / (white @ white)
     assert np.max(np.abs(rho)) < 4 / np.sqrt(len(white))
     assert noise_rms(fitter, fitter.experiments[0]) == fitter.sigma(fitter.experiments[0])
-    fitter.whitening = filter_ / innovation(fitter, f, filter_)
-    assert noise_rms(fitter, fitter.experiments[0]) == pytest.approx(0.05 / np.sqrt(1 - 0.64), rel=0.05)
-    fitter.whitening = np.ones(1)
+    whitened = fitter.relax(whitening=filter_ / innovation(fitter, f, filter_))
+    assert noise_rms(whitened, whitened.experiments[0]) == pytest.approx(0.05 / np.sqrt(1 - 0.64), rel=0.05)
     # sum of .8^(2k) is 1.78: one sample in 4.6 counts
     assert effective_share(fitter, f) == pytest.approx(1 / (1 + 2 * 0.64 / 0.36), rel=0.15)
 
@@ -110,13 +110,13 @@ def test_a_filter_is_not_settled_before_the_fit_behind_it_is(record, robot, monk
     noise = lfilter([1.0], [1.0, -0.85], 0.05 * np.random.default_rng(2).standard_normal(6000))
     fitter, _ = fitted(record, robot, noise)
     begin = fitter.fit(fitter.hypothesis((), {p.name: 1.3 * p.value for p in robot.chain.linear_parameters()}), iterations=0)
-    fit, few = fitter.fit, []
+    fit, few = Fitter.fit, []
 
-    def short(h, x0=None, **how):
+    def short(self, h, x0=None, **how):
         few.append(1)
-        return fit(h, x0, **{**how, "iterations": 2})
+        return fit(self, h, x0, **{**how, "iterations": 2})
 
-    monkeypatch.setattr(fitter, "fit", short)
+    monkeypatch.setattr(Fitter, "fit", short)
     filter_, settled = settle(fitter, begin)
     assert len(few) > 2
     assert settled.fit.status is Status.CONVERGED or len(few) == 8

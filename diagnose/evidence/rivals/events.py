@@ -13,6 +13,7 @@ from diagnose.evidence.context import Context
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
 from diagnose.fit.fitted import UNEXPLAINED, Fitted
 from diagnose.fit.fitter import SAME
+from diagnose.fit.path import observed
 from diagnose.fit.pool import Key
 from diagnose.fit.starts import warm_started
 
@@ -32,8 +33,8 @@ def no_moment_of_an_event(context: Context, pair: Pair) -> Outcome:
         needed = FAIR * before.n * math.log(before.chi2 / before.n)
         if gain < needed:
             return Veto("events", {"gain": gain, "needed": needed})
-    observed, needed = _gain_under_observer(context, before, after), max(context.prices.entry, FAIR * gain)
-    return Veto("events", {"gain": observed, "needed": needed}) if observed < needed else PASS
+    found, needed = _gain_under_observer(context, before, after), max(context.prices.entry, FAIR * gain)
+    return Veto("events", {"gain": found, "needed": needed}) if found < needed else PASS
 
 
 def _gain_under_observer(context: Context, before: Fitted, after: Fitted) -> float:
@@ -41,9 +42,9 @@ def _gain_under_observer(context: Context, before: Fitted, after: Fitted) -> flo
     fitter, memo = context.fitter, context.memo.observed
     asked = next((a for a in memo if _alike(a, before, after)), (before.key, before.chi2, after.key, after.chi2))
     if asked not in memo:
-        richer, own = (fitter.led(f, LEAD, 15, spread=0 if context.slow(f) else 8, keep=2) for f in (after, before))
+        richer, own = (observed(fitter, f, LEAD, 15, spread=0 if context.slow(f) else 8, keep=2) for f in (after, before))
         begun = warm_started(fitter, after, before.key, 0)
-        poorer = [f for f in (own, fitter.led(begun, LEAD, 15) if begun.ok else None) if f is not None]
+        poorer = [f for f in (own, observed(fitter, begun, LEAD, 15) if begun.ok else None) if f is not None]
         if richer is None or not poorer:
             memo[asked] = math.inf
         else:

@@ -37,8 +37,8 @@ def fit(task: Task) -> Answer:
         search.pool.put(base.fitted)
         current = base.fitted
         while len(current.effects) < DEPTH:
-            fitter.set_orders(orders(fitter, current))
-            search.state.consider(candidates(fitter))
+            search.use(search.fitter.with_orders(orders(fitter, current)))
+            search.state.consider(candidates(search.fitter))
             search.growth.expand(current)
             richer = [f for f in search.pool.values() if len(f.effects) == len(current.effects) + 1]
             best = min(richer, key=bic, default=current)
