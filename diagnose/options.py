@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["RUNS", "Options"]
-
-RUNS = 14_000  # simulations of all recordings that a diagnosis may take: some 20 s for 10 s at 2 kHz on two cores, seldom over 30
+__all__ = ["Options"]
 
 
 @dataclass(frozen=True)

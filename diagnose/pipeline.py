@@ -15,13 +15,13 @@ from diagnose.evidence.predictable import remaining_structure
 from diagnose.explain.locate import locate
 from diagnose.explain.torque_map import fit_map
 from diagnose.fit.fit_cache import Memory
-from diagnose.fit.fitted import UNEXPLAINED
 from diagnose.fit.fitter import Fitter
-from diagnose.options import RUNS, Options
+from diagnose.options import Options
 from diagnose.problem.choose_view import choose_view
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Verdict
 from diagnose.structure.passes import searched
+from diagnose.thresholds import HELD_OUT_SHOWS, RUNS, SECOND_SPLIT, UNEXPLAINED
 from diagnose.verdict.assemble import diagnosis, unit_of
 from diagnose.verdict.decide import decide
 from diagnose.verdict.findings import findings, merged
@@ -32,9 +32,6 @@ from mjsim.errors import InputError
 from mjsim.recording import Recording
 
 __all__ = ["Options", "diagnose"]
-
-AGAIN = 1 / 3  # part of the simulations that a search of another split of the recordings may take whatever the first one took
-SHOWN = 1.1  # of the noise rms, in the held-out error of a model that leaves none on what it was fitted to
 
 
 def diagnose(
@@ -66,7 +63,7 @@ def diagnose(
         nonlocal taken
         used = (corrected(group, corrections or {}) for group in experiments)
         fitter = Fitter(nominal, view, *used, options.jobs, varies, memory=memory)
-        fitter.allow(max(options.effort * RUNS - taken, AGAIN * options.effort * RUNS))
+        fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS))
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
                 return _diagnose(fitter, options, Progress(progress), began)
@@ -108,7 +105,7 @@ def _only_held_out_shows(result: Diagnosis) -> bool:
     """Whether the mismatch is unexplained, and is none on the recordings that were fitted."""
     best = result.fit["corrected"]
     clean = best.rms**2 < UNEXPLAINED * result.noise_floor**2
-    return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms > SHOWN * result.noise_floor
+    return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms > HELD_OUT_SHOWS * result.noise_floor
 
 
 def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:

@@ -7,11 +7,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["Progress", "Step"]
+from diagnose.thresholds import BEGUN, SCREENED, TAIL
 
-# Parts of a round of the search that are over when its rivals have been screened, and when each has been begun
-SCREENED, BEGUN = 0.15, 0.75
-TAIL = 0.5  # what follows the search, in rounds
+__all__ = ["Progress", "Step"]
 
 
 @dataclass(frozen=True)

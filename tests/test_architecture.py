@@ -166,6 +166,57 @@ def test_stages_of_a_diagnosis_are_imported_one_way():
     assert not wrong
 
 
+# numbers of a format, of geometry or of the table itself, which decide nothing
+NO_THRESHOLDS = {
+    "diagnose/fit/fit_cache.py": {"FORMAT"},  # version of a file
+    "diagnose/structure/candidates.py": {"QUARTERS"},  # of a turn
+    "diagnose/explain/torque_map.py": {"LAMBDAS"},  # a grid that covers all penalties
+    "diagnose/problem/hypothesis.py": {"STIFFEST"},  # from numbers of the table
+}
+
+
+# pages and checks of the log have numbers of their own
+NOT_IN_THE_TABLE = ("diagnose/report/", "diagnose/check/", "diagnose/verdict/reference", "diagnose/thresholds.py")
+
+
+def numeric_constants(path: Path) -> set[str]:
+    """Names at the top of a module that are given a value with a number in it."""
+    names = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            numbers = [
+                n for n in ast.walk(node.value)
+                if isinstance(n, ast.Constant) and isinstance(n.value, int | float) and not isinstance(n.value, bool)
+            ]  # fmt: skip
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if numbers:
+                names |= {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+    return names
+
+
+def test_numbers_of_a_diagnosis_stand_in_one_table():
+    wrong = {}
+    for path in SOURCES:
+        name = relative(path)
+        if name.startswith("diagnose/") and not name.startswith(NOT_IN_THE_TABLE):
+            found = numeric_constants(path) - NO_THRESHOLDS.get(name, set())
+            if found:
+                wrong[name] = found
+    assert not wrong
+
+
+def test_each_number_says_what_it_is_and_which_test_exercises_it():
+    thresholds = importlib.import_module("diagnose.thresholds")
+    named = numeric_constants(ROOT / "diagnose/thresholds.py")
+    assert thresholds.TABLE.keys() == named
+    for name, t in thresholds.TABLE.items():
+        assert getattr(thresholds, name) == t.value
+        assert t.kind in (thresholds.LEVEL, thresholds.COST, thresholds.NUMERIC)
+        assert t.unit, name
+        assert t.why, name
+        assert (ROOT / t.test).is_file(), t.test
+
+
 def test_the_flow_is_read_on_a_page():
     assert len((ROOT / "diagnose/pipeline.py").read_text(encoding="utf-8").splitlines()) <= 120
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.data.noise import coloured_noise_level, white_noise_level
+from diagnose.thresholds import CLIPPED, DERIVED_VELOCITY, REPEATS_BY_CHANCE
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.signals import limits
@@ -26,8 +27,6 @@ __all__ = [
     "whole_step",
     "without_derived_velocity",
 ]
-
-CHANCE = 3.0  # times the repeated rows that quantisation explains, beyond which a sensor held them
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +76,6 @@ def measured_angle(recording: Recording) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
 
 
-CLIPPED = 0.05  # of the samples at a limit, from which a recording is refused
-DERIVED = 0.05  # of its own noise: a velocity that is that close to its angle's differences was computed from them
-
-
 def without_derived_velocity(recording: Recording) -> Recording:
     """The recording without a velocity that is the backward, forward or central difference of its angle.
 
@@ -93,7 +88,7 @@ def without_derived_velocity(recording: Recording) -> Recording:
     steps = np.diff(q) / recording.dt
     noise = white_noise_level(v)
     made = ((v[1:], steps), (v[:-1], steps), (v[1:-1], 0.5 * (steps[1:] + steps[:-1])))
-    if any(np.sqrt(np.mean((a - b) ** 2)) < DERIVED * noise for a, b in made):
+    if any(np.sqrt(np.mean((a - b) ** 2)) < DERIVED_VELOCITY * noise for a, b in made):
         return dataclasses.replace(recording, velocity=None)
     return recording
 
@@ -132,7 +127,9 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
     same = np.diff(v) == 0, np.diff(q) == 0
     held[1:] = same[0] & same[1]
     by_chance = float(np.mean(same[0][~same[1]])) * float(np.sum(same[1])) if not np.all(same[1]) else 0.0
-    if np.sum(held) <= CHANCE * (by_chance + math.sqrt(by_chance)):  # a quantised velocity repeats as often as the angle moves
+    if np.sum(held) <= REPEATS_BY_CHANCE * (
+        by_chance + math.sqrt(by_chance)
+    ):  # a quantised velocity repeats as often as the angle moves
         return np.zeros(len(recording), bool)
     speed = np.abs(v[~held])  # of each row that was measured, and of the one after it: neither is fast at rest
     moves = np.maximum(speed, np.append(speed[1:], 0.0)) > slow * math.sqrt(float(np.mean(v**2)))

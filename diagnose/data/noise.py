@@ -6,12 +6,20 @@ from itertools import pairwise
 
 import numpy as np
 
+from diagnose.thresholds import (
+    BANDS,
+    FASTEST,
+    FEWEST_SEGMENTS,
+    NOISE_BY_SPECTRUM,
+    NOISE_COLOURED,
+    NOISE_STANDS_OUT,
+    SEGMENT,
+    SENSOR_TAPS,
+    SENSOR_TAPS_AHEAD,
+)
 from mjsim.signals import transforms
 
 __all__ = ["coloured_noise_level", "white_noise_level"]
-
-FASTEST = 0.85  # of the Nyquist frequency: what is faster tells the noise
-SLOWLY = 0.5  # part of the level by differences, below which that is taken: far below what white noise gives for 700 samples
 
 
 def white_noise_level(y: np.ndarray) -> float:
@@ -26,7 +34,7 @@ def white_noise_level(y: np.ndarray) -> float:
         return 0.0
     smooth = float(1.4826 * np.median(np.abs(d - np.median(d))))
     fastest = _fastest_level(y)
-    return fastest if fastest < SLOWLY * smooth else smooth
+    return fastest if fastest < NOISE_BY_SPECTRUM * smooth else smooth
 
 
 def _fastest_level(y: np.ndarray) -> float:
@@ -42,14 +50,6 @@ def _fastest_level(y: np.ndarray) -> float:
     return float(np.sqrt(np.median(power[int(FASTEST * len(power)) : -1]) / np.log(2.0)))
 
 
-SEGMENT = 1024  # samples of a segment at most: 2 Hz apart at 2 kHz
-BANDS = 16
-FEWEST = 8  # segments at least
-TAPS, AHEAD = 40, 8  # samples of a filter between the sensors, and how many of them are ahead
-CLEAR = 4.0  # standard errors of a band's density
-MATERIAL = 1.5  # times the white level, which is not known to the last percent
-
-
 def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, angle_white: float) -> float:
     """Noise rms of a velocity (N,) whose angle (N,) is measured too, where slow noise is added to that of the fastest part.
 
@@ -63,16 +63,16 @@ def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, 
     level, in bands up to half the Nyquist frequency, is added: no more than there is, and nothing where noise is white. Source of
     the partial spectrum: J. S. Bendat, A. G. Piersol, Random Data (2010), ch. 7.
     """
-    length = min(SEGMENT, 2 ** int(np.log2(max(2 * len(v) // (FEWEST + 1), 2))))
+    length = min(SEGMENT, 2 ** int(np.log2(max(2 * len(v) // (FEWEST_SEGMENTS + 1), 2))))
     if length < 8 * BANDS or white <= 0.0:
         return white
     rate = np.diff(q)[1:-1] / dt
     between = (13 * (v[1:-2] + v[2:-1]) - v[:-3] - v[3:]) / 24  # mean velocity from a sample to the next, to the fourth order
     # what a filter between the sensors does is taken out before the windows, at whose edges its memory is no product
-    delayed = np.lib.stride_tricks.sliding_window_view(rate, TAPS)
-    error = (between - rate)[TAPS - 1 - AHEAD : len(rate) - AHEAD]
+    delayed = np.lib.stride_tricks.sliding_window_view(rate, SENSOR_TAPS)
+    error = (between - rate)[SENSOR_TAPS - 1 - SENSOR_TAPS_AHEAD : len(rate) - SENSOR_TAPS_AHEAD]
     error = error - delayed @ np.linalg.lstsq(delayed.T @ delayed, delayed.T @ error, rcond=1e-12)[0]
-    rate = rate[TAPS - 1 - AHEAD : len(rate) - AHEAD]
+    rate = rate[SENSOR_TAPS - 1 - SENSOR_TAPS_AHEAD : len(rate) - SENSOR_TAPS_AHEAD]
     (f, apart), (_, moved) = transforms(error, dt, length), transforms(rate, dt, length)
     count = len(apart)
     of_rate = np.mean(np.abs(moved) ** 2, axis=0)
@@ -83,9 +83,11 @@ def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, 
     more = 0.0
     edges = np.unique(np.round(np.geomspace(2, length // 4, BANDS + 1)).astype(int))
     for a, b in pairwise(edges):
-        doubt = CLEAR / np.sqrt(0.5 * count * max(1.0, 0.67 * (b - a)))  # overlapping segments and lines tell that much apiece
+        doubt = NOISE_STANDS_OUT / np.sqrt(
+            0.5 * count * max(1.0, 0.67 * (b - a))
+        )  # overlapping segments and lines tell that much apiece
         found, angle, rates = (float(np.mean(x[a:b])) for x in (left, of_angle, of_rate))
         angle = min(angle, abs(rates - angle) + doubt * rates)
-        if found > (level + angle) * (1 + doubt) and found - angle > MATERIAL * level:
+        if found > (level + angle) * (1 + doubt) and found - angle > NOISE_COLOURED * level:
             more += (found - angle - level) * (b - a) * f[1]
     return float(np.sqrt(white**2 + more))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, whole_step
+from diagnose.thresholds import LINE, TURNS
 from mjsim.axis import Axis
 from mjsim.effects import Scales
 from mjsim.ode import DivergedError, simulate
@@ -12,9 +13,6 @@ from mjsim.quantity import Motion
 
 __all__ = ["PLACES", "scales_by_place", "value_steps"]
 
-LINE = 40.0  # power of a line over its surroundings; 1e-13 by chance for N(0, 1) in quadrature, over some 1e4 frequencies
-
-TURNS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # orders of a motor's turn: eccentricity, coupling, pole pairs, and what follows from them
 
 PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
 

@@ -18,27 +18,27 @@ from functools import partial
 import numpy as np
 
 from diagnose.evidence.held_out import Comparison, compare
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, HeldOut
+from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.pool import Key, Pool
 from diagnose.fit.validation import in_blocks, observed_held_out, predicted_samples
 from diagnose.fit.whiten import lags_of, whitening_filter, worth_of_errors
 from diagnose.problem.noise_model import KnownNoise, Prices
+from diagnose.thresholds import (
+    ABOVE_NOISE,
+    BELOW_NOISE,
+    CLEAR_GAIN,
+    COLOURED,
+    GAIN_RATIO,
+    LAW_ERROR,
+    LONG,
+    NEXT_TO_NOTHING,
+    PUT_RIGHT,
+    UNEXPLAINED,
+)
 from mjsim.effects import effect_class
 
-__all__ = ["LONG", "PUT_RIGHT", "Context", "Memo"]
-
-SHOWN = 10.0  # times the material gain, on the estimation data, of an effect that held-out data may be too few for
-SPREAD = (
-    4.0  # ratio of an effect's logarithmic gains in two recordings of some 15 independent samples each (2 standard deviations)
-)
-NEXT = 0.01  # of what one structure leaves above noise, that is next to nothing of it in another
-PUT_RIGHT = 56.0  # observer gain [1/s] at which a model is put right before the next event
-LONG = 8.0  # times a run of the nominal model with friction, above which a structure is slow to run
-LAW = (0.01, 0.02)  # part of what another law of an effect changed that the better law may still miss: of all, and besides of
-# what is no more than the noise variance
-COLOURED = 0.01  # of its variance, by which a residual predicts itself
-ABOVE, BELOW = 1.05, 0.95  # chi2 / n beyond which a residual is no longer the noise that it was taken for
+__all__ = ["Context", "Memo"]
 
 
 @dataclass
@@ -98,7 +98,7 @@ class Context:
 
         Such an error leaves few independent samples in any one recording. Nothing is added where the noise is known, nor for a
         structure that has no more effects, or does not leave less of both recordings. What is there is there in both: no sample
-        counts for more than ``SPREAD`` times one of the estimation data, to which it was fitted.
+        counts for more than ``GAIN_RATIO`` times one of the estimation data, to which it was fitted.
         """
         more = len(richer.effects) > len(poorer.effects) and richer.chi2 < poorer.chi2
         if self.fitter.noise.absolute or self.worth_of is None or not more:
@@ -108,7 +108,7 @@ class Context:
             return 0.0
         n = len(after.errors) * worth_of_errors(before.errors - after.errors, after.errors, lags_of(self.fitter))
         fitted, unseen = poorer.chi2 / max(richer.chi2, 1e-300), before.chi2 / max(after.chi2, 1e-300)
-        return n * min(math.log(unseen), SPREAD * math.log(fitted))
+        return n * min(math.log(unseen), GAIN_RATIO * math.log(fitted))
 
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
@@ -137,7 +137,9 @@ class Context:
         fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
         if not fits.rough or not self.fitter.noise.exceeds(other.chi2 / other.n, UNEXPLAINED):
             return False
-        if fits.chi2 > max(UNEXPLAINED * fits.n, fits.n + NEXT * (other.chi2 - other.n)):  # nor next to nothing beside the other
+        if fits.chi2 > max(
+            UNEXPLAINED * fits.n, fits.n + NEXT_TO_NOTHING * (other.chi2 - other.n)
+        ):  # nor next to nothing beside the other
             return False
         held = self.held_out(fits)
         return held is not None and held.chi2 > UNEXPLAINED * float(np.sum(held.n))
@@ -164,7 +166,7 @@ class Context:
         their difference. What gains much on the recordings that are fitted must then gain on their own held-out stretches.
         """
         material = self.prices.material
-        if not self.fitter.noise.absolute or math.log(before.chi2 / after.chi2) < SHOWN * material:
+        if not self.fitter.noise.absolute or math.log(before.chi2 / after.chi2) < CLEAR_GAIN * material:
             return None
         pair = (self.held_out(before), self.held_out(after))
         if pair[0] is None or pair[1] is None or self.compared(before, after).relative_gain < -material:
@@ -183,14 +185,14 @@ class Context:
         """How much chi-square beside a structure may be the error of a law that it holds in place of the contract's own.
 
         Where another law of an effect fits better, what that changed tells how much there is in a law. Neither is the machine's
-        own, and an effect that gains less than ``LAW`` of that beside it may be what the better one still misses.
+        own, and an effect that gains less than ``LAW_ERROR`` of that beside it may be what the better one still misses.
         """
         spread = 0.0
         for i, effect in enumerate(f.effects):
             if form_of := type(effect).form_of:
                 others = [f"{form_of}@{effect.place}" if k == i else e.key for k, e in enumerate(f.effects)]
                 spread = max(spread, self.pool.least(tuple(sorted(others)), f.chi2) - f.chi2)
-        return LAW[0] * spread + LAW[1] * min(spread, f.n)
+        return LAW_ERROR[0] * spread + LAW_ERROR[1] * min(spread, f.n)
 
     def floor(self, base: Fitted) -> float:
         """The gain in C that an effect must promise beside a structure: more where that much may be the error of a law in it."""
@@ -203,9 +205,9 @@ class Context:
         One that leaves less explains a part of what passed for noise (steps of a sensor), so that its level is not known any
         more: then what it leaves must have a colour.
         """
-        if not self.fitter.noise.within(base.chi2 / base.n, ABOVE):
+        if not self.fitter.noise.within(base.chi2 / base.n, ABOVE_NOISE):
             return True
-        return base.chi2 < BELOW * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
+        return base.chi2 < BELOW_NOISE * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
 
     def leaves_noise(self, f: Fitted) -> bool:
         """Whether the residual of a structure is as large as noise and, unless it is whitened, as white: no rival leaves less."""

@@ -14,12 +14,11 @@ import numpy as np
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import orthonormal
+from diagnose.thresholds import ORDERS_BESIDE
 from mjsim.effects import Effect
 from mjsim.quantity import Motion
 
 __all__ = ["encoder_gain", "fit_beside_encoder", "gain_beside_encoder", "whole_orders"]
-
-NEAR = 12  # orders looked at on either side of the effect's own, a quarter of a line's width apart
 
 
 def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
@@ -41,7 +40,7 @@ def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
     if travel <= 0:
         return 0.0
     best = 0.0
-    for n in own + np.arange(-NEAR, NEAR + 1) * 0.25 * 2 * np.pi / travel:
+    for n in own + np.arange(-ORDERS_BESIDE, ORDERS_BESIDE + 1) * 0.25 * 2 * np.pi / travel:
         c = _columns(fitter, poorer, shown, [[float(n)]] * len(shown))
         c -= q @ (q.T @ c)
         fitted = np.linalg.lstsq(c, poorer.fit.residual, rcond=1e-10)[0]

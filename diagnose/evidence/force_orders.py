@@ -3,8 +3,8 @@
 What is left of a torque is coloured: slow errors of the friction law hold most of its energy and would be taken for an order of
 long period. What is fixed to a turning part is a line: it stands far above the orders beside it. So the residual is whitened, an
 order must stand out of its neighbours (F-test, over all orders looked at), and every recorded sample is used, since at speed a
-short period passes faster than decimated samples follow. Orders of fewer than ``FEW`` periods over the travel have no neighbours
-to stand out of: they have more to show (`Judge._of_few_periods`).
+short period passes faster than decimated samples follow. Orders of fewer than ``FEW_PERIODS`` periods over the travel have no
+neighbours to stand out of: they have more to show (`diagnose.evidence.rivals.few_periods`).
 
 With A the whitening filter and z = A' A d, the energy that sin(n q) and cos(n q) explain of A d is |sum z exp(i n q)|^2 over the
 energy that passes the filter, sum |A(n v)|^2 / 2, for orders whose frequency n v changes slowly against the filter's length.
@@ -21,15 +21,9 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import levinson
 from diagnose.problem.view import ForceView
+from diagnose.thresholds import FEW_PERIODS, FORCE_TAPS, MOST_ORDERS, NEIGHBOURS, ORDER_BY_CHANCE, UNSURE
 
-__all__ = ["FEW", "force_orders", "line_energy", "stands_out"]
-
-LENGTH = 50  # taps of the whitening filter
-MOST = 2000  # orders looked at
-CHANCE = 0.01  # that any of them stands out where there is none
-BESIDE = 1.5  # neighbours: within this factor
-FEW = 5 / (BESIDE - 1 / BESIDE)  # periods over the travel, below which an order has fewer than two neighbours
-UNSURE = 2  # orders of so few periods that are looked at
+__all__ = ["force_orders", "line_energy", "stands_out"]
 
 
 def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -55,19 +49,19 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[f
     if top <= low:
         return (), ()
     # two points to the width of a line, 2 pi over the travel, as far as there may be so many
-    count = int(min(MOST, max(60.0, (top - low) * travel / np.pi)))
-    grid = np.linspace(low, top, count) if count < MOST else np.geomspace(low, top, count)
+    count = int(min(MOST_ORDERS, max(60.0, (top - low) * travel / np.pi)))
+    grid = np.linspace(low, top, count) if count < MOST_ORDERS else np.geomspace(low, top, count)
     found: list[tuple[float, float]] = []
     few: list[tuple[float, float]] = []
     for weight in (np.ones(len(v)), np.sign(v)):
         power = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, grid, r.dt)
         peak = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
-        lines = [i for i in peak if stands_out(power, grid, int(i), 2 * np.pi / travel) < CHANCE / len(grid)]
+        lines = [i for i in peak if stands_out(power, grid, int(i), 2 * np.pi / travel) < ORDER_BY_CHANCE / len(grid)]
         for i in sorted(lines, key=lambda i: -power[i])[:most]:
             near = np.linspace(grid[i - 1], grid[i + 1], 21)
             finer = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, near, r.dt)
             found.append((float(np.max(finer)), float(near[np.argmax(finer)])))
-        few += [(float(power[i]), float(grid[i])) for i in peak if grid[i] * travel < 2 * np.pi * FEW]
+        few += [(float(power[i]), float(grid[i])) for i in peak if grid[i] * travel < 2 * np.pi * FEW_PERIODS]
     found.sort(reverse=True)
     out: list[float] = []
     for _, n in found:
@@ -86,8 +80,8 @@ def stands_out(power: np.ndarray, grid: np.ndarray, i: int, width: float) -> flo
     from scipy.stats import f
 
     n = grid[i]
-    beside = (grid > n / BESIDE) & (grid < n * BESIDE) & (np.abs(grid - n) > 1.5 * width)
-    count = int(min(np.sum(beside), (BESIDE - 1 / BESIDE) * n / width - 3))
+    beside = (grid > n / NEIGHBOURS) & (grid < n * NEIGHBOURS) & (np.abs(grid - n) > 1.5 * width)
+    count = int(min(np.sum(beside), (NEIGHBOURS - 1 / NEIGHBOURS) * n / width - 3))
     if count < 2:
         return 1.0
     level = float(np.median(power[beside])) / np.log(2.0)
@@ -101,7 +95,7 @@ def line_energy(
     from scipy.signal import freqz, lfilter
 
     d = np.where(keep, d, 0.0)
-    taps = min(LENGTH, len(d) // 10)
+    taps = min(FORCE_TAPS, len(d) // 10)
     r = np.array([float(d[: len(d) - k] @ d[k:]) for k in range(taps + 1)])
     if r[0] <= 0:
         return np.zeros(len(orders))

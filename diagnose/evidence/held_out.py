@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.fit.fitted import HeldOut
+from diagnose.thresholds import FINER
 
 __all__ = ["Comparison", "compare"]
-
-FINER = 3  # parts of a held-out block in which the score is summed; 0.08 s of 10 s: longer than whitened noise remembers
 
 
 @dataclass(frozen=True)

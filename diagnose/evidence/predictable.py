@@ -20,15 +20,13 @@ from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.problem import bounded
+from diagnose.thresholds import WINDOWS
 from mjsim.axis import Axis
 from mjsim.ode import simulate
 from mjsim.quantity import Motion
 from mjsim.signals import lfilter
 
 __all__ = ["Structure", "motion_error", "motion_errors", "remaining_structure"]
-
-
-WINDOWS = (0.02, 0.006, 0.002)  # over which missed motion is looked for [s]
 
 
 @dataclass(frozen=True)

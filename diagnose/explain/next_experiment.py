@@ -11,12 +11,11 @@ from diagnose.data.experiment import measured_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding
+from diagnose.thresholds import FURTHER
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, simulate
 
 __all__ = ["next_experiment"]
-
-FURTHER = 3.0  # times the travel of the recording: an excitation that takes the axis further is not asked for
 
 
 def next_experiment(fitter: Fitter, rivals: Iterable[Fitted], best: Fitted, findings: Sequence[Finding]) -> str | None:

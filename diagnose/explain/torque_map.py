@@ -35,6 +35,22 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.problem import bounded
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
+from diagnose.thresholds import (
+    FOLDS,
+    INTERVALS,
+    MAP_FAR,
+    MAP_MATERIAL,
+    MAP_RUNS,
+    MIMIC,
+    P_MAP,
+    RICHER,
+    RIDGE,
+    STILL,
+    STRAIGHT,
+    STRETCHES,
+    TELLING,
+    TRIED,
+)
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, apply_input, simulate
 from mjsim.quantity import Quantity
@@ -44,21 +60,7 @@ from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
 
 __all__ = ["Mapped", "fit_map"]
 
-INTERVALS = (12, 5)  # of a map of one variable, and of each of two
 LAMBDAS = np.geomspace(1e-4, 1e8, 25)  # times the mean diagonal of the regression
-FOLDS = 5
-STRETCHES = 20  # per recording, dealt to the folds in turn
-STRAIGHT = 1e-10  # of the largest second difference: that of a straight line, by rounding
-RIDGE = 1e-6  # of the square of a column, in the normal equations: what the other stretches do not show is left at nought
-MIMIC = 2e-3  # a direction of which the model's own numbers leave less than this is theirs
-RICHER = 0.05  # a second variable must lower the cross-validated cost of the first by so much
-TELLING = 5000  # samples by which maps are screened
-RUNS = 1500  # simulations after which no further map is tried, nor one fitted on
-TRIED = 3  # maps fitted in the model
-FAR = 1.25  # one whose screened cost is so many times that of the best fitted one is not
-STILL = 0.01  # the fit goes on while its cost falls by more than this share
-MATERIAL = 0.02  # least relative gain of held-out squared error
-P_MAP = 0.01  # largest one-sided p-value of that gain, over the maps tried
 
 
 @dataclass(frozen=True)
@@ -131,17 +133,17 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     tried: list[_Refined] = []
     began = fitter.runs
     for candidate in ranked[:TRIED]:
-        if fitter.runs - began > RUNS or (tried and candidate.cost > FAR * min(t.cost for t in tried)):
+        if fitter.runs - began > MAP_RUNS or (tried and candidate.cost > MAP_FAR * min(t.cost for t in tried)):
             break
         progress.stage("map", f"fitting one {_words(candidate.shape)}")
-        refined = _refine(fitter, candidate, began + RUNS)
+        refined = _refine(fitter, candidate, began + MAP_RUNS)
         if refined is not None:
             tried.append(refined)
     for t in sorted(tried, key=lambda t: t.cost):
         after = fitter.validate(t.fitted)
         gain = compare(before, after)
         p_value = min(1.0, gain.p_value * len(tried))
-        if after is not None and gain.relative_gain > MATERIAL and p_value < P_MAP:
+        if after is not None and gain.relative_gain > MAP_MATERIAL and p_value < P_MAP:
             return Mapped(t.fitted, after, _result(fitter, t, before, after, p_value))
     return None
 
@@ -323,7 +325,7 @@ def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
 
     found = [c for c in fitter.map([partial(judged, shape) for shape in _shapes(known)]) if c is not None]
     found.sort(key=lambda c: c.solution.cost)
-    found = [c for c in found if c.solution.cost < 1 - MATERIAL]
+    found = [c for c in found if c.solution.cost < 1 - MAP_MATERIAL]
     single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)
     return [c for c in found if len(c.shape.axes) == 1 or c.solution.cost < (1 - RICHER) * single]
 

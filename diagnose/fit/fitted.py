@@ -12,13 +12,11 @@ import numpy as np
 from diagnose.fit.least_squares import Fit, Status
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
+from diagnose.thresholds import ENGINE, UNEXPLAINED
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 
-__all__ = ["UNEXPLAINED", "Fitted", "HeldOut", "key_of"]
-
-ENGINE = 0.007  # error of the fitting engine, or of the plant's own, over the rms of the noise
-UNEXPLAINED = 1.04  # chi-square over n from which a structure is fitted once more, stretch by stretch
+__all__ = ["Fitted", "HeldOut", "key_of"]
 
 
 def key_of(effects: Sequence[Effect]) -> tuple[str, ...]:

@@ -21,20 +21,15 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
 from diagnose.problem.problem import Problem, Residual, bounded
 from diagnose.problem.view import View
+from diagnose.thresholds import ANEW, ANEWS, FAR, LEVELS_OFF, RK4, ROUGHLY
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.system import assemble
 
-__all__ = ["FAR", "ROUGHLY", "SAME", "Fitter"]
+__all__ = ["Fitter"]
 
 T = TypeVar("T")
 Run = Callable[[Sequence[Callable[[], np.ndarray | None]]], list[np.ndarray | None]]
-
-FAR = 3.0  # chi-square over n beyond which other physics is missing than a rival's last digits could tell
-ROUGHLY = 2e-4  # relative gain of an iteration below which such a rival has converged
-SAME = 0.002  # difference in the logarithm of chi-square of one minimum: a fit that comes back to it has no better one near
-ANEW, ANEWS, LEVELS_OFF = 5, 3, 1e-3  # iterations by secants, how often they are begun anew, and the relative gain that ends it
-RK4 = 3.5  # times as long as one product a step takes that laws make nonlinear
 
 
 @final

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -196,6 +196,126 @@ def _moved(
     return np.asarray(np.clip(x + d, lower, upper))
 
 
+@dataclass
+class _Point:
+    """Where a fit is: x (p,), residual r (N,), cost, Jacobian J (N, p), damping mu; the last step d, residual and gains."""
+
+    x: np.ndarray
+    r: np.ndarray
+    cost: float
+    J: np.ndarray
+    mu: float
+    r_old: np.ndarray
+    d: np.ndarray
+    gain: float = np.inf
+    actual: float = 0.0
+    begun: dict[bytes, Task] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """How a fit goes on from a point; see `levenberg_marquardt`."""
+
+    residual: Residual
+    slope: Callable[[np.ndarray], Residual] | None
+    lower: np.ndarray
+    upper: np.ndarray
+    step: np.ndarray
+    run: Run
+    secant: bool
+    fresh: Sequence[int]
+    reach: np.ndarray | None
+    beside: Beside | None
+
+    def there(self, x: np.ndarray) -> Residual:
+        """The residual whose secants at x are the Jacobian."""
+        return self.residual if self.slope is None else self.slope(x)
+
+    def linearise(self, now: _Point, given: np.ndarray | None, *, first: bool) -> bool:
+        """Bring the Jacobian up to date; whether it could be had."""
+        if self.secant and not first and self.slope is None:
+            return self._by_secant(now)
+        J = given
+        if J is None:
+            J = jacobian(
+                self.there(now.x), now.x, now.r, self.step, self.lower, self.upper, self.run, begun=now.begun
+            )  # fmt: skip
+        if J is None:
+            return False
+        now.J = J
+        return True
+
+    def _by_secant(self, now: _Point) -> bool:
+        """Broyden's rank-one update, but for the columns that are differenced anew."""
+        part = None
+        if len(self.fresh):
+            part = jacobian(self.there(now.x), now.x, now.r, self.step, self.lower, self.upper, self.run, self.fresh)
+            if part is None:
+                return False
+        missed, along = now.r - now.r_old - now.J @ now.d, now.d / (now.d @ now.d)
+        for i in np.flatnonzero(along):
+            now.J[:, i] += missed * along[i]
+        if part is not None:
+            now.J[:, self.fresh] = part
+        return True
+
+    def descend(self, now: _Point, tolerance: float, *, last: bool) -> Status | None:
+        """One step to a lower cost, damped as far as it takes; the status with which the fit ends, None where it goes on."""
+        A, g = now.J.T @ now.J, now.J.T @ now.r
+        scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
+        moved = partial(_moved, A, scale, g, now.x, self.lower, self.upper, self.reach)
+        first_gain: float | None = None
+        tried: dict[bytes, Task] = {}
+        failed = False
+        for _ in range(12):
+            trial = moved(now.mu)
+            now.d = d = trial - now.x
+            now.gain = -float(2 * g @ d + d @ A @ d) / now.cost
+            first_gain = now.gain if first_gain is None else first_gain
+            if abs(now.gain) < tolerance * 0.1 and now.mu <= 1e-2:
+                return Status.CONVERGED
+            if now.gain <= 0:
+                now.mu = max(now.mu, 1e-6) * 10
+                continue
+            if trial.tobytes() in tried:
+                r = tried.pop(trial.tobytes())()
+            elif failed and self.beside is not None:
+                r, tried = self._with_next_step(trial, moved(max(now.mu, 1e-6) * 10))
+            else:
+                r = self._with_next_column(now, trial, last=last)
+            if _accepted(now, trial, r):
+                return Status.CONVERGED if now.actual < tolerance or now.cost == 0.0 else None
+            failed = True
+            now.mu = max(now.mu, 1e-6) * 10
+        return Status.CONVERGED if first_gain is not None and first_gain < 10 * tolerance else Status.STALLED
+
+    def _with_next_step(self, trial: np.ndarray, following: np.ndarray) -> tuple[np.ndarray | None, dict[bytes, Task]]:
+        """The residual of a trial step, and how to ask for that of the one that follows if it fails."""
+        assert self.beside is not None
+        r, ask = self.beside(partial(self.residual, trial), partial(self.residual, following))
+        return r, {following.tobytes(): ask} if ask is not None else {}
+
+    def _with_next_column(self, now: _Point, trial: np.ndarray, *, last: bool) -> np.ndarray | None:
+        """The residual of a trial step; beside it the first column of the next Jacobian, where there will be one."""
+        if self.beside is None or self.slope is not None or self.secant or last:
+            return self.residual(trial)
+        (first,), _ = _beside(trial, self.step, self.lower, self.upper, [0])
+        r, ask = self.beside(partial(self.residual, trial), partial(self.residual, first))
+        now.begun = {first.tobytes(): ask} if ask is not None else {}
+        return r
+
+
+def _accepted(now: _Point, trial: np.ndarray, r: np.ndarray | None) -> bool:
+    """Whether a trial step lowers the cost; then it is taken."""
+    if r is None or not (cost := float(r @ r)) < now.cost:
+        return False
+    now.actual = (now.cost - cost) / now.cost
+    now.r_old = now.r
+    now.x, now.r, now.cost = trial, r, cost
+    now.mu = max(now.mu * (0.1 if now.actual > 0.5 * now.gain else 1.0), 1e-9)
+    return True
+
+
 def levenberg_marquardt(
     residual: Residual,
     x0: np.ndarray,
@@ -230,90 +350,27 @@ def levenberg_marquardt(
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
-    n_x = len(x)
     r = r0
-    there = slope or (lambda _: residual)
     if r is None and J0 is None and slope is None:
         r, J0 = residual_and_jacobian(residual, x, step, lower, upper, run)
     elif r is None:
         r = residual(x)
     if r is None:
-        return Fit(x, np.inf, Linearised.known(np.empty(0), np.empty((0, n_x))), Status.FAILED, 0, 0.0)
-    cost = float(r @ r)
-    if cost == 0.0:
-        return Fit(x, 0.0, Linearised.known(r, np.zeros((len(r), n_x))), Status.CONVERGED, 0, 0.0)
-    mu = damping
-    r_old, d = r, np.zeros(n_x)
-    J = np.zeros((len(r), n_x))  # what a fit keeps whose first Jacobian fails
-    status = Status.BUDGET
-    gain = np.inf
-    iteration = 0
-    asked = tolerance
-    begun: dict[bytes, Task] = {}
+        return Fit(x, np.inf, Linearised.known(np.empty(0), np.empty((0, len(x)))), Status.FAILED, 0, 0.0)
+    J = np.zeros((len(r), len(x)))  # what a fit keeps whose first Jacobian fails
+    now = _Point(x, r, float(r @ r), J, damping, r, np.zeros(len(x)))
+    if now.cost == 0.0:
+        return Fit(x, 0.0, Linearised.known(r, J), Status.CONVERGED, 0, 0.0)
+    method = _Method(residual, slope, lower, upper, step, run, secant, fresh, reach, beside)
+    status, iteration = Status.BUDGET, 0
     for iteration in range(1, max_iterations + 1):
-        tolerance = max(asked, coarse[1]) if cost > coarse[0] else asked
-        if secant and iteration > 1 and slope is None:
-            part = jacobian(there(x), x, r, step, lower, upper, run, fresh) if len(fresh) else None
-            if len(fresh) and part is None:
-                status = Status.STALLED
-                break
-            missed, along = r - r_old - J @ d, d / (d @ d)
-            for i in np.flatnonzero(along):
-                J[:, i] += missed * along[i]
-            if part is not None:
-                J[:, fresh] = part
-        else:
-            given = J0 is not None and iteration == 1
-            new_J = J0 if given else jacobian(there(x), x, r, step, lower, upper, run, begun=begun)
-            if new_J is None:
-                status = Status.STALLED
-                break
-            J = new_J
-        A, g = J.T @ J, J.T @ r
-        scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
-        improved = False
-        first_gain: float | None = None
-        tried: dict[bytes, Task] = {}
-        failed = False
-        moved = partial(_moved, A, scale, g, x, lower, upper, reach)
-        for _ in range(12):
-            trial = moved(mu)
-            d = trial - x
-            gain = -float(2 * g @ d + d @ A @ d) / cost
-            first_gain = gain if first_gain is None else first_gain
-            if abs(gain) < tolerance * 0.1 and mu <= 1e-2:
-                status = Status.CONVERGED
-                break
-            if gain <= 0:
-                mu = max(mu, 1e-6) * 10
-                continue
-            if trial.tobytes() in tried:
-                r_new = tried.pop(trial.tobytes())()
-            elif failed and beside is not None:
-                following = moved(max(mu, 1e-6) * 10)
-                r_new, ask = beside(partial(residual, trial), partial(residual, following))
-                tried = {following.tobytes(): ask} if ask is not None else {}
-            elif beside is not None and slope is None and not secant and iteration < max_iterations:
-                (first,), _ = _beside(trial, step, lower, upper, [0])
-                r_new, ask = beside(partial(residual, trial), partial(residual, first))
-                begun = {first.tobytes(): ask} if ask is not None else {}
-            else:
-                r_new = residual(trial)
-            if r_new is not None and (c_new := float(r_new @ r_new)) < cost:
-                actual = (cost - c_new) / cost
-                r_old = r
-                x, r, cost = trial, r_new, c_new
-                mu = max(mu * (0.1 if actual > 0.5 * gain else 1.0), 1e-9)
-                improved = True
-                break
-            failed = True
-            mu = max(mu, 1e-6) * 10
-        if status is Status.CONVERGED:
+        first = iteration == 1
+        if not method.linearise(now, J0 if first else None, first=first):
+            status = Status.STALLED
             break
-        if not improved:
-            status = Status.CONVERGED if first_gain is not None and first_gain < 10 * tolerance else Status.STALLED
+        enough = max(tolerance, coarse[1]) if now.cost > coarse[0] else tolerance
+        ended = method.descend(now, enough, last=iteration == max_iterations)
+        if ended is not None:
+            status = ended
             break
-        if actual < tolerance or cost == 0.0:
-            status = Status.CONVERGED
-            break
-    return Fit(x, cost, Linearised.known(r, J), status, iteration, float(gain))
+    return Fit(now.x, now.cost, Linearised.known(now.r, now.J), status, iteration, float(now.gain))

@@ -13,20 +13,11 @@ from functools import partial
 import numpy as np
 
 from diagnose.fit.fitted import Fitted
-from diagnose.fit.fitter import SAME, Fitter
+from diagnose.fit.fitter import Fitter
 from diagnose.problem.view import MotionView, most_led
+from diagnose.thresholds import CLOSELY, DRAWS, FEW_GAINS, GAINS, HORIZONS, LOST, PATIENCE, RESTARTS, SAME, WRONG
 
-__all__ = ["CLOSELY", "WRONG", "landed", "observed", "over_horizons", "released", "restarted_about"]
-
-HORIZONS = (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63)  # growing parts of a recording
-# observer gains [1/s] in turn: from a memory of 1 ms to a free run
-GAINS = (1000.0, 560.0, 300.0, 170.0, 100.0, 56.0, 30.0, 17.0, 10.0, 5.6, 3.0, 1.0, 0.0)
-FEW_GAINS = (300.0, 100.0, 30.0, 10.0)  # the same in few and wide steps
-CLOSELY = 300.0  # gain [1/s] at which structures are compared that a free run may have left in a wrong minimum
-WRONG = 2.0  # chi-square over n under a gain, at first: something else is missing than such moments; later: they are lost
-LOST = 1.2  # times the least cost under a gain, or noise: an event was lost as the gain fell, and other points are drawn
-DRAWS = 3  # sets of them at most
-RESTARTS, PATIENCE = 12, 3  # sets of points about a fit at most, and how many in a row may lead nowhere
+__all__ = ["landed", "observed", "over_horizons", "released", "restarted_about"]
 
 
 def observed(

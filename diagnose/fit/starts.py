@@ -10,11 +10,10 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.pool import Key
 from diagnose.problem.hypothesis import Hypothesis, make
+from diagnose.thresholds import STARTS_FITTED
 from mjsim.effects import Effect
 
 __all__ = ["best_of_starts", "restarted", "warm_started"]
-
-AGAIN = 8  # starts of a structure that are fitted once more
 
 
 def warm_started(fitter: Fitter, richer: Fitted, key: Key, iterations: int) -> Fitted:
@@ -47,6 +46,6 @@ def restarted(
             starts += [fitter.hypothesis(again, at, own) for at in linear or (f.linear, None)]
     if not starts:
         return f
-    best = best_of_starts(fitter, starts, AGAIN)
+    best = best_of_starts(fitter, starts, STARTS_FITTED)
     on = fitter.by_secants(best.hypothesis, best.fit.x) if best.ok else best
     return on if on.ok and on.chi2 < f.chi2 else f

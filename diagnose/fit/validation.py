@@ -9,17 +9,14 @@ from functools import partial
 import numpy as np
 
 from diagnose.data.experiment import hold_out_blocks
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, HeldOut
-from diagnose.fit.fitter import FAR, SAME, Fitter
+from diagnose.fit.fitted import Fitted, HeldOut
+from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import over_horizons
 from diagnose.problem.view import MotionView, most_led
+from diagnose.thresholds import FAR, MODELS_APART, POOLED_SLOWLY, PREDICTED, SAME, UNEXPLAINED
 from mjsim.axis import Axis
 
 __all__ = ["error_on", "in_blocks", "observed_error", "observed_held_out", "pooled", "predicted_samples"]
-
-APART = 0.15  # of the noise rms: models that come apart by more do not predict what follows
-PREDICTED = 0.05  # least part of the held-out samples by which a nonsmooth model may be judged
-SLOWLY = 0.01  # relative gain of an iteration below which a fit to all recordings, that leaves as much, has converged
 
 
 def pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
@@ -43,7 +40,7 @@ def _fit_pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
     # one that leaves much of both need not be known to the last digit
     much = fitter.noise.cost_at(FAR, sum(int(np.sum(fitter.counted(e))) for e in everything))
     h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
-    joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, SLOWLY))
+    joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, POOLED_SLOWLY))
     if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not fitter.spent:
         # a nonsmooth free run diverges on a recording that the parameters were not fitted to
         again = over_horizons(wider, joint, fitted.linear)
@@ -71,7 +68,7 @@ def in_blocks(fitter: Fitter) -> Fitter | None:
 def predicted_samples(fitter: Fitter, fitted: Fitted, count: int = 6, seed: int = 0) -> list[np.ndarray] | None:
     """Which held-out samples (N,), for each recording, a model predicts in spite of the errors of its parameters.
 
-    Models drawn by the covariance of the fit are run beside it. Once they come apart by more than ``APART`` of the noise,
+    Models drawn by the covariance of the fit are run beside it. Once they come apart by more than ``MODELS_APART`` of the noise,
     over a tenth of a second, the free run is no prediction: events come at other moments, and the rest follows. They
     may come together again, but then with each other and not with the machine. None where the model is smooth, or predicts too
     little.
@@ -91,7 +88,7 @@ def predicted_samples(fitter: Fitter, fitted: Fitted, count: int = 6, seed: int 
         spread = [np.full(len(s.predicted), np.inf) if r is None else (r.predicted - s.predicted) ** 2 for r in runs]
         width = max(1, round(0.1 / experiment.recording.dt / fitter.view.decimate))
         local = np.convolve(np.mean(spread, axis=0), np.ones(width) / width, "same")
-        apart = np.flatnonzero(local >= (APART * fitter.sigma(experiment)) ** 2)
+        apart = np.flatnonzero(local >= (MODELS_APART * fitter.sigma(experiment)) ** 2)
         until = int(apart[0]) if len(apart) else len(local)
         out.append(fitter.counted(experiment) & (np.arange(len(local)) < until))
     share = sum(int(s.sum()) for s in out) / sum(int(np.sum(fitter.counted(e))) for e in fitter.held_out)

@@ -13,16 +13,26 @@ from diagnose.data.experiment import Experiment
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Status
-from diagnose.problem.problem import PRIOR
+from diagnose.thresholds import GRID, GUIDE, PRIOR
 from mjsim.signals import freqz
 
 __all__ = [
-    "alike", "autoregression", "effective_share", "guide_of", "innovation", "lagged_products", "lags_of", "levinson",
-    "noise_psd", "noise_rms", "offset_share", "settle", "whitening_filter", "worth", "worth_of_errors",
-]  # fmt: skip
-
-GRID = 2**14  # frequencies over which a noise is summed: finer than any resonance that a filter of its lags can have
-GUIDE = 0.2  # relative standard deviation of the nominal linear parameters where they guide a search
+    "alike",
+    "autoregression",
+    "effective_share",
+    "guide_of",
+    "innovation",
+    "lagged_products",
+    "lags_of",
+    "levinson",
+    "noise_psd",
+    "noise_rms",
+    "offset_share",
+    "settle",
+    "whitening_filter",
+    "worth",
+    "worth_of_errors",
+]
 
 
 def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:

@@ -10,14 +10,13 @@ import numpy as np
 from diagnose.data.experiment import measured_velocity
 from diagnose.data.noise import white_noise_level
 from diagnose.problem.view import ForceView, MotionView, View
+from diagnose.thresholds import SWING
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.system import assemble, state_matrix
 
 __all__ = ["choose_view", "clean_band", "growth_when_held"]
-
-SWING = 3.0  # log of the growth over a recording from which a mechanism cannot be moved as recorded
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axis | None = None) -> View:

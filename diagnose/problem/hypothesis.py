@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnose.problem.view import MOST_SUBSTEPS
+from diagnose.thresholds import MOST_SUBSTEPS
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales, effect_class
 from mjsim.quantity import Quantity
@@ -111,22 +111,8 @@ class Hypothesis:
                 value = getattr(effect, spec.name)
                 scale = _scale(spec.quantity, value, turning if spec.quantity is Quantity.CYCLES else s)
                 log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
-                low, high = (1e-3 * scale, 1e3 * scale) if log else (spec.lower, spec.upper)
-                if spec.quantity is Quantity.VELOCITY and type(effect).family == "friction":
-                    # what fades over less than a thousandth of the speed is a level at rest, which static friction has
-                    low = max(low, 1e-3 * s.velocity)
-                    value = max(value, low)
-                if spec.quantity is Quantity.STIFFNESS and type(effect).family == "friction":
-                    # a stiffer contact rings faster than the fitting engine may step, and is a level of friction by then
-                    high = max(value, min(high, s.inertia * (STIFFEST / s.dt) ** 2))
-                if spec.quantity is Quantity.TIME and type(effect).family == "friction":
-                    # what is over within a fiftieth of the recording is the start of it, and no drift
-                    low = max(low, 0.02 * s.duration)
-                    value = max(value, low)
-                if spec.quantity is Quantity.CYCLES and effect.place != "arm":
-                    # of less than half a period nothing tells that it is periodic
-                    low = max(low, math.pi / max(turning.travel, 1e-12))
-                    value = max(value, low)
+                wide = (1e-3 * scale, 1e3 * scale) if log else (spec.lower, spec.upper)
+                low, high, value = _limits(effect, spec.quantity, wide, value, s, turning)
                 entry = (spec.name, spec.quantity, scale, low, high)
                 if spec.nuisance:
                     for r in range(n_recordings):
@@ -258,6 +244,29 @@ class Hypothesis:
         except NotApplicableError:
             return False
         return True
+
+
+def _limits(
+    effect: Effect, quantity: Quantity, wide: tuple[float, float], value: float, s: Scales, turning: Scales
+) -> tuple[float, float, float]:
+    """Bounds of a number within ``wide``, and its start: beyond them it says nothing, or what a simpler law says."""
+    low, high = wide
+    of_friction = type(effect).family == "friction"
+    if quantity is Quantity.VELOCITY and of_friction:
+        # what fades over less than a thousandth of the speed is a level at rest, which static friction has
+        low = max(low, 1e-3 * s.velocity)
+    elif quantity is Quantity.STIFFNESS and of_friction:
+        # a stiffer contact rings faster than the fitting engine may step, and is a level of friction by then
+        return low, max(value, min(high, s.inertia * (STIFFEST / s.dt) ** 2)), value
+    elif quantity is Quantity.TIME and of_friction:
+        # what is over within a fiftieth of the recording is the start of it, and no drift
+        low = max(low, 0.02 * s.duration)
+    elif quantity is Quantity.CYCLES and effect.place != "arm":
+        # of less than half a period nothing tells that it is periodic
+        low = max(low, math.pi / max(turning.travel, 1e-12))
+    else:
+        return low, high, value
+    return low, high, max(value, low)
 
 
 def _scale(quantity: Quantity, value: float, s: Scales) -> float:

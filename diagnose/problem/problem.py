@@ -23,14 +23,14 @@ from diagnose.data.scales import scales_by_place
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import KnownNoise, ModelError, NoiseModel
 from diagnose.problem.view import MotionView, View
+from diagnose.thresholds import PRIOR
 from mjsim.axis import Axis
 from mjsim.effects import Effect, Scales
 from mjsim.signals import lfilter, weigh_into
 from mjsim.system import STEP, assemble
 
-__all__ = ["PRIOR", "Problem", "Residual", "bounded"]
+__all__ = ["Problem", "Residual", "bounded"]
 
-PRIOR = 0.5  # relative standard deviation given to the nominal linear parameters
 
 Residual = Callable[[np.ndarray], np.ndarray | None]
 """A residual vector (N,) of a scaled vector (p,); None where the model cannot be run."""

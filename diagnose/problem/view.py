@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.thresholds import DITHER, DITHER_SAMPLES, KEPT_TORQUES, LEAST_DELIVERED, MOST_SUBSTEPS, OBSERVER_NOISE, STIFFER
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
@@ -28,15 +29,6 @@ from mjsim.signals import lfilter
 from mjsim.system import MOST_STEPS, STEP, System, assemble
 
 __all__ = ["ForceView", "MotionView", "Signals", "View", "most_led"]
-
-
-ENOUGH = 4000  # samples that tell the noise ahead of a rounding
-DITHER = (0.01, 0.1, 0.2, 0.3, 0.45)  # noise ahead of a rounding, in steps
-LEAST_DELIVERED = 0.05  # of the commanded torque's variation: an actuator that delivers less moves nothing
-MOST_SUBSTEPS = 12  # a fit that wanders to a stiffer model than this has left the plausible, or to one so many times the nominal:
-STIFFER = 3
-SHAKES = 2.0  # times the sensor's noise by which a led model may be shaken
-KEPT = 8  # torques that draw a model to one recording: those of the structures that are fitted at a time
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ def most_led(axis: Axis) -> float:
         lag = assemble(axis).output_lag
     except (NotApplicableError, ValueError):
         return 0.0
-    return SHAKES / lag if lag > 0 else math.inf
+    return OBSERVER_NOISE / lag if lag > 0 else math.inf
 
 
 def _delivered(s: System, torque: np.ndarray, dt: float, before: float) -> np.ndarray:
@@ -120,7 +112,7 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
         off = clean[part] / step - level
         return np.asarray(step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r)))
 
-    some = slice(None, None, max(1, len(clean) // ENOUGH))
+    some = slice(None, None, max(1, len(clean) // DITHER_SAMPLES))
     errors = [float(np.sum((measured[some] - mean(some, r))[counts[some]] ** 2)) for r in DITHER]
     count_work(2 * len(clean))
     return mean(slice(None), DITHER[int(np.argmin(errors))])
@@ -199,7 +191,7 @@ class MotionView:
         if known is None:
             r = experiment.recording
             known = _delivered(system, r.torque, r.dt, experiment.before), _ahead(system, measured_velocity(r), r.dt)
-            if len(experiment.kept) >= KEPT:
+            if len(experiment.kept) >= KEPT_TORQUES:
                 experiment.kept.clear()
             experiment.kept[path] = known
         return known

@@ -13,6 +13,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Fit, orthonormal
 from diagnose.problem.hypothesis import make
+from diagnose.thresholds import WRONG_SIGN
 from mjsim.axis import Chain
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
 from mjsim.effects.base import need_body
@@ -33,7 +34,6 @@ __all__ = [
 
 
 QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
-WRONG_SIGN = 0.3  # what the promise of an amplitude of the wrong sign counts
 
 
 @dataclass(frozen=True)

@@ -11,28 +11,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from diagnose.evidence.rivals.events import LEAD
 from diagnose.fit import path
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, key_of
-from diagnose.fit.fitter import SAME
+from diagnose.fit.fitted import Fitted, key_of
 from diagnose.fit.least_squares import Status
 from diagnose.structure.moves import folded
 from diagnose.structure.state import State
+from diagnose.thresholds import (
+    BETWEEN,
+    HORIZON_ROUNDS,
+    LACKS,
+    LEAD,
+    LITTLE,
+    NEARBY,
+    RELEASES,
+    RESTARTED_BELOW,
+    RIVAL,
+    SAME,
+    SHORT,
+    SMOOTH,
+    STAYS,
+    UNEXPLAINED,
+    WIDE,
+)
 
-__all__ = ["LACKS", "LITTLE", "NEARBY", "RIVAL", "SHAKEN", "Continuation"]
-
-BETWEEN = 100.0  # an observer gain on the way from a close one to `LEAD`
-LACKS = 4.0  # times the noise variance left under a close observer gain, which no wrong order of events leaves
-STAYS = 0.5  # part of the residual above noise that stays under the observer gain, and is then none of other moments
-SHORT = 2.0  # times a run of the nominal model, up to which a structure is restarted wherever it has landed
-SHAKEN = 2.0  # times the noise variance that a structure may leave, to be looked for lower minima about it
-RIVAL = 0.1  # difference in the logarithm of chi-square of two effects that one structure could not tell apart
-LITTLE = 0.02  # the same of an effect that explains next to nothing
-WIDE = (1e-2, 3e-3)  # secants, in units of the scaled parameters, that smooth a nonsmooth cost
-RELEASES = 3  # homotopies to the free run in a search, at most
-HORIZONS = 3  # times in a row that a structure is fitted over growing horizons, while it gains
-NEARBY = 1.5  # times the chi-square of the best structure up to which a nonsmooth one may be it
-SMOOTH = 1.005  # chi2 / n up to which a nonsmooth fit needs no wide secants
+__all__ = ["Continuation"]
 
 
 @dataclass
@@ -46,7 +48,7 @@ class Continuation:
     def restart(self, f: Fitted) -> Fitted:
         """A nonsmooth structure at the lowest minimum about it, by its covariance, where it leaves little more than noise."""
         fitter, pool = self.state.fitter, self.state.pool
-        if not self.state.options.free or not f.rough or not fitter.noise.within(f.chi2 / f.n, SHAKEN):
+        if not self.state.options.free or not f.rough or not fitter.noise.within(f.chi2 / f.n, RESTARTED_BELOW):
             return f
         asked = (f.key, f.chi2, fitter.prior_weight, fitter.whitening.tobytes())
         if asked not in self._restarted:
@@ -81,7 +83,7 @@ class Continuation:
         if not fitter.noise.absolute:
             return
         new = list(running)
-        if base.rough and base.chi2 < SHAKEN * base.n:
+        if base.rough and base.chi2 < RESTARTED_BELOW * base.n:
             new = [f for f in running if any(type(e).rough and e.key not in base.key for e in f.effects)]
         for f in (*new, *new):  # one that was first may not be when the others have landed
             f, best = pool.newest(f), min((pool.newest(g) for g in running), key=lambda g: g.chi2)
@@ -106,7 +108,7 @@ class Continuation:
                 f = wide
         return f
 
-    def grow(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = HORIZONS) -> None:
+    def grow(self, structures: Sequence[Fitted], beside: Fitted | None = None, most: int = HORIZON_ROUNDS) -> None:
         """Fit multimodal structures that leave more than noise over growing horizons, then by homotopy in the observer gain.
 
         Not those that lack something else under an observer gain, nor those that stay behind ``beside`` there. ``most``: how
@@ -118,7 +120,7 @@ class Continuation:
             exceeds = state.fitter.noise.exceeds(f.chi2 / f.n, UNEXPLAINED)
             if not exceeds or (known or 0) >= most or not folded(f):
                 continue
-            state.horizons[f.key] = HORIZONS
+            state.horizons[f.key] = HORIZON_ROUNDS
             if not state.late() and self.restart(f).chi2 < UNEXPLAINED * f.n:
                 continue
             if self.lacks_more(f) or self.lacks_law(f) or (beside is not None and f.key != beside.key and self.beaten(f, beside)):
@@ -133,7 +135,7 @@ class Continuation:
         """Growing horizons, from the fitted and from the nominal linear parameters, while it gains."""
         state = self.state
         for linear in (f.linear, None):
-            for _ in range(HORIZONS):
+            for _ in range(HORIZON_ROUNDS):
                 last = state.pool.newest(f)
                 if state.late() or last.chi2 < UNEXPLAINED * last.n:
                     break
@@ -157,7 +159,7 @@ class Continuation:
             state.horizons[f.key] = seed + 1
             state.keep(free)
             if abs(math.log(free.chi2 / last.chi2)) < SAME:
-                state.horizons[f.key] = HORIZONS
+                state.horizons[f.key] = HORIZON_ROUNDS
                 break
 
     def release_once(self, f: Fitted, beside: Fitted) -> None:
@@ -192,7 +194,7 @@ class Continuation:
         """
         fitter = self.state.fitter
         f = self.state.pool.newest(f)
-        if not f.rough or not fitter.noise.within(f.chi2 / f.n, SHAKEN):
+        if not f.rough or not fitter.noise.within(f.chi2 / f.n, RESTARTED_BELOW):
             return False
         stays = f.n + STAYS * (f.chi2 - f.n)
         led = path.observed(fitter, f, LEAD, 20)

@@ -6,24 +6,31 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, key_of
+from diagnose.fit.fitted import Fitted, key_of
 from diagnose.structure.candidates import Candidate, Screened, conflicts, related, replaced, takes_place
-from diagnose.structure.continuation import LACKS, RIVAL, SHAKEN, Continuation
-from diagnose.structure.moves import ALIKE, Entrant, ground, in_place, other_orders, taken_apart
-from diagnose.structure.multistart import MISFIT, Multistart
+from diagnose.structure.continuation import Continuation
+from diagnose.structure.moves import Entrant, ground, in_place, other_orders, taken_apart
+from diagnose.structure.multistart import Multistart
 from diagnose.structure.race import CURVED, Race
 from diagnose.structure.selection import Selection
 from diagnose.structure.state import State
+from diagnose.thresholds import (
+    FEWER,
+    FROM_AFAR,
+    HOPEFUL,
+    INEXACT,
+    LACKS,
+    MISFIT,
+    ONE_MOTION,
+    OTHER_ORDER,
+    PROMISING,
+    RESTARTED_BELOW,
+    RIVAL,
+    UNEXPLAINED,
+)
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["Growth"]
-
-INEXACT = 0.5  # of the residual without an effect: an inexact law of it leaves no more
-PROMISING = 0.33  # of the residual of a structure: what an effect beside it promises to leave, that is tried first
-FEWER = 4  # rivals that are fitted beside a structure that leaves noise alone
-HOPEFUL = 0.4  # of the entry, that a refinement must promise
-FROM_AFAR = 1.2  # times the chi-square of the base, above which a structure may do better from the base's numbers
-OTHER_ORDER = 0.02  # relative difference of two spatial orders
 
 
 @dataclass
@@ -64,7 +71,7 @@ class Growth:
     def _landed(self, base: Fitted) -> Fitted | None:
         """A structure to expand: a nonsmooth one near the noise once it has landed; None where a limit of it is better."""
         state = self.state
-        if not base.rough or base.chi2 >= SHAKEN * base.n:
+        if not base.rough or base.chi2 >= RESTARTED_BELOW * base.n:
             return base
         self.starts.limits(base)  # a minute error may be that of an event a sample too late
         if self.selection.best(base).key != base.key:
@@ -185,7 +192,7 @@ class Growth:
 
     def exchange_confounders(self, base: Fitted) -> list[Fitted]:
         """The same of what made one and the same motion."""
-        return self.exchange(base, ALIKE)
+        return self.exchange(base, ONE_MOTION)
 
     def _new(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
         """Those that are admitted and were not tried from here."""

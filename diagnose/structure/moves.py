@@ -13,6 +13,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Fit, Linearised, Status, orthonormal
 from diagnose.problem.hypothesis import make
 from diagnose.structure.candidates import QUARTERS, Candidate, Screened, conflicts, inherit, screen, takes_place
+from diagnose.thresholds import LIKELY, NEARLY, ONE_MOTION, SECANT_ERROR, SLACK
 from mjsim.effects import Effect, effect_class
 
 __all__ = [
@@ -36,11 +37,6 @@ __all__ = [
 
 Entrant = tuple[tuple[Effect, ...], Screened]
 """The effects that stay, and the one that is tried beside them."""
-
-NEAR, SLACK = 100.0, 0.02  # of chi-square, and of what an effect explains: by so much a secant may misjudge what does as much
-NEARLY = 2.0  # a simpler form that leaves at most so many times the error of its refinement is built on in its place
-LIKELY = 3  # orders that stand out most, to which an effect locked to position may move
-ALIKE = 1e-3  # difference in the logarithm of chi-square of one motion, made at another place
 
 
 def ground(f: Fitted, pool: Mapping[tuple[str, ...], Fitted]) -> Fitted:
@@ -184,7 +180,7 @@ def imitators(fitter: Fitter, best: Fitted, effect: Effect, offered: Sequence[Ca
         and not (c.place == effect.place and effect.id in effect_class(c.id).refines)
     ]  # fmt: skip
     ranked = screen(fitter, Fitted(bare, fit, best.n), supposed)
-    return [(others, s) for s in ranked if s.gain > explained - max(NEAR, SLACK * explained)]
+    return [(others, s) for s in ranked if s.gain > explained - max(SECANT_ERROR, SLACK * explained)]
 
 
 def folded(f: Fitted) -> bool:
@@ -206,7 +202,7 @@ def refines(f: Fitted, current: Fitted) -> bool:
 def elsewhere(f: Fitted, current: Fitted) -> bool:
     """Whether a structure is the same effects at other places, to the same error: so is what is added to it."""
     same = sorted(e.id for e in f.effects) == sorted(e.id for e in current.effects)
-    return same and f.key != current.key and abs(math.log(f.chi2 / current.chi2)) < ALIKE
+    return same and f.key != current.key and abs(math.log(f.chi2 / current.chi2)) < ONE_MOTION
 
 
 def named(f: Fitted) -> tuple[str, ...]:

@@ -9,23 +9,17 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.evidence.context import LONG
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, key_of
+from diagnose.fit.fitted import Fitted, key_of
 from diagnose.fit.starts import best_of_starts, restarted
 from diagnose.problem.hypothesis import make
 from diagnose.structure.candidates import Screened
 from diagnose.structure.continuation import Continuation
 from diagnose.structure.moves import at_limits, simpler_at
 from diagnose.structure.state import State
+from diagnose.thresholds import ABOUT, BETTER, GONE, LONG, MISFIT, MORE, PROMISED, STARTS, UNEXPLAINED
 from mjsim.effects import Effect, effect_class
 
-__all__ = ["MISFIT", "Multistart"]
-
-MISFIT = 3.0  # chi2 / n from which the nominal linear parameters guide the search
-STARTS, ABOUT = 6, 0.25  # other starts of the nominal structure, and the spread of the logarithm of its parameters there
-BETTER = 0.9  # of the nominal structure's chi-square, below which another minimum of it is one
-GONE = math.log(1.5)  # how far a refitted linear parameter is from the nominal one, that stands in for a body that is not there
-PROMISED, MORE = 0.3, 2  # of the gain in C that the screen promised, below which a rival is short of it; further starts of it
+__all__ = ["Multistart"]
 
 
 @dataclass

@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import dataclasses
 
-from diagnose.fit.fitted import UNEXPLAINED, Fitted
-from diagnose.fit.path import CLOSELY, WRONG, observed, released
+from diagnose.fit.fitted import Fitted
+from diagnose.fit.path import observed, released
 from diagnose.fit.starts import restarted, warm_started
-from diagnose.structure.continuation import LACKS
 from diagnose.structure.moves import folded, formed, ground
 from diagnose.structure.search import Search
+from diagnose.thresholds import (
+    CLOSELY,
+    LACKS,
+    LEADS_NOWHERE,
+    MOMENTS,
+    MOST_RELEASED,
+    OBSERVER_PART,
+    REFINED_BELOW,
+    RELEASED_WITHIN,
+    ROUNDS,
+    UNEXPLAINED,
+    WIDTH,
+    WRONG,
+)
 
 __all__ = ["among_led"]
-
-ROUNDS = 2  # effects that are sought
-LITTLE = 0.7  # of the chi-square of a round before: a round that leaves more leads nowhere
-PART = 0.5  # of what the diagnosis may still take
-WIDTH = 6  # rivals of a round
-NEAR = 10.0 * LACKS  # times the noise variance below which an effect is refined
-MOMENTS = 1.2  # times the noise that the wrong moments of events leave of a closely led model
-ALIKE, MOST = 2.0, 3  # times the least chi-square of a led structure up to which others are let go as well, and how many
 
 
 def among_led(search: Search) -> None:
@@ -47,7 +52,7 @@ def _search(search: Search) -> list[Fitted]:
     """The structures, led closely, those of the fewest numbers first."""
     problem = search.fitter.problem.under_observer(CLOSELY, search.fitter.held_out).relax(prior_weight=1.0)
     led = search.fitter.beside(problem, counts_here=True)
-    led.allow(led.runs + PART * (search.fitter.most_runs - led.runs))
+    led.allow(led.runs + OBSERVER_PART * (search.fitter.most_runs - led.runs))
     chosen = dataclasses.replace(search.options, width=WIDTH, beam=1, free=False)
     other = Search(led, chosen, progress=search.progress)
     other.state.only_beside = search.state.only_beside
@@ -63,21 +68,21 @@ def _search(search: Search) -> list[Fitted]:
         if base.effects and set(base.key) < set(best.key):  # it may have missed the minimum to which what was added has led
             other.keep(warm_started(other.fitter, best, base.key, 12))
         refined: set[tuple[str, ...]] = set()
-        while best.key not in refined and WRONG < best.chi2 / best.n < NEAR and not led.spent:
+        while best.key not in refined and WRONG < best.chi2 / best.n < REFINED_BELOW and not led.spent:
             refined.add(best.key)
             other.growth.refine(best)
             best = other.tempering.tempered(_least(other))
-        if WRONG < best.chi2 / best.n < NEAR and not led.spent:
+        if WRONG < best.chi2 / best.n < REFINED_BELOW and not led.spent:
             other.keep(restarted(other.fitter, best, [e for e in best.effects if type(e).rough]))
             best = other.pool[best.key]
-        if best.chi2 > LITTLE * before.chi2:
+        if best.chi2 > LEADS_NOWHERE * before.chi2:
             break
         for effect in best.effects if best.chi2 > WRONG * best.n else ():
             for simpler in other.reduction.simpler(best, effect):  # what is missing is sought beside the simplest form
                 simpler()
     led.allow(search.fitter.most_runs)
-    found = [f for f in other.pool.values() if f.effects and f.chi2 < min(LACKS * f.n, ALIKE * best.chi2)]
-    found = sorted(found, key=lambda f: (formed(f), len(f.hypothesis.entries), f.chi2))[:MOST]
+    found = [f for f in other.pool.values() if f.effects and f.chi2 < min(LACKS * f.n, RELEASED_WITHIN * best.chi2)]
+    found = sorted(found, key=lambda f: (formed(f), len(f.hypothesis.entries), f.chi2))[:MOST_RELEASED]
     found = [_spread(other, f) for f in found]
     search.state.tested += other.tested
     return found

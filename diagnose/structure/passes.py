@@ -29,16 +29,11 @@ from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
 from diagnose.structure.observer_search import among_led
 from diagnose.structure.search import Search
+from diagnose.thresholds import MOST_FILTERS, OFFSET, REFUSED, SWUNG, TAKEN
 from mjsim.errors import InputError
 from mjsim.ode import simulate
 
 __all__ = ["searched"]
-
-MOST_FILTERS = 2  # whitened searches
-REFUSED = 4.0  # times the gain for an entry that a structure which held-out data refuse must have, to be sought by its own filter
-TAKEN = 4.0  # times the noise's mean square: noise taken for response lowers the fitted error: rms at most twice the noise's
-SWUNG = 3  # orders of a varying inertia
-OFFSET = 0.01  # of the residual's mean square in its mean, above which an offset is looked for before anything is whitened
 
 
 def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[float, ...]]:

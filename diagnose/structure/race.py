@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
-from diagnose.evidence.context import LONG
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Status, orthonormal
 from diagnose.structure.candidates import left_over
@@ -16,25 +15,14 @@ from diagnose.structure.continuation import Continuation
 from diagnose.structure.moves import Entrant
 from diagnose.structure.screening import Look, look
 from diagnose.structure.state import State
+from diagnose.thresholds import ALIKE_C, ENTRANT, FIRST, HALVINGS, HOPE, LEAVES_MUCH, LONG, PORTION, SLOW_RUNS
 from mjsim.effects import effect_class
 
-__all__ = ["ALIKE_C", "CURVED", "PORTION", "Race"]
+__all__ = ["CURVED", "Race"]
 
 T = TypeVar("T")
 
-HOPE = 2.0  # times the gain that a rival's sensitivities predict, which it is trusted with
-FIRST = 6  # rivals that go on after the first look
-ENTRANT, PORTION = 250, 4  # simulations that a first look at a rival may take; of how many at a time, where fewer are left
-SLOW = 100  # the same of one that is slow to run, in its own runs, at least
-ALIKE_C = 10.0  # of C: two structures closer than a likelihood ratio of 150 are not told apart
 CURVED = ("structure", "coupling")  # families whose response is not linear in its amplitude: it moves a resonance
-LEFT = 1.5  # chi2 / n from which a base leaves much
-HALVINGS = (
-    (FIRST, 3, 1.5),
-    (4, 6, 0.4),
-    (3, 20, 0.05),
-)  # how many go on, for how many iterations, how far behind the leader they
-# may be, in the logarithm of chi-square
 
 
 @dataclass
@@ -81,7 +69,7 @@ class Race:
 
     def _first_looks(self, base: Fitted, ground: Look, entrants: Sequence[Entrant]) -> list[Fitted | None]:
         """A few iterations of each; in portions, where little is left, until nothing is."""
-        state, far, spent = self.state, base.chi2 > LEFT * base.n, False
+        state, far, spent = self.state, base.chi2 > LEAVES_MUCH * base.n, False
         ground.ready([s.candidate.id for _, s in entrants if far or effect_class(s.candidate.id).family in CURVED])
         begin = [partial(self._counted, partial(ground.enter, p, s, far)) for p, s in entrants]
         firsts: list[Fitted | None] = []
@@ -124,7 +112,7 @@ class Race:
 
         A linear model of its response knows what it can take up of its residual; it is trusted with ``HOPE`` times that.
         """
-        if not self.state.fitter.noise.within(base.chi2 / base.n, LEFT) or not f.fit.J.any():
+        if not self.state.fitter.noise.within(base.chi2 / base.n, LEAVES_MUCH) or not f.fit.J.any():
             return True
         left = f.chi2 - HOPE * (f.chi2 - left_over(f.fit.residual, orthonormal(f.fit.J)))
         return left <= 0.0 or self.state.context.gain(base, f) + f.n * math.log(f.chi2 / left) > floor
@@ -138,7 +126,7 @@ class Race:
         for others, s in entrants:
             h = state.fitter.hypothesis((*others, s.effect), base.linear, base.own)
             length = state.fitter.length(h, h.start)
-            if length <= LONG or SLOW * length < state.left():
+            if length <= LONG or SLOW_RUNS * length < state.left():
                 out.append((others, s))
                 state.failed.pop(s.candidate.key, None)
             else:

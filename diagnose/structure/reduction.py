@@ -7,22 +7,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, key_of
-from diagnose.fit.fitter import SAME
+from diagnose.fit.fitted import Fitted, key_of
 from diagnose.fit.least_squares import Status
 from diagnose.problem.hypothesis import make
-from diagnose.structure.continuation import LITTLE, Continuation
+from diagnose.structure.continuation import Continuation
 from diagnose.structure.moves import imitators
 from diagnose.structure.multistart import Multistart
-from diagnose.structure.race import ALIKE_C
 from diagnose.structure.significance import Significance, warm_mark
 from diagnose.structure.state import State
+from diagnose.thresholds import ALIKE_C, CRAWLS, ELSEWHERE, FORMS, LITTLE, SAME, UNEXPLAINED
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["Reduction"]
-
-FORMS, CRAWLS = 30, 0.01  # iterations of a simpler or poorer structure, and what each must gain while all could not bring it near
-ELSEWHERE = 2.0  # times its chi-square, from which a warm start of the nominal structure cannot lead to a better minimum
 
 
 @dataclass

@@ -21,17 +21,11 @@ from diagnose.fit.least_squares import Fit, Linearised, Status
 from diagnose.problem.hypothesis import Hypothesis, make
 from diagnose.problem.view import MotionView
 from diagnose.structure.candidates import Candidate, Screened, left_over, screen, span
+from diagnose.thresholds import BESIDE_NOMINAL, COARSE, FAITHFUL, LEAST_SAMPLES, LEAVES
 from mjsim.effects import Effect, effect_class
 from mjsim.system import STEP, assemble
 
 __all__ = ["Look", "look"]
-
-APART = 3  # rivals that are tried for what they promise beside the nominal parameters
-COARSE = 0.33  # angle [rad] by which the fastest motion may turn in a step of a first look
-LEAST = 5000  # samples of all recordings that a first look needs
-LEAVES = 1.1  # times the noise variance from which a structure leaves so much that a part of the samples tells what it is
-FAITHFUL = (0.5, 0.05)  # part of what a structure leaves beside noise, by which its run on fewer samples may differ; where bodies
-# stick or strike in a free run, which they then do at other moments, in another model by another difference
 
 
 def _thin(e: Experiment, every: int) -> Experiment:
@@ -103,7 +97,7 @@ class Look:
 
     def from_nominal(self, supposed: Sequence[Candidate]) -> list[Screened]:
         """The few candidates that promise most beside the nominal parameters: refitted ones may have gone where none does."""
-        ranked = screen(self.fitter, self.begun, supposed)[:APART]
+        ranked = screen(self.fitter, self.begun, supposed)[:BESIDE_NOMINAL]
         self.took()
         self.apart.update(s.candidate.key for s in ranked)
         return ranked
@@ -221,7 +215,7 @@ def look(fitter: Fitter, base: Fitted) -> Look:
         return Look(fitter, base, fitter)
     fastest = max(e.recording.dt for e in fitter.experiments) * assemble(fitter.nominal).omega
     samples = sum(int(np.sum(fitter.counted(e))) for e in fitter.experiments)
-    most = min(int(COARSE / max(fastest, STEP / 10)), samples // LEAST)
+    most = min(int(COARSE / max(fastest, STEP / 10)), samples // LEAST_SAMPLES)
     for every in range(most, 1, -1):
         coarse = dataclasses.replace(view, step=COARSE)
         experiments = tuple(_thin(e, every) for e in fitter.experiments)

@@ -17,31 +17,40 @@ from typing import final
 import numpy as np
 
 from diagnose.evidence.context import Context
-from diagnose.fit.fitted import UNEXPLAINED, Fitted, HeldOut
-from diagnose.fit.fitter import FAR, ROUGHLY, Fitter
+from diagnose.fit.fitted import Fitted, HeldOut
+from diagnose.fit.fitter import Fitter
 from diagnose.fit.pool import Pool
 from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
-from diagnose.structure.continuation import LACKS, LITTLE, NEARBY, RIVAL, Continuation
+from diagnose.structure.continuation import Continuation
 from diagnose.structure.growth import Growth
 from diagnose.structure.moves import elsewhere, folded, formed, ground, promising, refines, with_other_laws
-from diagnose.structure.multistart import MISFIT, Multistart
-from diagnose.structure.race import ALIKE_C, Race
+from diagnose.structure.multistart import Multistart
+from diagnose.structure.race import Race
 from diagnose.structure.reduction import Reduction
 from diagnose.structure.selection import Selection
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
 from diagnose.structure.tempering import Tempering
+from diagnose.thresholds import (
+    ALIKE_C,
+    BEHIND,
+    BETTER_NUMBERS,
+    CREEPS,
+    EXPLAINS_MUCH,
+    FAR,
+    LACKS,
+    LITTLE,
+    MISFIT,
+    NEARBY,
+    ORDERS_FROM,
+    RIVAL,
+    ROUGHLY,
+    UNEXPLAINED,
+)
 
 __all__ = ["ALIKE_C", "Search"]
-
-CREEPS = 2  # effects in a row that explain little of much, after which the library holds nothing that is missing
-ASTRAY = 0.33  # of the residual of a structure: what the best addition leaves above that explains little
-BEHIND = (3.0, 1.5, 1.1)  # times the chi-square of the best structure up to which its rivals are extended as well: where it
-# leaves more than noise, as little but with a colour, and noise alone
-BETTER_NUMBERS = 0.9  # times its chi-square, below which a structure is another base to build on
-ORDERS_FROM = 1.02  # chi2 / n above which spatial orders are looked for in a residual
 
 
 @dataclass
@@ -257,7 +266,7 @@ class Search:
         self.growth.exchange_confounders(best)
         before = self.selection.best(current)
         best = self._under_observer(current, before)
-        if self.fitter.misfit(best) > LACKS and best.chi2 < ASTRAY * before.chi2:
+        if self.fitter.misfit(best) > LACKS and best.chi2 < EXPLAINS_MUCH * before.chi2:
             return best  # structures under an observer gain were refined as well: what is missing beside it comes first
         self.growth.refine(best)
         refined = self.selection.best(current)
@@ -319,7 +328,7 @@ class Search:
             if least.key == best.key:
                 return best
             self.path.grow([least])
-        elif least is None and self.fitter.misfit(best) < ASTRAY * self.fitter.misfit(current):
+        elif least is None and self.fitter.misfit(best) < EXPLAINS_MUCH * self.fitter.misfit(current):
             return best
         else:
             (observed_by, self.observed_by), since = (self.observed_by, None), self.fitter.runs

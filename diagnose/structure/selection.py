@@ -8,10 +8,9 @@ from diagnose.fit.fitted import Fitted
 from diagnose.structure.moves import refines
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
+from diagnose.thresholds import SAME_SIZE
 
 __all__ = ["Selection"]
-
-SAME_SIZE = 0.5  # of C: by so much a structure of the same size must be ahead
 
 
 @dataclass

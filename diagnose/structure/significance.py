@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from diagnose.evidence.context import SHOWN
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto, first_veto
 from diagnose.evidence.rivals.encoder import no_error_of_the_encoder
 from diagnose.evidence.rivals.events import no_moment_of_an_event
@@ -19,15 +18,15 @@ from diagnose.evidence.rivals.law import no_error_of_a_law
 from diagnose.evidence.rivals.servo import no_answer_of_a_servo
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.starts import warm_started
-from diagnose.structure.continuation import SHAKEN, Continuation
+from diagnose.structure.continuation import Continuation
 from diagnose.structure.moves import named
 from diagnose.structure.state import Refusal, State
+from diagnose.thresholds import CLEAR_GAIN, MOVED, RESTARTED_BELOW
 
 __all__ = ["BEFORE_HELD_OUT", "RIVALS", "Significance"]
 
 BEFORE_HELD_OUT = (gains, no_error_of_a_law)
 RIVALS = (no_answer_of_a_servo, no_slow_error, no_error_of_the_encoder, no_moment_of_an_event)
-MOVED = 1e-3  # of a number's size, by which another fit of a structure is another guess of it
 
 
 @dataclass
@@ -81,7 +80,7 @@ class Significance:
         the one that shares the poorer's numbers is compared.
         """
         state, fitter = self.state, self.state.fitter
-        much = math.log(before.chi2 / after.chi2) > SHOWN * state.options.material
+        much = math.log(before.chi2 / after.chi2) > CLEAR_GAIN * state.options.material
         if not fitter.noise.absolute or after.rough or not set(before.key) < set(after.key) or not much:
             return None
         if state.context.compared(before, after).relative_gain > -state.options.material:
@@ -115,7 +114,7 @@ class Significance:
             return before
         asked = (before.key, before.chi2, after.key, after.chi2)
         if asked not in self._poorer:
-            if before.chi2 < SHAKEN * before.n:
+            if before.chi2 < RESTARTED_BELOW * before.n:
                 self.path.land(before)
             begun = [] if warm_mark(before.key, after) in state.warm else [warm_started(fitter, after, before.key, 20)]
             landed = min(before, state.pool.newest(before), key=lambda f: f.chi2)

@@ -9,14 +9,10 @@ from functools import partial
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.whiten import guide_of
 from diagnose.structure.continuation import Continuation
-from diagnose.structure.multistart import MISFIT
 from diagnose.structure.state import State
+from diagnose.thresholds import HALF, MISFIT, REFITTED_WITHIN, SHORTER, WEIGHED
 
 __all__ = ["Tempering"]
-
-WEIGHED, SHORTER = 12, 4  # iterations of the best structure under another weight of the prior, and of one that is slow to run
-NEAR = 3.0  # times the chi-square of the current structure, up to which a rival is fitted again
-HALF = 0.5  # of the present weight, below which a new one is worth the fits
 
 
 @dataclass
@@ -48,7 +44,9 @@ class Tempering:
             self._untempered = pool[()]
         state.context.fitter = state.fitter.relax(prior_weight=weight)
         slow = state.context.slow
-        near = sorted((f for f in pool.values() if f.chi2 < NEAR * current.chi2 and not slow(f)), key=state.context.criterion)
+        near = sorted(
+            (f for f in pool.values() if f.chi2 < REFITTED_WITHIN * current.chi2 and not slow(f)), key=state.context.criterion
+        )
         near = near[: 0 if state.late() else state.options.width]
         again = {f.key: f for f in (pool[()], current, *near)}
         pool.clear()

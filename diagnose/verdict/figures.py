@@ -16,11 +16,10 @@ from diagnose.fit.least_squares import Fit
 from diagnose.fit.whiten import noise_rms
 from diagnose.result import FitFigures, Rival, Traces
 from diagnose.structure.search import Search
+from diagnose.thresholds import JUDGED
 from mjsim.axis import Axis
 
 __all__ = ["error_figures", "figures", "rivals", "traces"]
-
-JUDGED = 8  # rivals whose held-out error the report shows, whether the search has asked for it or not
 
 
 def error_figures(fitter: Fitter, axis_of: Callable[[int], Axis], fitted: Fitted | None, held: HeldOut | None) -> FitFigures:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from diagnose.fit.fitted import Fitted
 from diagnose.result import Refused
 from diagnose.structure.search import Search
+from diagnose.thresholds import LEADING
 
 __all__ = ["refusals"]
-
-LEADING = 8  # rivals of the lowest criterion, besides the answer
 
 
 def refusals(search: Search, best: Fitted) -> tuple[Refused, ...]:

@@ -25,11 +25,9 @@ from diagnose.fit.validation import error_on, observed_error, pooled, predicted_
 from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.structure.search import Search
+from diagnose.thresholds import EVENTS, POWER
 
 __all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
-
-EVENTS = (30.0, 56.0, 100.0, 170.0)  # observer gains [1/s] at which a model is judged whose free run diverges
-POWER = 20.0  # times the material error that the nominal model must leave there, for the test to mean something
 
 
 @dataclass(frozen=True)

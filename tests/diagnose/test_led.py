@@ -9,13 +9,14 @@ import pytest
 
 from diagnose.data.experiment import prepare
 from diagnose.evidence.outcome import Pair, Veto
-from diagnose.evidence.rivals.events import LEAD, no_moment_of_an_event
+from diagnose.evidence.rivals.events import no_moment_of_an_event
 from diagnose.fit import path
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.pool import Pool
 from diagnose.problem.view import MotionView, most_led
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.search import Search
+from diagnose.thresholds import LEAD
 from diagnose.verdict.decide import estimates
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp

@@ -8,8 +8,8 @@ from robot_axis import effect
 from diagnose.evidence.context import Context
 from diagnose.evidence.held_out import Comparison
 from diagnose.structure.budget import SearchOptions
-from diagnose.structure.screening import APART
 from diagnose.structure.search import Search
+from diagnose.thresholds import BESIDE_NOMINAL
 
 PLANT = {"Jm": 4.7e-4, "fm": 0.0345, "kg": 1.46e5, "ka": 0.458e5, "Ja": 1.66}
 STICKS = effect("static_friction", torque_Nm=0.15, peak=2.4)
@@ -101,7 +101,7 @@ def test_what_promises_beside_the_nominal_parameters_is_tried_though_refitted_on
     search = Search(fitter, SearchOptions())
     astray = fitter.fit(fitter.hypothesis((), search.nominal().linear), iterations=0)
     first = search.race.look(astray).from_nominal(search.growth.additions(astray))
-    assert len(first) == APART
+    assert len(first) == BESIDE_NOMINAL
     assert first[0].candidate.key == friction.key
     search.growth.expand(astray)
     assert search.pool[(friction.key,)].chi2 < 1.1 * astray.n < 0.1 * astray.chi2

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.evidence.predictable import WINDOWS, _shared
+from diagnose.evidence.predictable import _shared
+from diagnose.thresholds import WINDOWS
 
 DT, N, VELOCITY, ANGLE = 5e-4, 20_000, 0.05, 1e-4
 

@@ -14,20 +14,18 @@ from scipy.stats import wilcoxon
 
 from diagnose.data.experiment import prepare
 from diagnose.evidence import context
-from diagnose.evidence.context import PUT_RIGHT
 from diagnose.evidence.held_out import Comparison, compare, signed_rank
 from diagnose.fit.fitted import Fitted, HeldOut
-from diagnose.fit.fitter import FAR, Fitter
+from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Status
 from diagnose.fit.validation import observed_held_out, predicted_samples
 from diagnose.pipeline import Options, diagnose
-from diagnose.problem.problem import PRIOR
 from diagnose.problem.view import MotionView
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import Candidate, Screened, inherit, takes_place
 from diagnose.structure.moves import at_limits, elsewhere, ground, named, promising, refines, simpler_at, with_other_laws
-from diagnose.structure.race import PORTION
 from diagnose.structure.search import Search
+from diagnose.thresholds import FAR, PORTION, PRIOR, PUT_RIGHT
 from mjsim.effects import effect_class
 
 N, BLOCKS = 20_000, 40

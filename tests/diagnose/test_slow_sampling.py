@@ -7,7 +7,8 @@ import pytest
 from robot_axis import effect
 
 from diagnose.pipeline import Options, diagnose
-from diagnose.problem.view import MOST_SUBSTEPS, MotionView
+from diagnose.problem.view import MotionView
+from diagnose.thresholds import MOST_SUBSTEPS
 from mjsim.ode import simulate
 from mjsim.recording import Recording
 

@@ -11,16 +11,13 @@ import math
 
 from diagnose.evidence.context import Context
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
-from diagnose.fit.fitted import UNEXPLAINED, Fitted
-from diagnose.fit.fitter import SAME
+from diagnose.fit.fitted import Fitted
 from diagnose.fit.path import observed
 from diagnose.fit.pool import Key
 from diagnose.fit.starts import warm_started
+from diagnose.thresholds import FAIR, LEAD, SAME, UNEXPLAINED
 
-__all__ = ["LEAD", "no_moment_of_an_event"]
-
-LEAD = 30.0  # observer gain [1/s] at which nonsmooth rivals are judged
-FAIR = 0.25  # part of the residual, and under the observer gain of its gain, that an effect beside a nonsmooth one must explain
+__all__ = ["no_moment_of_an_event"]
 
 
 def no_moment_of_an_event(context: Context, pair: Pair) -> Outcome:

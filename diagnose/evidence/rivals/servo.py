@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from diagnose.evidence.context import Context
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
 from diagnose.fit.fitted import Fitted
+from diagnose.thresholds import ANSWERED
 
 __all__ = ["no_answer_of_a_servo", "size_is_open"]
 
-ANSWERED = 0.5  # of the squared error: more is not the answer of a servo to unknown torques (lab/speed/servo_axes.py)
 IMITATED = {"signal", "coupling", "structure", "offset"}  # families of effects that look like such an answer
 
 
