@@ -43,7 +43,7 @@ def ground(f: Fitted, pool: Mapping[tuple[str, ...], Fitted]) -> Fitted:
     """A structure with its effects in the simplest forms that explain nearly as much.
 
     While another effect is missing, refinements stand in for it: what goes beside them is sought from their simpler form, at
-    fewer parameters, and they are tried again once it is there (`Search.refine`).
+    fewer parameters, and they are tried again once it is there (`Growth.refine`).
     """
     if f.chi2 < 1.5 * f.n:
         return f

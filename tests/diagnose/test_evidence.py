@@ -1,0 +1,183 @@
+"""The tests of one structure against another, at their levels; noise models, the pool and the frozen problem."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnose.evidence.held_out import Comparison
+from diagnose.evidence.outcome import PASS, Pair, Veto, first_veto
+from diagnose.evidence.rivals.few_periods import no_slow_error
+from diagnose.evidence.rivals.gain import gains
+from diagnose.evidence.rivals.generalises import generalises
+from diagnose.evidence.rivals.law import no_error_of_a_law
+from diagnose.evidence.rivals.servo import no_answer_of_a_servo
+from diagnose.fit.pool import Pool
+from diagnose.problem.noise_model import KnownNoise, ModelError
+from diagnose.result import Refused
+from diagnose.structure.state import Refusal
+from diagnose.thresholds import ANSWERED, FEW_PERIODS, TAKEN_BY_FEW_PERIODS
+from diagnose.verdict.refusals import refusals
+from mjsim.effects import effect_class
+
+
+def structure(*effects, chi2=1000.0):
+    """A fitted structure as far as the tests look at it."""
+    return SimpleNamespace(effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, ok=math.isfinite(chi2))
+
+
+def context(noise=None, gain=0.0, unseen=0.0, held=(0.0, 1.0), blocks=None, law=0.0, travel=1.0):
+    """Answers to what the tests ask."""
+    noise = noise or KnownNoise()
+    return SimpleNamespace(
+        prices=noise.prices, gain=lambda *_: gain, unseen_gain=lambda *_: unseen, law_error=lambda _: law,
+        compared=lambda *_: Comparison(*held), compared_in_blocks=lambda *_: blocks and Comparison(*blocks),
+        fitter=SimpleNamespace(noise=noise, scales={"motor": SimpleNamespace(travel=travel)}),
+    )  # fmt: skip
+
+
+def friction():
+    return effect_class("coulomb_friction")(torque_Nm=0.1)
+
+
+def delay():
+    return effect_class("time_delay")(place="actuator", delay_s=1e-3)
+
+
+@pytest.mark.parametrize("noise", [KnownNoise(), ModelError()])
+def test_a_gain_must_reach_the_entry_of_its_noise(noise):
+    pair, entry = Pair(structure(), structure(friction())), noise.prices.entry
+    assert gains(context(noise, gain=entry), pair) is PASS
+    assert gains(context(noise, gain=entry - 1.0, unseen=1.0), pair) is PASS
+    refused = gains(context(noise, gain=entry - 0.01), pair)
+    assert refused == Veto("gain", {"gain": pytest.approx(entry - 0.01), "needed": entry})
+
+
+def test_what_an_error_of_a_law_may_give_is_no_gain():
+    before, after = structure(friction(), chi2=1000.0), structure(friction(), delay(), chi2=900.0)
+    assert no_error_of_a_law(context(law=100.0), Pair(before, after)) is PASS
+    assert isinstance(no_error_of_a_law(context(law=100.1), Pair(before, after)), Veto)
+    assert no_error_of_a_law(context(law=100.1), Pair(before, structure(delay(), chi2=900.0))) is PASS, "not beside it"
+
+
+def test_held_out_data_judge_by_size_and_chance_over_all_hypotheses():
+    prices = KnownNoise.prices
+    pair = Pair(structure(), structure(friction()), hypotheses=4)
+    clear = (2 * prices.material, prices.p_enter / 4.1)
+    assert generalises(context(held=clear), pair) is PASS
+    chance = (2 * prices.material, prices.p_enter / 3.9)
+    refused = generalises(context(held=chance), pair)
+    assert refused.code == "held_out"
+    assert refused.numbers["p_value"] > refused.numbers["largest_p_value"]
+    assert isinstance(generalises(context(held=(prices.material, 0.0)), pair), Veto), "not material"
+    assert generalises(context(held=chance, blocks=clear), pair) is PASS, "stretches tell where the recordings cannot"
+
+
+@pytest.mark.parametrize(("noise", "share", "passes"), [
+    (ModelError(), ANSWERED - 0.01, False), (ModelError(), ANSWERED, True), (KnownNoise(), 0.0, True),
+])  # fmt: skip
+def test_a_delay_must_take_more_than_a_servo_answers(noise, share, passes):
+    pair = Pair(structure(chi2=1000.0), structure(delay(), chi2=1000.0 * (1.0 - share)))
+    assert (no_answer_of_a_servo(context(noise, held=(0.9, 0.0)), pair) is PASS) is passes
+    assert (no_answer_of_a_servo(context(noise, held=(share, 0.0)), pair) is PASS) is passes, "nor on held-out data alone"
+
+
+@pytest.mark.parametrize(("periods", "share", "passes"), [
+    (0.99, TAKEN_BY_FEW_PERIODS - 0.01, False), (0.99, TAKEN_BY_FEW_PERIODS + 0.01, True), (1.01, 0.0, True),
+])  # fmt: skip
+def test_a_few_periods_over_the_travel_must_take_most_of_the_error(periods, share, passes):
+    order = periods * FEW_PERIODS * 2 * math.pi
+    ripple = effect_class("torque_ripple")(amplitude_Nm=1.0, cycles_per_rev=order, phase_rad=0.0)
+    pair = Pair(structure(chi2=1000.0), structure(ripple, chi2=1000.0 * (1.0 - share)))
+    assert (no_slow_error(context(ModelError(), held=(0.95, 0.0)), pair) is PASS) is passes
+    assert no_slow_error(context(KnownNoise()), pair) is PASS
+
+
+def test_tests_after_a_veto_are_not_run():
+    veto, asked = Veto("first", {}), []
+
+    def refuses(*_):
+        return veto
+
+    def counts(*_):
+        asked.append(1)
+        return PASS
+
+    pair = Pair(structure(), structure(friction()))
+    assert first_veto(context(), pair, (counts, refuses, counts)) is veto
+    assert first_veto(context(), pair, (counts,)) is PASS
+    assert len(asked) == 2
+
+
+def test_an_unknown_noise_level_is_neither_exceeded_nor_kept():
+    known, unknown = KnownNoise(), ModelError()
+    assert known.exceeds(1.1, 1.0)
+    assert known.within(1.0, 1.0)
+    assert not unknown.exceeds(1e9, 1.0)
+    assert not unknown.within(0.0, 1.0)
+    assert (known.hypotheses(2, 40), unknown.hypotheses(2, 40), unknown.hypotheses(2, 0)) == (2, 40, 1)
+    assert known.cost_at(3.0, 100) == 300.0
+    assert unknown.cost_at(3.0, 100) == math.inf
+    assert known.floor(0.1) == 0.1
+    assert math.isnan(unknown.floor(0.1))
+
+
+def test_a_pool_keeps_the_best_fit_and_remembers_the_lowest_error():
+    pool, asked = Pool(), []
+    fitter = SimpleNamespace(validate=lambda f: asked.append(f.chi2) or f.chi2)
+    worse, better = structure(friction(), chi2=20.0), structure(friction(), chi2=10.0)
+    pool.keep(worse)
+    assert pool.held_out(worse, fitter) == pool.held_out(worse, fitter) == 20.0
+    pool.keep(better)
+    assert pool.held_out(better, fitter) == 10.0, "it is computed anew for another fit"
+    pool.keep(worse)
+    pool.keep(structure(friction(), chi2=math.inf))
+    assert pool.newest(worse) is better
+    assert asked == [20.0, 10.0]
+    other = pool.beside(worse)
+    assert other.newest(better) is worse
+    assert pool.newest(worse) is better, "a copy changes nothing"
+    other.held_out(worse, fitter)
+    pool.adopt(worse, other)
+    assert pool.held_out(worse, fitter) == 20.0
+    pool.clear()
+    assert len(pool) == 0
+    assert pool.least(worse.key, math.inf) == 10.0
+    assert pool.common(worse, structure(delay())) is None
+
+
+def test_a_problem_is_frozen_and_relaxed_problems_leave_it_as_it_is(fitter_of, pair):
+    problem = fitter_of(pair(friction())).problem
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        problem.prior_weight = 2.0
+    relaxed = problem.relax(whitening=np.array([1.0, -0.5]), prior_weight=3.0)
+    assert (problem.prior_weight, len(problem.whitening)) == (1.0, 1)
+    assert (relaxed.prior_weight, len(relaxed.whitening)) == (3.0, 2)
+    assert relaxed.scales is problem.scales
+    assert problem.with_orders((5.0,)).orders == (5.0,)
+    assert problem.orders == ()
+    observed = problem.under_observer(100.0)
+    assert observed.view.lead == 100.0
+    assert problem.view.lead == 0.0
+    (experiment,) = problem.experiments
+    assert problem.with_sigma(experiment, 7.0).sigma(experiment) == 7.0 != problem.sigma(experiment)
+
+
+def test_leading_rivals_are_told_with_the_test_that_refused_them():
+    best, poorer = structure(friction(), chi2=10.0), structure(chi2=30.0)
+    asked, never = structure(friction(), delay(), chi2=9.0), structure(delay(), chi2=50.0)
+    refusal = Refusal(asked.key, best.key, Veto("encoder", {"gain": 3.0, "needed": 25.0}))
+    search = SimpleNamespace(
+        pool={f.key: f for f in (never, best, asked, poorer)}, criterion=lambda f: f.chi2,
+        state=SimpleNamespace(refusals={asked.key: refusal}), options=SimpleNamespace(entry=25.0),
+    )  # fmt: skip
+    told = refusals(search, best)
+    assert [r.effects for r in told] == [asked.key, poorer.key, never.key]
+    assert told[0].as_dict() == {
+        "effects": list(asked.key), "against": list(best.key), "test": "encoder", "numbers": {"gain": 3.0, "needed": 25.0},
+    }  # fmt: skip
+    assert told[1] == Refused(poorer.key, best.key, "criterion", {"gain": -20.0, "needed": 0.0})
