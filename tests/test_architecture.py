@@ -17,7 +17,13 @@ LAYERS = ("mjsim", "ident", "diagnose", "simgap", "lab")  # each may import thos
 LOAD_LAB = tuple(f"simgap/commands/{name}.py" for name in ("benchmark", "demo", "proof", "study"))
 # stages of a diagnosis: each may import those before it and itself, at run time and for types alike
 STAGES = ("data", "problem", "fit", "evidence", "structure", "explain", "verdict", "pipeline")
-GROUND = ("options", "progress", "result", "thresholds")  # of diagnose: every stage may import these, and they no stage
+GROUND = (
+    "mismatch",
+    "options",
+    "progress",
+    "result",
+    "thresholds",
+)  # every stage may import these, and they no stage
 SOURCES = sorted(p for layer in LAYERS for p in (ROOT / layer).rglob("*.py") if "speed" not in p.parts)  # those are scripts
 LONGEST = 700
 # one compiled unit: numba inlines across functions of one file, and every runner calls it
@@ -170,7 +176,7 @@ def test_stages_of_a_diagnosis_are_imported_one_way():
 NO_THRESHOLDS = {
     "diagnose/fit/fit_cache.py": {"FORMAT"},  # version of a file
     "diagnose/structure/candidates.py": {"QUARTERS"},  # of a turn
-    "diagnose/explain/torque_map.py": {"LAMBDAS"},  # a grid that covers all penalties
+    "diagnose/explain/map_regression.py": {"LAMBDAS"},  # a grid that covers all penalties
     "diagnose/problem/hypothesis.py": {"STIFFEST"},  # from numbers of the table
 }
 

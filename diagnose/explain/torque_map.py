@@ -16,7 +16,6 @@ See docs/decisions/torque-map.md.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,12 +23,14 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.data.experiment import Experiment
 from diagnose.evidence.held_out import compare
 from diagnose.evidence.orders import torque_to_velocity
+from diagnose.explain.map_regression import Regression, Solution, roughness, solve
+from diagnose.explain.map_shapes import shapes, variables, words
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt, orthonormal
+from diagnose.fit.least_squares import Fit, Linearised, Status, jacobian, levenberg_marquardt
 from diagnose.fit.whiten import effective_share
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.problem import bounded
@@ -37,30 +38,22 @@ from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
 from diagnose.thresholds import (
     FOLDS,
-    INTERVALS,
     MAP_FAR,
     MAP_MATERIAL,
     MAP_RUNS,
-    MIMIC,
     P_MAP,
     RICHER,
-    RIDGE,
     STILL,
-    STRAIGHT,
     STRETCHES,
     TELLING,
     TRIED,
 )
 from mjsim.axis import Axis
-from mjsim.ode import DivergedError, apply_input, simulate
 from mjsim.quantity import Quantity
 from mjsim.signals import lfilter
-from mjsim.system import assemble
-from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
+from mjsim.torque_map import VARIABLES, TorqueMap
 
 __all__ = ["Mapped", "fit_map"]
-
-LAMBDAS = np.geomspace(1e-4, 1e8, 25)  # times the mean diagonal of the regression
 
 
 @dataclass(frozen=True)
@@ -73,35 +66,12 @@ class Mapped:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """The regression at a map: residual r (N,) at coefficients c (k,), own sensitivities J (N, p), responses D (N, k) of the
-    coefficients, roughness S (m, k), fold of each row (-1: in all of them, never judged)."""
-
-    r: np.ndarray
-    c: np.ndarray
-    J: np.ndarray
-    D: np.ndarray
-    S: np.ndarray
-    fold: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """lambda, cross-validated cost over that without a map, directions V (k, l) of the coefficients, coefficients c (k,)."""
-
-    penalty: float
-    cost: float
-    V: np.ndarray
-    c: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class _Candidate:
     """A map without numbers, the model that it is laid on, and what the screen says of it; cost: cross-validated chi-square."""
 
     start: Fitted
     shape: TorqueMap
-    solution: _Solution
+    solution: Solution
 
     @property
     def cost(self) -> float:
@@ -114,8 +84,8 @@ class _Refined:
 
     fitted: Fitted
     shape: TorqueMap
-    solution: _Solution
-    problem: _Problem
+    solution: Solution
+    problem: Regression
     cost: float
 
 
@@ -135,7 +105,7 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     for candidate in ranked[:TRIED]:
         if fitter.runs - began > MAP_RUNS or (tried and candidate.cost > MAP_FAR * min(t.cost for t in tried)):
             break
-        progress.stage("map", f"fitting one {_words(candidate.shape)}")
+        progress.stage("map", f"fitting one {words(candidate.shape)}")
         refined = _refine(fitter, candidate, began + MAP_RUNS)
         if refined is not None:
             tried.append(refined)
@@ -146,149 +116,6 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
         if after is not None and gain.relative_gain > MAP_MATERIAL and p_value < P_MAP:
             return Mapped(t.fitted, after, _result(fitter, t, before, after, p_value))
     return None
-
-
-def _words(shape: TorqueMap) -> str:
-    return f"{'in' if shape.coupling else 'at'} the {shape.place} over {' and '.join(a.variable for a in shape.axes)}"
-
-
-# what a map may depend on
-
-
-def _variables(fitter: Fitter, fitted: Fitted) -> list[dict[tuple[str, bool, str], np.ndarray]] | None:
-    """For each experiment (place, coupling, variable) -> values at every recorded sample; None when the model cannot be run."""
-    chain = fitted.axis.chain
-    places = [(p, i) for p in TorqueMap.places if (i := chain.body(p)) is not None and (i > 0 or p == "motor")]
-    joints = [(p, j) for p in TorqueMap.places if (j := chain.coupling(p)) is not None]
-    if len(chain.bodies) == 1:
-        places = places[:1]
-    out = []
-    for r, experiment in enumerate(fitter.experiments):
-        recording = experiment.recording
-        axis = fitted.hypothesis.axis(fitted.fit.x, r)
-        own: dict[tuple[str, bool, str], np.ndarray] = {}
-        if fitter.view.channel == "torque":
-            v, q = measured_velocity(recording), recording.angle
-            own[("motor", False, "velocity")] = _smooth(v, recording.dt)
-            own[("motor", False, "time")] = recording.time
-            if q is not None:
-                own[("motor", False, "angle")] = q
-            out.append(own)
-            continue
-        try:
-            y = simulate(
-                axis, recording.torque, recording.dt, initial=fitted.hypothesis.initial(fitted.fit.x, r), angle=recording.angle,
-                before=experiment.before,
-            )  # fmt: skip
-        except (DivergedError, ValueError):
-            return None
-        command = apply_input(assemble(axis), recording.torque)
-        shift = recording.angle - y.q[:, 0] if recording.angle is not None else np.zeros(len(recording))
-        for place, i in places:
-            # the model errs, hence is here: the motor's speed as measured
-            own[(place, False, "velocity")] = _smooth(measured_velocity(recording), recording.dt) if i == 0 else y.v[:, i]
-            own[(place, False, "angle")] = y.q[:, i] + chain.total_ratio(i) * shift
-            if i == 0:
-                own[(place, False, "torque command")] = command
-                own[(place, False, "time")] = recording.time - recording.time[0]
-            if len(chain.bodies) > 1:
-                own[(place, False, "load")] = (
-                    chain.couplings[0].ratio * y.coupling_torque[:, 0] if i == 0 else y.coupling_torque[:, i - 1]
-                )
-        for place, j in joints:
-            ratio = chain.couplings[j].ratio
-            own[(place, True, "deflection")] = ratio * y.q[:, j] - y.q[:, j + 1]
-            own[(place, True, "deflection rate")] = ratio * y.v[:, j] - y.v[:, j + 1]
-            own[(place, True, "angle")] = y.q[:, j] + chain.total_ratio(j) * shift
-        out.append(own)
-    return out
-
-
-def _smooth(v: np.ndarray, dt: float) -> np.ndarray:
-    width = max(3, int(0.002 / dt))
-    kernel = np.hanning(width + 2)[1:-1]
-    return np.convolve(v, kernel / kernel.sum(), mode="same")
-
-
-def _axis(variable: str, x: Sequence[np.ndarray], intervals: int) -> MapAxis | None:
-    """A variable's range over all experiments; speeds with more knots where they are small."""
-    every = np.concatenate(x)
-    low, high = (float(a) for a in np.quantile(every, (0.0005, 0.9995)))
-    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
-        return None
-    bend = 0.1 * max(abs(low), abs(high)) if VARIABLES[variable][1] is Quantity.VELOCITY and low < 0 < high else 0.0
-    return MapAxis(variable, low, high, intervals, bend)
-
-
-def _shapes(known: list[dict[tuple[str, bool, str], np.ndarray]]) -> list[TorqueMap]:
-    """Every map over one and over two variables of one place."""
-    keys = list(known[0])
-    out = []
-    for place, coupling in dict.fromkeys((p, c) for p, c, _ in keys):
-        names = [v for p, c, v in keys if (p, c) == (place, coupling)]
-        for chosen in [(v,) for v in names] + list(itertools.combinations(names, 2)):
-            intervals = INTERVALS[len(chosen) - 1]
-            axes = [_axis(v, [k[(place, coupling, v)] for k in known], intervals) for v in chosen]
-            found = tuple(a for a in axes if a is not None)
-            if len(found) == len(axes):
-                out.append(TorqueMap(place=place, axes=found, coefficients=(0.0,) * TorqueMap.count(found), coupling=coupling))
-    return out
-
-
-# the regression
-
-
-def _roughness(shape: TorqueMap) -> np.ndarray:
-    """Second differences of the coefficients along each variable (m, k)."""
-    counts = [a.count for a in shape.axes]
-    differences = [np.diff(np.eye(n), 2, axis=0) for n in counts]
-    if len(counts) == 1:
-        return differences[0]
-    return np.vstack([np.kron(differences[0], np.eye(counts[1])), np.kron(np.eye(counts[0]), differences[1])])
-
-
-def _solve(p: _Problem, without: float) -> _Solution:
-    """Penalty by cross-validation, and the coefficients on all data; ``without``: cost without a map."""
-    q = orthonormal(p.J)
-    # directions of the map that the model's own numbers can mimic are left to them
-    gram = p.D.T @ p.D
-    rest = gram - (q.T @ p.D).T @ (q.T @ p.D)
-    # a map that nothing answers to (a model that has run into its bounds) has a gram of zeros
-    gram = gram + max(1e-6 * float(np.trace(gram)) / len(gram), 1e-300) * np.eye(len(gram))
-    low = np.linalg.cholesky(gram)
-    inverse = np.linalg.inv(low)
-    share, u = np.linalg.eigh(inverse @ rest @ inverse.T)
-    V = inverse.T @ u[:, share > MIMIC]
-    k = p.J.shape[1]
-    # along the axes of the roughness: what is smooth is then not lost beside a large penalty of the rest
-    V = V / (np.linalg.norm(p.D @ V, axis=0) + 1e-300)
-    bends, turn = np.linalg.eigh((p.S @ V).T @ (p.S @ V))
-    V = V @ turn
-    X = np.column_stack([p.J / (np.linalg.norm(p.J, axis=0) + 1e-300), p.D @ V])
-    rough, bent = np.zeros(X.shape[1]), np.zeros(X.shape[1])
-    rough[k:] = np.where(bends > STRAIGHT * bends.max(initial=0.0), bends, 0.0)
-    bent[k:] = np.where(rough[k:] > 0.0, V.T @ (p.S.T @ (p.S @ p.c)), 0.0)
-    scale = 1.0 / max(float(np.mean(bends)) if len(bends) else 0.0, 1e-300)
-    grams = [X[p.fold == f].T @ X[p.fold == f] for f in range(-1, FOLDS)]
-    slopes = [X[p.fold == f].T @ p.r[p.fold == f] for f in range(-1, FOLDS)]
-    squares = [float(p.r[p.fold == f] @ p.r[p.fold == f]) for f in range(FOLDS)]
-    total_gram, total_slope = sum(grams), sum(slopes)
-    costs = np.zeros(len(LAMBDAS))
-    for i, penalty in enumerate(LAMBDAS):
-        for f in range(FOLDS):
-            b = _ridged(total_gram - grams[f + 1], penalty * scale * rough, total_slope - slopes[f + 1] + penalty * scale * bent)
-            costs[i] += squares[f] + 2 * float(slopes[f + 1] @ b) + float(b @ grams[f + 1] @ b)
-    best = int(np.argmin(costs))
-    penalty = float(LAMBDAS[best] * scale)
-    b = _ridged(total_gram, penalty * rough, total_slope + penalty * bent)
-    return _Solution(penalty, float(costs[best] / max(without, 1e-300)), V, p.c + V @ b[k:])
-
-
-def _ridged(gram: np.ndarray, penalties: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of least squares by its normal equations, each with a penalty of its own (k,)."""
-    A = gram + np.diag(penalties + RIDGE)
-    size = np.sqrt(np.diag(A))
-    return np.asarray(-np.linalg.solve(A / np.outer(size, size), slope / size) / size)
 
 
 def _folds(fitter: Fitter, size: int) -> np.ndarray:
@@ -304,7 +131,7 @@ def _folds(fitter: Fitter, size: int) -> np.ndarray:
 
 def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
     """All maps by their cross-validated cost on the linearised model, the simpler ones before what gains little on them."""
-    known = _variables(fitter, best)
+    known = variables(fitter, best)
     if known is None:
         return []
     fold = _folds(fitter, len(best.fit.residual))
@@ -320,10 +147,10 @@ def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
         D = respond.of(shape, known)[rows]
         if not bounded(D).all():
             return None
-        problem = _Problem(r, np.zeros(D.shape[1]), J, D, _roughness(shape), fold)
-        return _Candidate(best, shape, _solve(problem, left))
+        problem = Regression(r, np.zeros(D.shape[1]), J, D, roughness(shape), fold)
+        return _Candidate(best, shape, solve(problem, left))
 
-    found = [c for c in fitter.map([partial(judged, shape) for shape in _shapes(known)]) if c is not None]
+    found = [c for c in fitter.map([partial(judged, shape) for shape in shapes(known)]) if c is not None]
     found.sort(key=lambda c: c.solution.cost)
     found = [c for c in found if c.solution.cost < 1 - MAP_MATERIAL]
     single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)
@@ -389,7 +216,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) 
     best, solution = candidate.start, candidate.solution
     h = best.hypothesis
     k = len(h.entries)
-    S = _roughness(candidate.shape)
+    S = roughness(candidate.shape)
     fold = _folds(fitter, len(best.fit.residual))
     lower, upper = h.bounds
     x, c = best.fit.x, np.zeros(S.shape[1])
@@ -398,7 +225,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) 
         return None
     outcome: _Refined | None = None
     for _ in range(rounds):
-        solution = _solve(problem, best.chi2)
+        solution = solve(problem, best.chi2)
         V, root = solution.V, math.sqrt(solution.penalty)
         amplitude = max(float(np.std(solution.c)), 1e-12)
         unit = V / (np.max(np.abs(V), axis=0) + 1e-300) * amplitude
@@ -425,7 +252,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) 
         problem = _linearised(fitter, h, shape, x, float(np.max(np.abs(c))), S, fold)
         if problem is None:
             break
-        after = _solve(problem, best.chi2)
+        after = solve(problem, best.chi2)
         at = Linearised.known(problem.r, problem.J)
         cost = float(problem.r @ problem.r)
         fell = outcome is None or cost < (1 - STILL) * outcome.fitted.chi2
@@ -438,7 +265,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) 
 
 def _linearised(
     fitter: Fitter, h: Hypothesis, shape: TorqueMap, x: np.ndarray, amplitude: float, S: np.ndarray, fold: np.ndarray
-) -> _Problem | None:
+) -> Regression | None:
     """Residual and sensitivities in the model at a map; coefficients are moved by a hundredth of ``amplitude``."""
     k, n = len(x), len(shape.coefficients)
     amplitude = max(amplitude, 1e-12)
@@ -455,7 +282,7 @@ def _linearised(
     if r is None:
         return None
     J = jacobian(residual, z, r, step, np.concatenate([lower, -free]), np.concatenate([upper, free]), fitter.run)
-    return None if J is None else _Problem(r, c, J[:, :k], J[:, k:] / amplitude, S, fold)
+    return None if J is None else Regression(r, c, J[:, :k], J[:, k:] / amplitude, S, fold)
 
 
 # what is told of it
@@ -511,7 +338,7 @@ def _visited(fitter: Fitter, fitted: Fitted, shape: TorqueMap, points: list[np.n
     seen = np.zeros(tuple(len(p) for p in points), bool)
     edges = [0.5 * (p[1:] + p[:-1]) for p in points]
     squares: list[float] = []
-    for own in _variables(fitter, fitted) or []:
+    for own in variables(fitter, fitted) or []:
         x = [own[(shape.place, shape.coupling, a.variable)] for a in shape.axes]
         seen[tuple(np.searchsorted(e, v) for e, v in zip(edges, x, strict=True))] = True
         squares.append(float(np.mean(shape.torque(*x) ** 2)))

@@ -17,7 +17,8 @@ from robot_axis import effect
 
 from diagnose.data.experiment import prepare
 from diagnose.evidence.predictable import _dictionary
-from diagnose.explain.torque_map import _Problem, _Responses, _roughness, _solve, fit_map
+from diagnose.explain.map_regression import Regression, roughness, solve
+from diagnose.explain.torque_map import _Responses, fit_map
 from diagnose.fit.fitter import Fitter
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
@@ -202,7 +203,7 @@ def slide(seed, speed):
 def test_a_map_that_nothing_answers_to_is_level():
     rng = np.random.default_rng(0)
     r, J, S = rng.standard_normal(300), rng.standard_normal((300, 2)), np.diff(np.eye(8), 2, axis=0)
-    solution = _solve(_Problem(r, np.zeros(8), J, np.zeros((300, 8)), S, np.arange(300) % 4), float(r @ r))
+    solution = solve(Regression(r, np.zeros(8), J, np.zeros((300, 8)), S, np.arange(300) % 4), float(r @ r))
     assert np.all(solution.c == 0)
     assert solution.cost > 0.9
 
@@ -215,10 +216,10 @@ def test_the_regression_is_the_penalised_least_squares_that_it_says(seed, slope)
     axis = MapAxis("velocity", -1.0, 1.0, 8)
     shape = TorqueMap(place="motor", axes=(axis,), coefficients=(0.0,) * axis.count)
     x = rng.uniform(-1, 1, 400)
-    D, J, S = 1e-3 * shape.row(x), 1e3 * np.column_stack([np.ones(400), rng.standard_normal(400)]), _roughness(shape)
+    D, J, S = 1e-3 * shape.row(x), 1e3 * np.column_stack([np.ones(400), rng.standard_normal(400)]), roughness(shape)
     r = J @ [0.002, -0.001] - 1e-3 * slope * x + 1e-2 * rng.standard_normal(400)
-    p = _Problem(r, np.zeros(D.shape[1]), J, D, S, np.arange(400) % 5)
-    s = _solve(p, float(r @ r))
+    p = Regression(r, np.zeros(D.shape[1]), J, D, S, np.arange(400) % 5)
+    s = solve(p, float(r @ r))
     root = np.sqrt(s.penalty)
     A = np.block([[J, D @ s.V], [np.zeros((len(S), 2)), root * S @ s.V]])
     size = np.linalg.norm(A, axis=0)
@@ -237,7 +238,7 @@ def test_what_one_stretch_alone_shows_is_no_reason_to_refuse_a_map(seed):
     line = D @ np.linspace(-1, 1, axis.count) * (1 + 1e-5 * rng.standard_normal(400))
     J = np.column_stack([np.ones(400), line + 1e-3 * (fold == 0) * rng.standard_normal(400)])
     r = 0.1 * np.sin(5 * x) + 0.01 * rng.standard_normal(400)
-    assert _solve(_Problem(r, np.zeros(axis.count), J, D, _roughness(shape), fold), float(r @ r)).cost < 0.1
+    assert solve(Regression(r, np.zeros(axis.count), J, D, roughness(shape), fold), float(r @ r)).cost < 0.1
 
 
 def test_a_map_over_the_speed_judged_by_force():
