@@ -111,7 +111,7 @@ def test_where_a_part_would_tell_something_else_all_are_looked_at(robot, fitter,
 @pytest.mark.parametrize("view", [ForceView(), MotionView()])
 def test_errors_that_are_filtered_are_looked_at_in_full(robot, recordings, view):
     experiment = prepare(recordings[0])
-    whitened = Fitter(robot, view, (experiment,), (experiment,), 1, whitening=np.array([1.0, -0.5]))
+    whitened = Fitter(robot, view, (experiment,), (experiment,), 1).relax(whitening=np.array([1.0, -0.5]))
     f = whitened.fit(whitened.hypothesis(()), iterations=1)
     assert look(whitened, f).every == 1
 
