@@ -25,17 +25,20 @@ class Selection:
         context, pool, attempt = self.state.context, self.state.pool, 0
         for f in sorted(pool.values(), key=context.criterion):
             current = pool.newest(current)
-            larger = self._larger(f, current)
+            larger = self.larger(f, current)
             unseen = context.unseen_gain(current, f) if larger and f.key != current.key else 0.0
-            needed = context.prices.entry if larger else SAME_SIZE
-            if f.key == current.key or context.ahead(f, current) + unseen < needed:
+            if f.key == current.key or context.ahead(f, current) + unseen < self.needed(f, current):
                 continue
             attempt += larger
             if self._takes_over(f, current, attempt, larger=larger):
                 return f
         return pool.newest(current)
 
-    def _larger(self, f: Fitted, current: Fitted) -> bool:
+    def needed(self, f: Fitted, current: Fitted) -> float:
+        """How far C of a structure must lie below that of the current one for the evidence to be asked."""
+        return self.state.context.prices.entry if self.larger(f, current) else SAME_SIZE
+
+    def larger(self, f: Fitted, current: Fitted) -> bool:
         """Whether a structure says more than the current one: more effects, a refinement, or (by held-out data) more numbers."""
         larger = len(f.effects) > len(current.effects) or refines(f, current)
         if self.state.context.worth_of is None:

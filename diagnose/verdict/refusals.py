@@ -24,5 +24,5 @@ def _refused(search: Search, best: Fitted, rival: Fitted) -> Refused:
     known = search.state.refusals.get(rival.key)
     if known is not None:
         return Refused(rival.key, known.against, known.veto.code, known.veto.numbers)
-    needed = search.options.entry if len(rival.effects) > len(best.effects) else 0.0
-    return Refused(rival.key, best.key, "criterion", {"gain": search.criterion(best) - search.criterion(rival), "needed": needed})
+    gain, needed = search.criterion(best) - search.criterion(rival), search.selection.needed(rival, best)
+    return Refused(rival.key, best.key, "criterion", {"gain": gain, "needed": needed})

@@ -171,13 +171,16 @@ def test_leading_rivals_are_told_with_the_test_that_refused_them():
     best, poorer = structure(friction(), chi2=10.0), structure(chi2=30.0)
     asked, never = structure(friction(), delay(), chi2=9.0), structure(delay(), chi2=50.0)
     refusal = Refusal(asked.key, best.key, Veto("encoder", {"gain": 3.0, "needed": 25.0}))
+    selection = SimpleNamespace(needed=lambda rival, best: 25.0 if len(rival.key) > len(best.key) else 0.5)
     search = SimpleNamespace(
-        pool={f.key: f for f in (never, best, asked, poorer)}, criterion=lambda f: f.chi2,
-        state=SimpleNamespace(refusals={asked.key: refusal}), options=SimpleNamespace(entry=25.0),
-    )  # fmt: skip
+        pool={f.key: f for f in (never, best, asked, poorer)},
+        criterion=lambda f: f.chi2,
+        state=SimpleNamespace(refusals={asked.key: refusal}),
+        selection=selection,
+    )
     told = refusals(search, best)
     assert [r.effects for r in told] == [asked.key, poorer.key, never.key]
     assert told[0].as_dict() == {
         "effects": list(asked.key), "against": list(best.key), "test": "encoder", "numbers": {"gain": 3.0, "needed": 25.0},
     }  # fmt: skip
-    assert told[1] == Refused(poorer.key, best.key, "criterion", {"gain": -20.0, "needed": 0.0})
+    assert told[1] == Refused(poorer.key, best.key, "criterion", {"gain": -20.0, "needed": 0.5})
