@@ -61,8 +61,8 @@ def diagnose(
 
     def by(experiments: Split) -> Diagnosis:
         nonlocal taken
-        used = (corrected(group, corrections or {}) for group in experiments)
-        fitter = Fitter(nominal, view, *used, options.jobs, varies, memory=memory)
+        fitted, held = (corrected(group, corrections or {}) for group in experiments)
+        fitter = Fitter(nominal, view, fitted, held, options.jobs, varies, memory=memory)
         fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS))
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one

@@ -181,8 +181,14 @@ NO_THRESHOLDS = {
 }
 
 
-# pages and checks of the log have numbers of their own
-NOT_IN_THE_TABLE = ("diagnose/report/", "diagnose/check/", "diagnose/verdict/reference", "diagnose/thresholds.py")
+# pages, checks of the log and the comparison with the simulator have numbers of their own
+NOT_IN_THE_TABLE = (
+    "diagnose/report/",
+    "diagnose/check/",
+    "diagnose/verdict/reference",
+    "diagnose/verdict/numerics",
+    "diagnose/thresholds.py",
+)
 
 
 def numeric_constants(path: Path) -> set[str]:
