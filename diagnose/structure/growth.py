@@ -179,20 +179,23 @@ class Growth:
         worth = HOPEFUL * self.state.options.entry
         return [(others, s) for s in ranked if s.gain > worth or effect_class(s.candidate.id).multistart > 1]
 
-    def exchange(self, base: Fitted, within: float = RIVAL) -> list[Fitted]:
+    def exchange(self, base: Fitted) -> list[Fitted]:
         """Fit the structures in which an effect of ``base`` gives way to one that did as much as it beside a simpler structure.
 
-        What has entered since may tell them apart, or it may be what kept the better one from being seen. ``within``: largest
-        difference in the logarithm of chi-square there.
+        What has entered since may tell them apart, or it may be what kept the better one from being seen.
         """
+        return self._exchanged(base, RIVAL)
+
+    def exchange_confounders(self, base: Fitted) -> list[Fitted]:
+        """The same of what made one and the same motion."""
+        return self._exchanged(base, ONE_MOTION)
+
+    def _exchanged(self, base: Fitted, within: float) -> list[Fitted]:
+        """``within``: largest difference in the logarithm of chi-square beside a simpler structure."""
         state = self.state
         if not state.fitter.above(base, UNEXPLAINED) or state.spent():
             return []
         return self.race.run(base, self._new(base, in_place(state.pool, state.candidates, base, within)))
-
-    def exchange_confounders(self, base: Fitted) -> list[Fitted]:
-        """The same of what made one and the same motion."""
-        return self.exchange(base, ONE_MOTION)
 
     def _new(self, base: Fitted, entrants: Sequence[Entrant]) -> list[Entrant]:
         """Those that are admitted and were not tried from here."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto, first_veto
+from diagnose.evidence.outcome import PASS, Outcome, Pair, Test, Veto, first_veto
 from diagnose.evidence.rivals.encoder import no_error_of_the_encoder
 from diagnose.evidence.rivals.events import no_moment_of_an_event
 from diagnose.evidence.rivals.few_periods import no_slow_error
@@ -23,10 +23,17 @@ from diagnose.structure.moves import named
 from diagnose.structure.state import Refusal, State
 from diagnose.thresholds import CLEAR_GAIN, MOVED, RESTARTED_BELOW
 
-__all__ = ["BEFORE_HELD_OUT", "RIVALS", "Significance"]
+__all__ = ["Significance", "before_held_out", "rivals"]
 
-BEFORE_HELD_OUT = (gains, no_error_of_a_law)
-RIVALS = (no_answer_of_a_servo, no_slow_error, no_error_of_the_encoder, no_moment_of_an_event)
+
+def before_held_out() -> tuple[Test, ...]:
+    """Tests ahead of the held-out data, in order."""
+    return gains, no_error_of_a_law
+
+
+def rivals() -> tuple[Test, ...]:
+    """Tests against what may stand in for an effect, in order."""
+    return no_answer_of_a_servo, no_slow_error, no_error_of_the_encoder, no_moment_of_an_event
 
 
 @dataclass
@@ -58,7 +65,7 @@ class Significance:
         """
         context = self.state.context
         asked = context.fitter.noise.hypotheses(attempt, context.candidates)
-        outcome = first_veto(context, Pair(before, after, asked), BEFORE_HELD_OUT)
+        outcome = first_veto(context, Pair(before, after, asked), before_held_out())
         if isinstance(outcome, Veto):
             return outcome
         outcome = generalises(context, Pair(before, after, asked))
@@ -67,7 +74,7 @@ class Significance:
             if again is None or not self.generalises_by(before, again, 2 * asked):
                 return outcome
             after = again
-        outcome = first_veto(context, Pair(before, after, asked), RIVALS)
+        outcome = first_veto(context, Pair(before, after, asked), rivals())
         if isinstance(outcome, Veto):
             return outcome
         lower = self.poorer_from(before, after)

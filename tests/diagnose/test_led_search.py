@@ -73,7 +73,7 @@ def test_what_sticks_is_asked_what_it_lacks_though_it_comes_near_only_as_another
     monkeypatch.setattr(Growth, "refine", lambda self, base, *, forms=False: self.state.keep(sticking) or [sticking])
     asked = []
     monkeypatch.setattr(Search, "_under_observer", lambda self, current, best: asked.append({*self.pool}) or best)
-    monkeypatch.setattr(Growth, "exchange", lambda self, base, *within: within or asked.append("exchange") or [])
+    monkeypatch.setattr(Growth, "exchange", lambda self, base: asked.append("exchange") or [])
     search.run()
     assert sticking.key not in asked[0]
     assert sticking.key in asked[1], "once more, before anything gives way to it"
