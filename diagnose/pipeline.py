@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diagnose.data.experiment import corrected, without_derived_velocity
+from diagnose.data.servo import as_servo
 from diagnose.data.split import Split, split
 from diagnose.evidence.predictable import remaining_structure
 from diagnose.explain.locate import locate
@@ -51,7 +52,8 @@ def diagnose(
     """
     options = options or Options()
     began = time.monotonic()
-    given = recordings[0].velocity is not None
+    nominal, recordings, held_out, said = as_servo(nominal, recordings, held_out)
+    given = recordings[0].velocity is not None and nominal.chain.servo is None
     recordings, held_out = ([without_derived_velocity(r) for r in group] for group in (recordings, held_out))
     derived = given and recordings[0].velocity is None
     view = choose_view(recordings, options.judge or recordings[0].judge or ("motion" if derived else None), nominal)
@@ -73,11 +75,12 @@ def diagnose(
 
     result = by(split(recordings, held_out))
     if derived:
-        result = dataclasses.replace(result, notes=(DERIVED, *result.notes))
+        said = (*said, DERIVED)
+    result = dataclasses.replace(result, notes=(*said, *result.notes))
     if held_out and _only_held_out_shows(result):
         shared = by(split((*recordings, *held_out), ()))
         if shared.verdict is Verdict.MISSING_PHYSICS:
-            return dataclasses.replace(shared, notes=(SHARED, *shared.notes))
+            return dataclasses.replace(shared, notes=(*said, SHARED, *shared.notes))
     return result
 
 

@@ -189,6 +189,12 @@ SECOND_MATERIAL = _number(
 )
 SECOND_P = _number("SECOND_P", LEVEL, 0.01, "p-value", "times the number of terms", "second_encoder")
 FURTHER = _number("FURTHER", LEVEL, 3.0, "times the travel", "an experiment that goes further is not asked for", "flow")
+HIGHEST_TRIAL = _number(
+    "HIGHEST_TRIAL", COST, 60.0, "Hz", "top of a proposed chirp, at most a tenth of the sampling rate", "flow"
+)
+REACHED = _number(
+    "REACHED", LEVEL, 0.98, "of the force limit", "from which the nominal run of a servo determines the limit", "servo_logs"
+)
 POWER = _number(
     "POWER", LEVEL, 20.0, "material errors", "that the nominal model must leave for a test to mean something", "astray"
 )

@@ -28,6 +28,7 @@ from numba.extending import intrinsic
 
 from mjsim.axis import Axis
 from mjsim.compiled import compiled
+from mjsim.effects.base import need_torque_input
 from mjsim.effects.law import N_LOCAL
 from mjsim.kernel import KIND_BODY, KIND_COUPLING, KIND_FRICTION, KIND_TWIST, _call, _dips
 from mjsim.mjcf.compile import caught_warnings
@@ -624,9 +625,10 @@ def simulate(
 
     ``step``: largest MuJoCo step [s], 0.25 ms when None; the sample time is cut into equal parts of at most that. ``initial``
     (2, n): angles and velocities at the start, at rest when None; ``before``: commanded torque ahead of the first sample.
-    Raises DivergedError.
+    Raises DivergedError, NotApplicableError for a servo.
     """
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
+    need_torque_input(s.chain)
     n, count = s.n, len(torque)
     mine = twin(s)
     m, d = mine.model, mine.data

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from mjsim.quantity import Motion, Quantity
+from mjsim.servo import Servo, Target
 from mjsim.site import Side, Site
 
 __all__ = ["Body", "Chain", "Coupling", "LinearParameter"]
@@ -50,8 +52,10 @@ class LinearParameter:
 class Chain:
     """A single-axis chain: N bodies, N-1 couplings; torque acts on body 0, which is also the measured one.
 
-    ``gain`` is the actuator's gear: generalised torque on body 0 per unit of input. Viscous friction is free at body 0 and
-    wherever the model carries some.
+    ``gain`` is the actuator's gear: generalised torque on body 0 per unit of input, or of the force of a servo. Viscous friction
+    is free at body 0 and wherever the model carries some. ``servo``: the law of a drive whose input is a command. ``held``: names
+    of parameters (of effects as ``id@place.name``) that are known, or that a recording cannot tell from the others: they are not
+    free.
     """
 
     bodies: tuple[Body, ...]
@@ -61,6 +65,8 @@ class Chain:
     actuator: str = "motor_torque"
     velocity_sensor: str = "motor_velocity"
     angle_sensor: str = "motor_angle"
+    servo: Servo | None = None
+    held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.bodies or len(self.couplings) != len(self.bodies) - 1:
@@ -125,7 +131,7 @@ class Chain:
         return ratio
 
     def linear_parameters(self) -> tuple[LinearParameter, ...]:
-        """The free numbers of the linear structure: J, f (where the model has one), k, d."""
+        """The free numbers of the linear structure: J, f (where the model has one), k, d, and those of a servo."""
         return self._linear
 
     @cached_property
@@ -149,7 +155,23 @@ class Chain:
             LinearParameter(f"d{s}", "damping", i, c.damping, Quantity.DAMPING)
             for i, (c, s) in enumerate(zip(self.couplings, csuffix, strict=True))
         ]
-        return tuple(out)
+        out += self._of_servo()
+        return tuple(p for p in out if p.name not in self.held)
+
+    def _of_servo(self) -> list[LinearParameter]:
+        """Gains, force limit and zero of the servo."""
+        servo = self.servo
+        if servo is None:
+            return []
+        speed = servo.target is Target.VELOCITY
+        numbers = [
+            ("kp", "stiffness of the servo", servo.kp, Quantity.STIFFNESS),
+            ("kv", "damping of the servo", servo.kv, Quantity.DAMPING),
+            ("limit", "limit of the servo", servo.limit, Quantity.TORQUE),
+            ("zero", "zero of the servo", servo.zero, Quantity.VELOCITY if speed else Quantity.ANGLE),
+        ]
+        there = {"kp": not speed, "limit": math.isfinite(servo.limit)}
+        return [LinearParameter(name, kind, 0, value, q) for name, kind, value, q in numbers if there.get(name, True)]
 
     @cached_property
     def _linear_by_name(self) -> dict[str, LinearParameter]:
@@ -160,10 +182,14 @@ class Chain:
         known = self._linear_by_name
         bodies: dict[int, dict[str, Any]] = {}
         couplings: dict[int, dict[str, Any]] = {}
+        servo: dict[str, Any] = {}
         for name, value in values.items():
             if name not in known:
                 raise KeyError(f"unknown linear parameter {name!r}; choose from {', '.join(known)}")
             p = known[name]
+            if p.kind.endswith("servo"):
+                servo[name] = float(value)
+                continue
             changed = bodies if p.kind in ("inertia", "viscous") else couplings
             changed.setdefault(p.index, {})[p.kind] = float(value)
         return dataclasses.replace(
@@ -172,6 +198,7 @@ class Chain:
             couplings=tuple(
                 dataclasses.replace(c, **couplings[i]) if i in couplings else c for i, c in enumerate(self.couplings)
             ),
+            servo=dataclasses.replace(self.servo, **servo) if self.servo is not None and servo else self.servo,
         )
 
 

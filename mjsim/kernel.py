@@ -12,7 +12,10 @@ Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 conta
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
 and backward), first parameter, state index or -1. ``p``: parameters.
-``mode`` (3, n): friction mode, gap mode, whether the body has friction. ``z``: local quantities of a law and, behind them,
+``servo`` (6): of the drive at body 0, in its torques: stiffness and damping towards the input, force limit, stall torque, its
+loss per speed, half dead band (`mjsim.system.System.servo`); a drive by torque has none of them.
+``mode`` (5, n): friction mode, gap mode, whether the body has friction; of body 0 only: side of the force limit at which the
+drive stands (0: none), side of the dead band (0: inside). ``z``: local quantities of a law and, behind them,
 what it writes. ``x`` (3, m): q, v, internal states.
 """
 
@@ -73,7 +76,78 @@ def _view_of(typingctx, array):  # pragma: no cover
 _view: Any = _view_of
 
 
-def _rates_of(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
+def _bound_of(servo, side, v):
+    """Largest torque of the drive towards a side (-1, +1) at a velocity: the force limit and the torque-speed line."""
+    return min(servo[2], servo[3] - side * servo[4] * v)
+
+
+_bound: Any = compiled(error_model="numpy", inline="always")(_bound_of)
+
+
+def _error_of(servo, gain, u, q):
+    """Torque that the input asks for through the stiffness, ahead of the dead band."""
+    return gain * u - servo[0] * q
+
+
+_error: Any = compiled(error_model="numpy", inline="always")(_error_of)
+
+
+def _asked_of(servo, gain, u, q, v, mode):
+    """Torque that the drive asks for, ahead of its limits."""
+    pull = _error(servo, gain, u, q)
+    if servo[5] > 0.0:
+        pull = 0.0 if mode[4, 0] == 0 else pull - mode[4, 0] * servo[5]
+    return pull - servo[1] * v
+
+
+_asked: Any = compiled(error_model="numpy", inline="always")(_asked_of)
+
+
+def _pull_of(servo, gain, u, q, v, mode):
+    """Torque of the drive on body 0."""
+    side = mode[3, 0]
+    if side != 0:
+        return side * _bound(servo, side, v)
+    return _asked(servo, gain, u, q, v, mode)
+
+
+_pull: Any = compiled(error_model="numpy", inline="always")(_pull_of)
+
+
+@compiled(error_model="numpy")
+def _choose_sides(servo, gain, u, q, v, mode):
+    """Set the sides of dead band and force limit after the input jumped."""
+    if servo[5] > 0.0:
+        e = _error(servo, gain, u, q)
+        mode[4, 0] = 1 if e > servo[5] else (-1 if e < -servo[5] else 0)
+    d = _asked(servo, gain, u, q, v, mode)
+    mode[3, 0] = 1 if d > _bound(servo, 1, v) else (-1 if d < -_bound(servo, -1, v) else 0)
+
+
+@compiled(error_model="numpy")
+def _drive_margin(which, servo, gain, u, q, v, mode):
+    """Positive while the drive keeps its side of the force limit (0) or of the dead band (1)."""
+    if which == 1:
+        e = _error(servo, gain, u, q)
+        return servo[5] - abs(e) if mode[4, 0] == 0 else mode[4, 0] * e - servo[5]
+    d = _asked(servo, gain, u, q, v, mode)
+    side = mode[3, 0]
+    if side != 0:
+        return side * d - _bound(servo, side, v)
+    return min(_bound(servo, 1, v) - d, _bound(servo, -1, v) + d)
+
+
+@compiled(error_model="numpy", inline="always")
+def _acting(u, us, lag, tau, h):
+    """Input a time h after it was u and grew by us per second; behind a lag that stood at ``lag``."""
+    if tau <= 0.0:
+        return u + us * h
+    if us == 0.0:
+        return u + (lag - u) * np.exp(-h / tau)
+    return u + us * (h - tau) + (lag - u + us * tau) * np.exp(-h / tau)
+
+
+def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     """Accelerations and internal rates at one instant.
 
     Writes w (n_w, m): rows 0 accelerations, 1 torque balance without friction, 2 / 3 breakaway levels forward / backward of
@@ -138,7 +212,7 @@ def _rates_of(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
     for i in range(n):
         force = -f[1, i] * x[1, i]
         if i == 0:
-            force += gain * u
+            force += _pull(servo, gain, u, x[0, 0], x[1, 0], mode)
         else:
             force += w[4, i - 1]
         if i < n - 1:
@@ -211,15 +285,15 @@ def _relax(s, alpha, beta, h):
     return s * decay + alpha * (1.0 - decay) / beta
 
 
-def _step_of(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mode, w, wk, z):
-    """One RK4 step of length h from x to xn (each 3 x m: q, v, s); u relaxes from ``lag`` to ``u`` when tau > 0.
+def _step_of(bodies, f, gap_law, gain, servo, el, p, x, xn, h, t, u, us, lag, tau, n_s, mode, w, wk, z):
+    """One RK4 step of length h from x to xn (each 3 x m: q, v, s); the input is u and grows by us, behind a lag when tau > 0.
 
     wk (17, m) holds the stage slopes and, in its last row, the coupling torques at the start.
     """
     n = len(bodies)
     for stage in range(4):
         c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-        ut = u if tau <= 0.0 else u + (lag - u) * np.exp(-c * h / tau)
+        ut = _acting(u, us, lag, tau, c * h)
         if stage == 0:
             for i in range(n):
                 xn[0, i] = x[0, i]
@@ -233,7 +307,7 @@ def _step_of(bodies, f, gap_law, gain, el, p, x, xn, h, t, u, lag, tau, n_s, mod
                 xn[1, i] = x[1, i] + c * h * wk[b + 1, i]
             for i in range(n_s):
                 xn[2, i] = _relax(x[2, i], wk[b + 2, i], wk[12 + stage - 1, i], c * h)
-        _rates_here(bodies, f, gap_law, gain, el, p, xn, t + c * h, ut, mode, w, z)
+        _rates_here(bodies, f, gap_law, gain, servo, el, p, xn, t + c * h, ut, mode, w, z)
         b = 3 * stage
         for i in range(n):
             wk[b, i] = xn[1, i]
@@ -257,19 +331,24 @@ _step_here: Any = compiled(inline="always")(_step_of)
 
 
 @compiled(error_model="numpy")
-def _margin(event, bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
-    """Event function, positive while the mode holds. Events 0..n-1: friction of a body; n..: gap of a coupling."""
+def _margin(event, bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
+    """Event function, positive while the mode holds.
+
+    Events 0..n-1: friction of a body; n..2n-2: gap of a coupling; 2n-1, 2n: force limit and dead band of the drive.
+    """
     n = len(bodies)
+    if event >= 2 * n - 1:
+        return _drive_margin(event - 2 * n + 1, servo, gain, u, x[0, 0], x[1, 0], mode)
     if event < n:
         if mode[0, event] != 0:
             return mode[0, event] * x[1, event]
-        _rates(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z)
+        _rates(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z)
         force = w[1, event]
         return min(w[2, event] - force, force + w[3, event])
     j = event - n
     # a kinematic error shifts the deflection, so it is read from the rates when there is one
     if el.shape[0] > 0 and el[0, 0] == KIND_TWIST:
-        _rates(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z)
+        _rates(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z)
         d = w[12, j]
     else:
         d = f[2, j] * x[0, j] - x[0, j + 1]
@@ -279,7 +358,7 @@ def _margin(event, bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
 
 
 @compiled(error_model="numpy")
-def _settle(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
+def _settle(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     """Re-decide stick or slip of every body at rest, after the torques jumped."""
     n = len(bodies)
     for _ in range(2):
@@ -287,7 +366,7 @@ def _settle(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
             if mode[2, i] == 1 and x[1, i] == 0.0:
                 old = mode[0, i]
                 mode[0, i] = 0
-                _rates(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z)
+                _rates(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z)
                 force = w[1, i]
                 if force > w[2, i] or (force >= w[2, i] and old == 1):
                     mode[0, i] = 1
@@ -296,21 +375,21 @@ def _settle(bodies, f, gap_law, gain, el, p, x, t, u, mode, w, z):
 
 
 @compiled(error_model="numpy")
-def _propagator(bodies, f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
-    """Matrices of the present mode over y = (q, v, lagged input, held input, 1), N = 2n + 3, read off the rates.
+def _propagator(bodies, f, gap_law, gain, servo, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
+    """Matrices of the present mode over y = (q, v, lagged input, input, its slope, 1), N = 2n + 4, read off the rates.
 
     Writes phis (2, 2n+1, N): y(h) - y(0) for both steps h; rows (4n, N): accelerations, balances without friction, their rates
     of change, coupling torques; level (2, n): breakaway levels forward and backward. a, power, term (N, N) are scratch.
     """
     n = len(bodies)
-    size = 2 * n + 3
+    size = 2 * n + 4
     a[:] = 0.0
     rows[:] = 0.0
     for c in range(-1, 2 * n + 1):
         for i in range(n):
             xt[0, i] = 1.0 if c == i else 0.0
             xt[1, i] = 1.0 if c == n + i else 0.0
-        _rates(bodies, f, gap_law, gain, el, p, xt, 0.0, 1.0 if c == 2 * n else 0.0, mode, w, z)
+        _rates(bodies, f, gap_law, gain, servo, el, p, xt, 0.0, 1.0 if c == 2 * n else 0.0, mode, w, z)
         column = size - 1 if c < 0 else c
         if c == 2 * n and tau <= 0.0:
             column = 2 * n + 1
@@ -334,6 +413,7 @@ def _propagator(bodies, f, gap_law, gain, el, p, mode, tau, steps, w, z, xt, a, 
     if tau > 0.0:
         a[2 * n, 2 * n] = -1.0 / tau
         a[2 * n, 2 * n + 1] = 1.0 / tau
+    a[2 * n + 1, 2 * n + 2] = 1.0
     for i in range(n):
         for c in range(size):
             total = 0.0
@@ -409,10 +489,12 @@ def _cubic_root(g0, s0, g1, s1, h):
 
 @compiled(error_model="numpy")
 def integrate(
-    bodies, f, gap_law, gain, el, p, has_friction, u, dt, shift, split, before, tau, n_sub, parts, affine, x0, s0, angle, locked,
-    t0, out
+    bodies, f, gap_law, gain, servo, el, p, has_friction, u, growth, dt, shift, split, before, tau, n_sub, parts, affine,
+    x0, s0, angle, locked, t0, out
 ):  # fmt: skip
-    """Free run. u (N) torque held over each sample; out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
+    """Free run. u (N) input at the start of each sample, growth (N) its slope over it.
+
+    out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
 
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
     torque ahead of the first sample; tau > 0 lags it. A sample has ``n_sub`` steps; one in which a bristle at a body may turn, or
@@ -427,11 +509,11 @@ def integrate(
     own_w = np.zeros((14, m))
     own_z = np.zeros(N_LOCAL + 3)
     own_wk = np.zeros((17, m))
-    own_mode = np.zeros((3, n), np.int64)
+    own_mode = np.zeros((5, n), np.int64)
     # counting references to these at every call costs as much as the work
     x, xn, xt = _view(own_x[:3]), _view(own_x[3:6]), _view(own_x[6:])
     w, z, wk, mode = _view(own_w), _view(own_z), _view(own_wk), _view(own_mode)
-    f, el, p = _view(f), _view(el), _view(p)
+    f, el, p, servo = _view(f), _view(el), _view(p), _view(servo)
     for i in range(n):
         x[0, i] = x0[0, i]
         x[1, i] = x0[1, i]
@@ -442,20 +524,23 @@ def integrate(
             mode[0, i] = 1
     for i in range(n_s):
         x[2, i] = s0[i]
-    _rates(bodies, f, gap_law, gain, el, p, x, t0, u[0], mode, w, z)
+    _rates(bodies, f, gap_law, gain, servo, el, p, x, t0, u[0], mode, w, z)
     for j in range(n - 1):
         if f[5, j] > 0.0:
             mode[1, j] = 1 if w[12, j] > f[5, j] else (-1 if w[12, j] < -f[5, j] else 0)
     total = u.shape[0]
     status, at = 0, total
     work = 0
-    n_event = 2 * n - 1
+    limited = np.isfinite(servo[2]) or np.isfinite(servo[3])
+    slack = servo[5] > 0.0
+    n_event = 2 * n + 1 if limited or slack else 2 * n - 1
     ratio = np.ones(n)
     for i in range(1, n):
         ratio[i] = ratio[i - 1] * f[2, i - 1]
     any_event = False
     for i in range(n):
         any_event = any_event or has_friction[i] or f[5, i] > 0.0
+    any_event = any_event or limited or slack
     lag = before
     before_t = 0.0
     before_g = 0.0
@@ -468,7 +553,7 @@ def integrate(
     last_u = before
     # the propagators by mode, a direct-mapped store; looked up in two places, each written out: as a function, inlined or not,
     # counting the references of its arrays made a step of the linear axis seven times as slow
-    size = 2 * n + 3
+    size = 2 * n + 4
     slots = SLOTS if affine else 1
     keys = np.full(slots, -1)
     y = np.zeros(size)
@@ -498,6 +583,7 @@ def integrate(
             code = 0
             for i in range(n):
                 code = code * 9 + 3 * mode[0, i] + mode[1, i] + 4
+            code = code * 9 + 3 * mode[3, 0] + mode[4, 0] + 4
             slot = code % SLOTS
             if keys[slot] != code:
                 keys[slot] = code
@@ -506,6 +592,7 @@ def integrate(
                     f,
                     gap_law,
                     gain,
+                    servo,
                     el,
                     p,
                     mode,
@@ -530,7 +617,7 @@ def integrate(
                     dot += rows[slot, 3 * n + j, c] * y[c]
                 out[k, 2 * n + n_s + j] = dot
         elif k == total - 1:
-            _rates(bodies, f, gap_law, gain, el, p, x, t, u[k], mode, w, z)
+            _rates(bodies, f, gap_law, gain, servo, el, p, x, t, u[k], mode, w, z)
             for j in range(n - 1):
                 out[k, 2 * n + n_s + j] = w[4, j]
         if not np.isfinite(x[1, 0]) or abs(x[1, 0]) > 1e12:
@@ -545,6 +632,11 @@ def integrate(
                 continue
             kk = k - shift - 1 if seg == 0 else k - shift
             uk = u[kk] if kk >= 0 else before
+            us = growth[kk] if kk >= 0 else 0.0
+            if seg == 0:
+                uk += us * (dt - spans[0])  # the older sample is under way
+            if limited or slack:
+                _choose_sides(servo, gain, uk if tau <= 0.0 else lag, x[0, 0], x[1, 0], mode)
             sub = 0
             while sub < subs[seg]:
                 left = steps[seg]
@@ -568,6 +660,7 @@ def integrate(
                     code = 0
                     for i in range(n):
                         code = code * 9 + 3 * mode[0, i] + mode[1, i] + 4
+                    code = code * 9 + 3 * mode[3, 0] + mode[4, 0] + 4
                     slot = code % SLOTS
                     if keys[slot] != code:
                         keys[slot] = code
@@ -576,6 +669,7 @@ def integrate(
                             f,
                             gap_law,
                             gain,
+                            servo,
                             el,
                             p,
                             mode,
@@ -596,12 +690,14 @@ def integrate(
                         y[n + i] = x[1, i]
                     y[2 * n] = lag
                     y[2 * n + 1] = uk
+                    y[2 * n + 2] = us
                     for r in range(2 * n + 1):
                         dot = 0.0
                         for c in range(size):
                             dot += phis[slot, seg, r, c] * y[c]
                         yn[r] = y[r] + dot
-                    yn[2 * n + 1] = uk
+                    yn[2 * n + 1] = uk + us * left
+                    yn[2 * n + 2] = us
                     clean = True
                     if any_event:
                         for i in range(n):
@@ -660,11 +756,54 @@ def integrate(
                                 or _dips(hb + d0, s0, hb + d1, s1, left) >= 0.0
                             ):
                                 clean = False
+                        if clean and (limited or slack):
+                            # margins of the drive at both ends, and whether they dip in between
+                            at_u = 2 * n if tau > 0.0 else 2 * n + 1
+                            r0 = (uk - y[2 * n]) / tau if tau > 0.0 else us
+                            r1 = (yn[2 * n + 1] - yn[2 * n]) / tau if tau > 0.0 else us
+                            b0 = 0.0
+                            b1 = 0.0
+                            for c in range(size):
+                                b0 += rows[slot, 0, c] * y[c]
+                                b1 += rows[slot, 0, c] * yn[c]
+                            e0 = gain * r0 - servo[0] * y[n]
+                            e1 = gain * r1 - servo[0] * yn[n]
+                            for which in range(2):
+                                if (which == 0 and not limited) or (which == 1 and not slack):
+                                    continue
+                                g0 = _drive_margin(which, servo, gain, y[at_u], y[0], y[n], mode)
+                                g1 = _drive_margin(which, servo, gain, yn[at_u], yn[0], yn[n], mode)
+                                if min(g0, g1) <= 0.0:
+                                    clean = False
+                                    continue
+                                side = mode[4 - (1 - which), 0]
+                                grow0, grow1 = e0, e1
+                                if which == 0:
+                                    keep = 1.0 if not slack or mode[4, 0] != 0 else 0.0
+                                    grow0, grow1 = keep * e0 - servo[1] * b0, keep * e1 - servo[1] * b1
+                                    if side != 0:
+                                        grow0, grow1 = grow0 + servo[4] * b0, grow1 + servo[4] * b1
+                                        clean = clean and _dips(g0, side * grow0, g1, side * grow1, left) < 0.0
+                                        continue
+                                    for way in (-1, 1):
+                                        m0 = _bound(servo, way, y[n]) - way * _asked(servo, gain, y[at_u], y[0], y[n], mode)
+                                        m1 = _bound(servo, way, yn[n]) - way * _asked(servo, gain, yn[at_u], yn[0], yn[n], mode)
+                                        k0 = -way * (grow0 + servo[4] * b0)
+                                        k1 = -way * (grow1 + servo[4] * b1)
+                                        clean = clean and _dips(m0, k0, m1, k1, left) < 0.0
+                                elif side != 0:
+                                    clean = clean and _dips(g0, side * grow0, g1, side * grow1, left) < 0.0
+                                else:
+                                    for way in (-1, 1):
+                                        m0 = servo[5] - way * _error(servo, gain, y[at_u], y[0])
+                                        m1 = servo[5] - way * _error(servo, gain, yn[at_u], yn[0])
+                                        clean = clean and _dips(m0, -way * grow0, m1, -way * grow1, left) < 0.0
                     if clean:
                         work += 1
                         for i in range(n):
                             x[0, i] = yn[i]
                             x[1, i] = yn[n + i]
+                        uk += us * left
                         lag = yn[2 * n] if tau > 0.0 else uk
                         t += left
                         continue
@@ -673,10 +812,10 @@ def integrate(
                     resting = resting or (mode[2, i] == 1 and x[1, i] == 0.0)
                 if resting:
                     ue = uk if tau <= 0.0 else lag
-                    _settle(bodies, f, gap_law, gain, el, p, x, t, ue, mode, w, z)
+                    _settle(bodies, f, gap_law, gain, servo, el, p, x, t, ue, mode, w, z)
                 while left > 0.0:
                     work += 4
-                    _step_here(bodies, f, gap_law, gain, el, p, x, xn, left, t, uk, lag, tau, n_s, mode, w, wk, z)
+                    _step_here(bodies, f, gap_law, gain, servo, el, p, x, xn, left, t, uk, us, lag, tau, n_s, mode, w, wk, z)
                     if whole > 0.0:
                         slides = True
                         for e in range(el.shape[0]):
@@ -698,16 +837,19 @@ def integrate(
                     h = left
                     hit = -1
                     if any_event and events < MAX_EVENTS:
-                        ue = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-h / tau)
+                        ue = _acting(uk, us, lag, tau, h)
                         for ev in range(n_event):
                             if ev < n and not has_friction[ev]:
                                 continue
-                            if ev >= n and f[5, ev - n] <= 0.0:
+                            if ev >= 2 * n - 1:
+                                if (ev == 2 * n - 1 and not limited) or (ev == 2 * n and not slack):
+                                    continue
+                            elif ev >= n and f[5, ev - n] <= 0.0:
                                 continue
                             if ev < n and mode[0, ev] != 0:
                                 g = mode[0, ev] * xn[1, ev]  # here, as a call passes every array
                             else:
-                                g = _margin(ev, bodies, f, gap_law, gain, el, p, xn, t + h, ue, mode, w, z)
+                                g = _margin(ev, bodies, f, gap_law, gain, servo, el, p, xn, t + h, ue, mode, w, z)
                             hi = h
                             smooth = True
                             s0 = 0.0
@@ -717,6 +859,8 @@ def integrate(
                                 side_ev = mode[0, ev]
                                 smooth = side_ev != 0
                                 g0, s0, s1 = side_ev * x[1, ev], side_ev * wk[1, ev], side_ev * wk[10, ev]
+                            elif ev >= 2 * n - 1:
+                                smooth = False
                             else:
                                 j = ev - n
                                 side_ev = mode[1, j]
@@ -734,23 +878,44 @@ def integrate(
                                 if hi < 0.0:
                                     continue
                                 work += 4
-                                _step(bodies, f, gap_law, gain, el, p, x, xt, hi, t, uk, lag, tau, n_s, mode, w, wk, z)
-                                um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-hi / tau)
-                                g = _margin(ev, bodies, f, gap_law, gain, el, p, xt, t + hi, um, mode, w, z)
+                                _step(bodies, f, gap_law, gain, servo, el, p, x, xt, hi, t, uk, us, lag, tau, n_s, mode, w, wk, z)
+                                um = _acting(uk, us, lag, tau, hi)
+                                g = _margin(ev, bodies, f, gap_law, gain, servo, el, p, xt, t + hi, um, mode, w, z)
                                 if g >= 0.0:
                                     continue
                                 smooth = False
                             # bracket [lo, hi]: holds at lo, violated at hi
                             lo, ghi = 0.0, g
-                            glo = _margin(ev, bodies, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, w, z)
+                            glo = _margin(ev, bodies, f, gap_law, gain, servo, el, p, x, t, lag if tau > 0.0 else uk, mode, w, z)
                             if glo <= 0.0:
                                 # the mode was entered at this very instant: look for a moment at which it holds
                                 probe = 0.5 * h
                                 while probe > 1e-6 * dt:
                                     work += 4
-                                    _step(bodies, f, gap_law, gain, el, p, x, xt, probe, t, uk, lag, tau, n_s, mode, w, wk, z)
-                                    up = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-probe / tau)
-                                    gp = _margin(ev, bodies, f, gap_law, gain, el, p, xt, t + probe, up, mode, w, z)
+                                    _step(
+                                        bodies,
+                                        f,
+                                        gap_law,
+                                        gain,
+                                        servo,
+                                        el,
+                                        p,
+                                        x,
+                                        xt,
+                                        probe,
+                                        t,
+                                        uk,
+                                        us,
+                                        lag,
+                                        tau,
+                                        n_s,
+                                        mode,
+                                        w,
+                                        wk,
+                                        z,
+                                    )
+                                    up = _acting(uk, us, lag, tau, probe)
+                                    gp = _margin(ev, bodies, f, gap_law, gain, servo, el, p, xt, t + probe, up, mode, w, z)
                                     if gp > 0.0:
                                         lo, glo = probe, gp
                                         break
@@ -767,9 +932,30 @@ def integrate(
                                     if not (mid > lo and mid < hi):
                                         mid = 0.5 * (lo + hi)
                                     work += 4
-                                    _step(bodies, f, gap_law, gain, el, p, x, xt, mid, t, uk, lag, tau, n_s, mode, w, wk, z)
-                                    um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-mid / tau)
-                                    gm = _margin(ev, bodies, f, gap_law, gain, el, p, xt, t + mid, um, mode, w, z)
+                                    _step(
+                                        bodies,
+                                        f,
+                                        gap_law,
+                                        gain,
+                                        servo,
+                                        el,
+                                        p,
+                                        x,
+                                        xt,
+                                        mid,
+                                        t,
+                                        uk,
+                                        us,
+                                        lag,
+                                        tau,
+                                        n_s,
+                                        mode,
+                                        w,
+                                        wk,
+                                        z,
+                                    )
+                                    um = _acting(uk, us, lag, tau, mid)
+                                    gm = _margin(ev, bodies, f, gap_law, gain, servo, el, p, xt, t + mid, um, mode, w, z)
                                     if it > 0 and mid != before_t:
                                         slope = (gm - before_g) / (mid - before_t)
                                     before_t, before_g = mid, gm
@@ -788,8 +974,8 @@ def integrate(
                             h = hi
                             hit = ev
                             work += 4
-                            _step(bodies, f, gap_law, gain, el, p, x, xn, h, t, uk, lag, tau, n_s, mode, w, wk, z)
-                            ue = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-h / tau)
+                            _step(bodies, f, gap_law, gain, servo, el, p, x, xn, h, t, uk, us, lag, tau, n_s, mode, w, wk, z)
+                            ue = _acting(uk, us, lag, tau, h)
                     for i in range(n):
                         x[0, i] = xn[0, i]
                         x[1, i] = xn[1, i]
@@ -799,7 +985,8 @@ def integrate(
                     left -= h
                     if left < 1e-15:
                         left = 0.0
-                    lag = uk + (lag - uk) * np.exp(-h / tau) if tau > 0.0 else uk
+                    lag = _acting(uk, us, lag, tau, h)
+                    uk += us * h
                     if hit >= 0:
                         events += 1
                         if hit < n:
@@ -807,16 +994,26 @@ def integrate(
                                 x[1, hit] = 0.0
                                 mode[0, hit] = 0
                             else:
-                                _rates(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+                                _rates(bodies, f, gap_law, gain, servo, el, p, x, t, lag, mode, w, z)
                                 mode[0, hit] = 1 if w[1, hit] > 0.5 * (w[2, hit] - w[3, hit]) else -1
+                        elif hit == 2 * n - 1:
+                            if mode[3, 0] != 0:
+                                mode[3, 0] = 0
+                            else:
+                                mode[3, 0] = 1 if _asked(servo, gain, lag, x[0, 0], x[1, 0], mode) > 0.0 else -1
+                        elif hit == 2 * n:
+                            if mode[4, 0] != 0:
+                                mode[4, 0] = 0
+                            else:
+                                mode[4, 0] = 1 if _error(servo, gain, lag, x[0, 0]) > 0.0 else -1
                         else:
                             j = hit - n
                             if mode[1, j] != 0:
                                 mode[1, j] = 0
                             else:
-                                _rates(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+                                _rates(bodies, f, gap_law, gain, servo, el, p, x, t, lag, mode, w, z)
                                 mode[1, j] = 1 if w[12, j] > 0 else -1
-                        _settle(bodies, f, gap_law, gain, el, p, x, t, lag, mode, w, z)
+                        _settle(bodies, f, gap_law, gain, servo, el, p, x, t, lag, mode, w, z)
             last_u = uk
     # used to the end, so that what the views look at is there to the end
     own_x[0, 0] = own_w[0, 0] = own_z[0] = own_wk[0, 0] = 0.0
@@ -825,7 +1022,7 @@ def integrate(
 
 
 @compiled(error_model="numpy")
-def drive(bodies, f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
+def drive(bodies, f, gap_law, gain, servo, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
     """Inverse dynamics: body 0 is moved as measured (q0, v0, a0, each (N)); out (N) receives the input torque that this needs.
 
     Bodies behind it run free from the deflections ``rest`` (2, n) relative to a rigid chain. Friction of body 0 takes the
@@ -842,7 +1039,7 @@ def drive(bodies, f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out)
     w = np.zeros((14, m))
     z = np.zeros(N_LOCAL + 3)
     wk = np.zeros((17, m))
-    mode = np.zeros((3, n), np.int64)
+    mode = np.zeros((5, n), np.int64)
     ratio = 1.0
     for i in range(n):
         x[0, i] = ratio * q0[0] + rest[0, i]
@@ -860,7 +1057,7 @@ def drive(bodies, f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out)
             if f[5, j] > 0.0:
                 d = f[2, j] * x[0, j] - x[0, j + 1]
                 mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
-        _rates(bodies, f, gap_law, gain, el, p, x, t, 0.0, mode, w, z)
+        _rates(bodies, f, gap_law, gain, servo, el, p, x, t, 0.0, mode, w, z)
         out[k] = (w[11, 0] * a0[k] - w[1, 0] + w[10, 0]) / gain
         if not np.isfinite(out[k]):
             return 1, k
@@ -900,7 +1097,7 @@ def drive(bodies, f, gap_law, gain, el, p, q0, v0, a0, dt, n_sub, t0, rest, out)
                     if f[5, j] > 0.0:
                         d = f[2, j] * xn[0, j] - xn[0, j + 1]
                         mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
-                _rates(bodies, f, gap_law, gain, el, p, xn, t + g * dt, 0.0, mode, w, z)
+                _rates(bodies, f, gap_law, gain, servo, el, p, xn, t + g * dt, 0.0, mode, w, z)
                 for i in range(n):
                     wk[3 * stage, i] = xn[1, i]
                     wk[3 * stage + 1, i] = w[0, i]

@@ -11,6 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from mjsim.axis import Axis, Body, Chain, Coupling
+from mjsim.hold import between, slewed
+from mjsim.servo import Target
 from mjsim.system import STEP, System, assemble
 
 __all__ = [
@@ -123,8 +125,11 @@ def simulate(
     substeps: int | None = None,
     most_substeps: int = 64,
     step: float = STEP,
+    hold: str = "held",
 ) -> Trajectory:
-    """Free-run an axis on a commanded torque (N,) held over each sample of dt [s].
+    """Free-run an axis on an input (N,), a torque or the command of a servo, at samples dt [s] apart.
+
+    ``hold``: how the input goes between samples (`mjsim.hold.between`).
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
     ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied, ahead of what the sensor path does to
@@ -134,7 +139,7 @@ def simulate(
     """
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, out = s.n, np.empty((len(torque), _width(s)))
-    _run(s, torque, dt, initial, states, angle, t0, before, substeps, most_substeps, step, out)
+    _run(s, torque, dt, initial, states, angle, t0, before, substeps, most_substeps, step, out, hold)
     time = _times(len(torque), dt, t0)
     velocity, measured = _sense(s, out[:, n], out[:, 0], dt)
     return Trajectory(
@@ -152,11 +157,12 @@ def sensed(
     before: float = 0.0,
     most_substeps: int = 64,
     step: float = STEP,
+    hold: str = "held",
 ) -> np.ndarray:
     """Velocity (N,) that the sensor shows of the free run of `simulate`, and nothing else of it: what a fit asks for."""
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     out = _workspace(len(torque), _width(s))
-    _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, step, out)
+    _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, step, out, hold)
     return _sense(s, out[:, s.n], out[:, 0], dt)[0].copy()
 
 
@@ -186,13 +192,13 @@ def _width(s: System) -> int:
 
 def _run(
     s: System, torque: np.ndarray, dt: float, initial: np.ndarray | None, states: np.ndarray | None, angle: np.ndarray | None,
-    t0: float, before: float, substeps: int | None, most_substeps: int, step: float, out: np.ndarray,
+    t0: float, before: float, substeps: int | None, most_substeps: int, step: float, out: np.ndarray, hold: str = "held",
 ) -> None:  # fmt: skip
     """Write the free run of `simulate` to ``out`` (N, `_width`)."""
     from mjsim import kernel
 
     n, count = s.n, len(torque)
-    u = _lent(apply_input(s, np.asarray(torque, float)))
+    u, slope, before = _input(s, np.asarray(torque, float), dt, hold, before)
     x0 = np.zeros((2, n))
     if initial is not None:
         given = np.asarray(initial, float)
@@ -216,7 +222,7 @@ def _run(
     if n_sub * parts > most_substeps:
         raise DivergedError(f"the model is too stiff: it needs {n_sub * parts} steps a sample, {most_substeps} are allowed")
     status, at, work = kernel.integrate(
-        (0,) * n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, u, dt, shift, split,
+        (0,) * n, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, u, slope, dt, shift, split,
         float(before), s.input_lag, n_sub, parts, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     count_work(work)
@@ -224,6 +230,35 @@ def _run(
         raise DivergedError(
             f"the run diverged at {t0 + at * dt:.4f} s (body {s.chain.bodies[0].joint!r}); check signs of damping and stiffness"
         )
+
+
+def _input(s: System, command: np.ndarray, dt: float, hold: str, before: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Input past the actuator's maps at the start of each sample (N,), its slope over the sample (N,), and what it was before."""
+    servo = s.chain.servo
+    if servo is not None:
+        if not (math.isinf(servo.low) and math.isinf(servo.high)):
+            command, before = np.clip(command, servo.low, servo.high), min(max(before, servo.low), servo.high)
+        command, before = servo.scale * command, servo.scale * before
+        if servo.target is Target.INTEGRATED:
+            start, slope = between(command, dt, hold)
+            mean = start + 0.5 * dt * slope  # the part of second order within a sample is left out
+            command = np.concatenate([[0.0], np.cumsum(mean[:-1]) * dt])
+            hold, before = "linear", 0.0
+        command, before = command - servo.zero, before - servo.zero
+    if not math.isinf(s.slew):
+        start, slope = slewed(command, dt, s.slew, hold)
+        return _lent(start), _lent(slope), before
+    u = apply_input(s, command)
+    if hold == "held":
+        return _lent(u), _still(len(u)), before
+    start, slope = between(u, dt, hold)
+    return _lent(start), _lent(slope), before
+
+
+@lru_cache(8)
+def _still(count: int) -> np.ndarray:
+    """Zeros (N,), which nobody writes to."""
+    return np.zeros(count)
 
 
 def _sense(s: System, v: np.ndarray, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -315,7 +350,7 @@ def inverse(
     n_sub = s.substeps(dt, speed)
     count_work(4 * len(angle) * n_sub)
     status, at = kernel.drive(
-        (0,) * s.n, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters,
+        (0,) * s.n, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters,
         _own(angle), _own(velocity), _own(acceleration),
         dt, n_sub, t0, np.zeros((2, s.n)) if rest is None else _own(rest), out,
     )  # fmt: skip

@@ -17,6 +17,7 @@ import numpy as np
 from mjsim import affine
 from mjsim.axis import Axis
 from mjsim.effects import ports as P  # noqa: N812
+from mjsim.effects.base import need_torque_input
 from mjsim.ode import DivergedError, Trajectory, apply_input
 from mjsim.system import System, assemble, constant, state_matrix
 
@@ -65,8 +66,10 @@ def simulate(
     """Free-run a piecewise-affine axis exactly on a commanded torque (N,) held over each sample of dt [s].
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``before``: commanded torque ahead of the
-    first sample. Raises NotAffineError when an effect is not of the class, DivergedError when the run leaves the finite numbers.
+    first sample. Raises NotAffineError when an effect is not of the class, DivergedError when the run leaves the finite numbers,
+    NotApplicableError for a servo.
     """
+    need_torque_input(axis.chain)
     reason = not_affine(axis)
     if reason is not None:
         raise NotAffineError(reason)

@@ -12,6 +12,7 @@ import numpy as np
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import DIRECTION, N_LOCAL, RATE, STATE, Law
+from mjsim.servo import Target
 
 __all__ = ["MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "split_chain"]
 
@@ -25,7 +26,11 @@ _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.F
 
 @dataclass(frozen=True)
 class System:
-    """Arrays for `mjsim.kernel` and the signal path around it (see there for shapes)."""
+    """Arrays for `mjsim.kernel` and the signal path around it (see there for shapes).
+
+    gain: torque on body 0 per unit of input. servo (6), torques on body 0: stiffness and damping of the drive towards its input,
+    force limit, stall torque, loss of that per speed, half width of the dead band; a drive by torque has (0, 0, limit, ...).
+    """
 
     chain: Chain
     f: np.ndarray
@@ -35,6 +40,7 @@ class System:
     has_friction: np.ndarray
     n_states: int
     input_maps: tuple[P.InputMap, ...]
+    slew: float
     input_lag: float
     input_delay: float
     output_maps: tuple[P.OutputMap, ...]
@@ -45,6 +51,8 @@ class System:
     yields: float
     spatial: float
     affine: bool
+    gain: float
+    servo: np.ndarray
 
     @property
     def n(self) -> int:
@@ -53,7 +61,8 @@ class System:
 
     def substeps(self, dt: float, max_speed: float, target: float = STEP) -> int:
         """RK4 steps per sample that keep (h w) under ``target`` for the chain, three times that for position-locked laws."""
-        if self.affine and not self.has_friction.any() and not self.f[5].any():
+        eventful = self.has_friction.any() or self.f[5].any() or np.isfinite(self.servo[2:4]).any() or self.servo[5]
+        if self.affine and not eventful:
             target = 1.0  # no events: a step is exact, and its series converges to rounding up to here
         w = max(self.omega, self.spatial * max_speed / 3.0)
         if self.input_lag > 0:
@@ -162,6 +171,9 @@ def assemble(axis: Axis) -> System:
     for port in ports:
         if isinstance(port, P.Gap):
             f[5, port.coupling] += 0.5 * port.width
+    gain, servo = _drive(chain, ports)
+    stiff[0] += servo[0]
+    damping[0] += servo[1]
     return System(
         chain=chain,
         f=f,
@@ -170,6 +182,7 @@ def assemble(axis: Axis) -> System:
         parameters=np.array(values or [0.0]),
         has_friction=friction,
         n_states=n_states,
+        slew=min((p.limit for p in ports if isinstance(p, P.CommandSlew)), default=math.inf),
         input_maps=tuple(p for p in ports if isinstance(p, P.InputMap)),
         input_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.InputLag))),
         input_delay=float(sum(p.delay for p in ports if isinstance(p, P.InputDelay))),
@@ -180,8 +193,27 @@ def assemble(axis: Axis) -> System:
         sliding=_fastest(f, stiff, damping),
         yields=yields,
         spatial=spatial,
-        affine=_affine(ports, axis.backlash_law),
+        affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all(),
+        gain=gain,
+        servo=servo,
     )
+
+
+def _drive(chain: Chain, ports: list[P.Port]) -> tuple[float, np.ndarray]:
+    """Torque on body 0 per unit of input, and the drive's numbers (6) as torques on body 0 (`System`)."""
+    g, servo = chain.gain, chain.servo
+    limit = min([servo.limit if servo else math.inf, *(p.limit for p in ports if isinstance(p, P.DriveLimit))])
+    lines = [p for p in ports if isinstance(p, P.TorqueSpeedLine)]
+    line = min(lines, key=lambda p: p.stall, default=P.TorqueSpeedLine(math.inf, math.inf))
+    out = np.array([0.0, 0.0, abs(g) * limit, abs(g) * line.stall, g * g * line.stall / line.no_load, 0.0])
+    if not np.isfinite(out[3]):
+        out[4] = 0.0
+    if servo is None:
+        return g, out
+    out[0], out[1] = g * g * servo.kp, g * g * servo.kv
+    per_unit = servo.kv if servo.target is Target.VELOCITY else servo.kp
+    out[5] = abs(g) * servo.kp * sum(p.half_width for p in ports if isinstance(p, P.CommandDeadBand))
+    return g * per_unit, out
 
 
 def _levels(port: P.Friction) -> tuple[float, float, float, float] | None:
@@ -215,7 +247,7 @@ def _affine(ports: list[P.Port], gap_law: P.BacklashLaw) -> bool:
             if _levels(port) is None:
                 return False
         elif isinstance(port, P.BodyTorque):
-            if port.state or constant(port.law, port.p, 1.0) is None:
+            if port.state or port.timed or constant(port.law, port.p, 1.0) is None:
                 return False
         elif isinstance(port, P.CouplingTorque | P.Twist | P.BodyInertia) or (
             isinstance(port, P.Gap) and gap_law is P.BacklashLaw.NO_PULL

@@ -76,11 +76,12 @@ def diagnose_files(
     truth: Mapping[str, Any] | None = None,
     draw: Draw | None = None,
     accept_log: bool = False,
+    joint: str | None = None,
 ) -> Diagnosis:
     """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole.
 
-    The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``.
-
+    The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``; the
+    log of a servo is not checked. ``joint``: which one of a robot's log, by default the one that the model drives.
     ``draw``: who draws the report, by default processes of their own where there is more than one job.
     They take a moment to load: `Drawers` that are given serve any number of diagnoses.
 
@@ -91,22 +92,32 @@ def diagnose_files(
     if draw is None:
         with Drawers(options.jobs) as drawers:
             return diagnose_files(
-                recordings, model, out, held_out, options, progress=progress, truth=truth, draw=drawers, accept_log=accept_log
+                recordings,
+                model,
+                out,
+                held_out,
+                options,
+                progress=progress,
+                truth=truth,
+                draw=drawers,
+                accept_log=accept_log,
+                joint=joint,
             )
     _need_folder(out)
     nominal = load_axis(model)
     check_writable(model, nominal)
     for name in options.effects:
         _need_place(name, nominal, model)
-    loaded = [load(p, model=model) for p in recordings]
-    held = [load(p, model=model) for p in held_out]
-    log = check_log(Machine.of(load_model(model)), [*loaded, *held])
-    if log.verdict is LogVerdict.FIX and not accept_log:
+    prefer = nominal.chain.bodies[0].joint
+    loaded, held = ([load(p, model=model, joint=joint, prefer=prefer) for p in group] for group in (recordings, held_out))
+    log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*loaded, *held])
+    if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
         return _written(wrong_log(nominal, log, loaded, held, options.seed), nominal, model, out, truth, draw)
     memory = Memory(out / STATE, _follows(nominal, loaded, held, options, model.read_bytes()))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
-            if "force" not in (options.judge, loaded[0].judge) and loaded[0].velocity is not None and options.jobs > 1:
+            by_motion = loaded[0].velocity is not None or loaded[0].command is not None
+            if "force" not in (options.judge, loaded[0].judge) and by_motion and options.jobs > 1:
                 _load_kernels(len(nominal.chain.bodies))
             say(Step("reference", "the nominal file in plain MuJoCo"))
             given = before_search(model, nominal, loaded, held, options)

@@ -46,15 +46,39 @@ def axis():
 
 
 @pytest.fixture(scope="module")
-def nominal(axis):
-    return simulate(axis, TORQUE, DT)
+def driven(axis):
+    """The axis by a torque and, for what a servo has, under a position servo; each with its run and its scales."""
+    from mjsim.servo import Servo
+
+    servo = Axis(dataclasses.replace(axis.chain, servo=Servo(1.0, 0.1)))
+    out = []
+    for carrier, command in ((axis, None), (servo, TORQUE)):
+        run = simulate(carrier, TORQUE, DT)
+        velocity = run.velocity + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
+        log = Recording(TIME, TORQUE, velocity, run.angle, DT, command=command)
+        of = scales_by_place(carrier, prepare(log))
+        out.append((carrier, run, {place: dataclasses.replace(s, orders=(1.0, 3.0)) for place, s in of.items()}))
+    return out
 
 
-@pytest.fixture(scope="module")
-def scales(axis, nominal):
-    velocity = nominal.velocity + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
-    of = scales_by_place(axis, prepare(Recording(TIME, TORQUE, velocity, nominal.angle, DT)))
-    return {place: dataclasses.replace(s, orders=(1.0, 3.0)) for place, s in of.items()}
+@pytest.fixture
+def carrier(request, driven):
+    """(axis, run, scales) of the drive that the effect of this test has a place on."""
+    name = request.node.callspec.params.get("name", "")
+    cls = registered().get(name) or request.node.callspec.params.get("cls")
+    if cls is not None and cls.family == "servo":
+        return driven[1]
+    return driven[0]
+
+
+@pytest.fixture
+def scales(carrier):
+    return carrier[2]
+
+
+@pytest.fixture
+def nominal(carrier):
+    return carrier[1]
 
 
 def rms(x):
@@ -133,8 +157,9 @@ def test_its_sentence_is_plain(name, place, motion, scales):
 
 
 @every_place
-def test_its_law_is_the_same_in_python_and_compiled(name, place, axis, scales):
+def test_its_law_is_the_same_in_python_and_compiled(name, place, carrier, scales):
     """Same numbers from both, on random local quantities; differences are those of the mathematical library (last bits)."""
+    axis = carrier[0]
     effect = make(name, place, registered()[name].starts(scales[place])[0])
     rng = np.random.default_rng(1)
     for law, p in laws(effect, axis.chain):
@@ -151,8 +176,9 @@ def test_its_law_is_the_same_in_python_and_compiled(name, place, axis, scales):
 
 
 @every_place
-def test_its_slope_is_its_derivative(name, place, axis, scales):
+def test_its_slope_is_its_derivative(name, place, carrier, scales):
     """A twist and a changed inertia write their slope over the angle; central differences agree."""
+    axis = carrier[0]
     effect = make(name, place, registered()[name].starts(scales[place])[0])
     for port in effect.ports(axis.chain):
         if not isinstance(port, ports.Twist | ports.BodyInertia):
@@ -169,8 +195,9 @@ def test_its_slope_is_its_derivative(name, place, axis, scales):
 
 
 @every_place
-def test_friction_never_drives(name, place, axis, scales):
+def test_friction_never_drives(name, place, carrier, scales):
     """The sliding and the breakaway level are not negative, in either direction, at any state."""
+    axis = carrier[0]
     effect = make(name, place, registered()[name].starts(scales[place])[0])
     rng = np.random.default_rng(2)
     for port in effect.ports(axis.chain):
@@ -185,9 +212,9 @@ def test_friction_never_drives(name, place, axis, scales):
 
 
 @every_place
-def test_it_runs_on_the_axis_and_converges(name, place, axis, nominal, scales):
+def test_it_runs_on_the_axis_and_converges(name, place, carrier, nominal, scales):
     """The default number of steps a sample and eight times as many agree within half the tolerance that the effect declares."""
-    axis = axis + make(name, place, registered()[name].starts(scales[place])[0])
+    axis = carrier[0] + make(name, place, registered()[name].starts(scales[place])[0])
     run = simulate(axis, TORQUE, DT)
     assert np.all(np.isfinite(run.velocity))
     assert np.all(np.isfinite(run.angle))
@@ -198,8 +225,8 @@ def test_it_runs_on_the_axis_and_converges(name, place, axis, nominal, scales):
 
 
 @every_place
-def test_its_response_vanishes_with_its_amplitude(name, place, axis, nominal, scales):
-    cls = registered()[name]
+def test_its_response_vanishes_with_its_amplitude(name, place, carrier, nominal, scales):
+    cls, axis = registered()[name], carrier[0]
     if not cls.amplitudes:
         pytest.skip("no amplitude scales its response")
     effect = make(name, place, cls.starts(scales[place])[0])
@@ -224,7 +251,7 @@ def test_it_has_a_place_or_says_so_on_a_single_inertia(name, place, scales):
     assert np.all(np.isfinite(velocity))
 
 
-def test_effects_compose_by_addition(axis, scales):
+def test_effects_compose_by_addition(axis):
     one = make("coulomb_friction", "motor", {"torque_Nm": 0.1})
     two = make("backlash", "gearbox", {"gap_rad": 5e-4})
     both = axis + one + two
@@ -256,7 +283,8 @@ def test_the_contract_is_covered():
         "extra_flexible_mode": "arm", "position_dependent_inertia": "arm",
         "torque_gain_droop": "actuator", "actuator_saturation": "actuator", "actuator_deadzone": "actuator",
         "actuator_lag": "actuator", "time_delay": "actuator sensor", "sensor_lag": "sensor", "sensor_quantisation": "sensor",
-        "sensor_offset": "sensor",
+        "sensor_offset": "sensor", "servo_deadband": "actuator", "velocity_limit": "actuator", "torque_speed_limit": "actuator",
+        "sublinear_viscous_friction": "motor",
     }  # fmt: skip
     assert {k: set(v.split()) for k, v in contract.items()} == {k: set(registered()[k].places) for k in contract}
 

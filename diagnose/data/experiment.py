@@ -24,6 +24,7 @@ __all__ = [
     "measured_velocity",
     "plain_step",
     "prepare",
+    "start_angle",
     "whole_step",
     "without_derived_velocity",
 ]
@@ -66,6 +67,18 @@ def measured_velocity(recording: Recording) -> np.ndarray:
         return recording.velocity
     assert recording.angle is not None
     return np.gradient(recording.angle, recording.dt)
+
+
+def start_angle(recording: Recording) -> float:
+    """The angle [rad | m] at the first sample, 0 where there is no angle."""
+    return 0.0 if recording.angle is None else float(recording.angle[0])
+
+
+def angle_noise_level(q: np.ndarray) -> float:
+    """Noise rms of an angle (N,): that of its sixth differences, at least that of rounding where all values lie on a grid."""
+    levels = np.unique(np.round(q, 12))
+    step = plain_step(q) or whole_step(np.diff(levels))
+    return max(white_noise_level(q), step / math.sqrt(12.0))
 
 
 def measured_angle(recording: Recording) -> np.ndarray:
@@ -147,8 +160,9 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
     noise = max(white_noise_level(v), plain_step(v) / np.sqrt(12.0))
     spread = float(np.std(v))
-    if np.ptp(recording.torque) == 0:
-        raise InputError(recording.source, "the torque is constant", "an input that varies", "excite the axis")
+    name = "torque" if recording.command is None else "command"
+    if np.ptp(recording.input) == 0:
+        raise InputError(recording.source, f"the {name} is constant", "an input that varies", "excite the axis")
     if spread == 0 or spread < 1.5 * noise:
         raise InputError(
             recording.source, f"the motion (rms {spread:.3g}) does not rise above its noise (rms {noise:.3g})",
@@ -165,13 +179,17 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)
     _need_one_motion(recording)
     moving = _starts_in_motion(v, noise, spread)
-    before = float(recording.torque[0]) if moving else 0.0
+    before = float(recording.input[0]) if moving or recording.command is not None else 0.0
     held = held_rows(recording)
     if recording.velocity is not None and recording.angle is not None and not held.any():
         q = recording.angle
         angle_noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0))
         noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
     counts = ~held & (True if counts is None else counts)
+    if recording.command is not None:
+        if recording.angle is None:
+            raise InputError(recording.source, "a command and no angle", "the angle of the joint", "record or bind it")
+        noise, spread = angle_noise_level(recording.angle), float(np.std(recording.angle))
     return Experiment(recording, counts, max(noise, 1e-6 * spread), moving, before)
 
 

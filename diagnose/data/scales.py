@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, whole_step
+from diagnose.data.runs import free_run
 from diagnose.thresholds import LINE, TURNS
 from mjsim.axis import Axis
 from mjsim.effects import Scales
-from mjsim.ode import DivergedError, simulate
+from mjsim.ode import DivergedError, Trajectory
 from mjsim.quantity import Motion
+from mjsim.recording import Recording
+from mjsim.system import assemble
 
 __all__ = ["PLACES", "scales_by_place", "value_steps"]
 
@@ -19,6 +22,19 @@ PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
 
 def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
+
+
+def _drive(axis: Axis, r: Recording, run: Trajectory | None) -> np.ndarray:
+    """Torque (N,) of the drive on body 0: the recorded one, or that of the nominal servo in its own run, without its limits."""
+    chain = axis.chain
+    if chain.servo is None:
+        return chain.gain * r.torque
+    if run is None:
+        return np.asarray(chain.bodies[0].inertia * np.gradient(measured_velocity(r), r.dt))
+    s = assemble(axis)
+    return np.asarray(
+        s.gain * (chain.servo.scale * r.input - chain.servo.zero) - s.servo[0] * run.q[:, 0] - s.servo[1] * run.v[:, 0]
+    )
 
 
 def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
@@ -74,10 +90,13 @@ def scales_by_place(
     v = measured_velocity(r)
     q = measured_angle(r)
     n = len(chain.bodies)
+    drive = np.zeros(len(v))
     try:
-        y = simulate(axis, r.torque, r.dt, before=experiment.before)
+        y = free_run(axis, experiment)
+        drive = _drive(axis, r, y)
         torque, deflect = y.coupling_torque, [c.ratio * y.q[:, j] - y.q[:, j + 1] for j, c in enumerate(chain.couplings)]
     except DivergedError:
+        drive = _drive(axis, r, None)
         accel = np.gradient(v, r.dt)
         torque = np.empty((len(v), n - 1))
         deflect = []
@@ -93,7 +112,7 @@ def scales_by_place(
         found = chain.body(place)
         at: int = found if found is not None else 0
         joint = chain.coupling(place)
-        load = torque[:, joint] if joint is not None else chain.gain * r.torque
+        load = torque[:, joint] if joint is not None else drive
         if joint is None and n > 1 and place == "arm":
             load = torque[:, -1]
         ratio = chain.total_ratio(at)
@@ -101,8 +120,9 @@ def scales_by_place(
             torque=_rms(load), max_torque=float(np.max(np.abs(load))), velocity=ratio * _rms(v),
             max_velocity=ratio * float(np.max(np.abs(v))), deflection=_rms(deflect[joint]) if joint is not None else 1.0,
             inertia=chain.bodies[at].inertia, stiffness=chain.couplings[joint].stiffness if joint is not None else 1.0,
-            travel=ratio * float(np.ptp(q)), input=_rms(r.torque), max_input=float(np.max(np.abs(r.torque))), output=_rms(v),
+            travel=ratio * float(np.ptp(q)), input=_rms(r.input), max_input=float(np.max(np.abs(r.input))), output=_rms(v),
             dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
+            following=0.0 if r.command is None else _rms(r.command - q),
         )  # fmt: skip
     return out

@@ -24,15 +24,19 @@ Run = Callable[[Sequence[Callable[[], float]]], list[float]]
 
 
 def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0, without effects."""
-    from scipy.linalg import expm
+    """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0, without effects.
 
+    Under a servo, whose model is judged on its angle: to the angle of body 0.
+    """
     linear = Axis(axis.chain)
     s = assemble(linear)
     n = s.n
-    a = state_matrix(s.f)
+    a = state_matrix(s.f, np.append(s.servo[0], np.zeros(n - 1)))
+    a[n, n] -= s.servo[1] / s.f[0, 0]
     b = np.zeros((2 * n, 1))
     b[n + body] = 1.0 / s.f[0, body]
+    if axis.chain.servo is not None:
+        return _discrete(a, b, np.eye(1, 2 * n), dt)
     # drop the rigid-body position: angles relative to a rigid chain, so that the system has no integrator
     t = np.eye(2 * n)
     for i in range(1, n):
@@ -44,7 +48,14 @@ def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray
     c = np.zeros((1, 2 * n))
     c[0, n] = 1.0
     c = (c @ inv)[:, keep]
-    m = expm(np.block([[a, b], [np.zeros((1, len(keep) + 1))]]) * dt)
+    return _discrete(a, b, c, dt)
+
+
+def _discrete(a: np.ndarray, b: np.ndarray, c: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Discrete transfer function (b, a) of x' = A x + B u, y = C x, with u held over dt."""
+    from scipy.linalg import expm
+
+    m = expm(np.block([[a, b], [np.zeros((1, len(a) + 1))]]) * dt)
     held, entered = m[:-1, :-1], m[:-1, -1:]
     den = np.poly(held)
     return np.poly(held - entered @ c) - den, den  # det(zI - A + b c) - det(zI - A) = c adj(zI - A) b

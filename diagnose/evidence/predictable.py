@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.data.runs import free_run
 from diagnose.evidence.encoder import whole_orders
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
@@ -22,7 +23,6 @@ from diagnose.fit.fitter import Fitter
 from diagnose.problem.problem import bounded
 from diagnose.thresholds import WINDOWS
 from mjsim.axis import Axis
-from mjsim.ode import simulate
 from mjsim.quantity import Motion
 from mjsim.signals import lfilter
 
@@ -44,8 +44,10 @@ class Structure:
 def _clean_velocity(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray:
     """Velocity (N,) for the dictionary: the model's own in free run, so that the sensor's noise is not regressed on itself."""
     v = measured_velocity(experiment.recording)
-    if fitter.view.channel == "velocity":
+    if fitter.view.channel != "torque":
         s = fitter.view.signals(axis, experiment, initial)
+        if s is not None and fitter.view.channel == "angle":
+            return np.gradient(s.predicted, experiment.recording.dt)
         return v if s is None else s.predicted
     width = max(3, int(0.003 / experiment.recording.dt))
     kernel = np.hanning(width + 2)[1:-1]
@@ -58,7 +60,7 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
     s = _clean_velocity(fitter, axis, experiment, initial)
     scale = fitter.scales["motor"].velocity or 1.0
     x = s / scale
-    u = r.torque / (fitter.scales["motor"].input or 1.0)
+    u = r.input / (fitter.scales["motor"].input or 1.0)
     torques = [np.ones_like(x), np.tanh(x / 0.02), np.tanh(x / 0.1), x, np.abs(x), x * np.abs(x), x**3, u * np.abs(u), u**3,
                np.abs(u),
                np.tanh(x / 0.05) * np.abs(u), np.tanh(x / 0.05) * np.exp(-((x / 0.1) ** 2)),
@@ -154,7 +156,7 @@ def motion_error(
         solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
         if solved is None:
             return None
-        y = simulate(solved[0], r.torque, r.dt, initial=solved[1], angle=r.angle, before=experiment.before)
+        y = free_run(solved[0], experiment, solved[1])
         # between samples by the errors' mean: the mean of the velocities themselves errs where they bend
         missed = r.velocity - y.velocity
         if experiment.correction is not None:

@@ -16,12 +16,14 @@ from functools import partial
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.data.runs import free_run
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import noise_psd, noise_rms
 from diagnose.result import Mismatch, Place, Share, StateShare
 from mjsim.axis import Axis
+from mjsim.recording import Recording
 from mjsim.signals import coherence, freqz, welch
 
 __all__ = ["Bins", "Played", "disturbance", "locate", "played", "states"]
@@ -83,7 +85,11 @@ def states(fitter: Fitter, on: Played) -> dict[str, tuple[np.ndarray, str]]:
     speed = smooth[every]
     angular = fitter.nominal.chain.motion.value == "hinge"
     unit_v, unit_q, unit_t = ("rad/s", "rad", "N m") if angular else ("m/s", "m", "N")
-    out = {"velocity": (speed, unit_v), "|velocity|": (np.abs(speed), unit_v), "torque command": (r.torque[every], unit_t)}
+    out = {
+        "velocity": (speed, unit_v),
+        "|velocity|": (np.abs(speed), unit_v),
+        _input_name(r): (_input(r)[every], unit_t if r.command is None else unit_q),
+    }
     accel = np.gradient(smooth, r.dt)[every]
     out["acceleration"] = (accel, f"{unit_v}/s")
     if r.angle is not None:
@@ -94,15 +100,22 @@ def states(fitter: Fitter, on: Played) -> dict[str, tuple[np.ndarray, str]]:
                 np.mod(order * q, 2 * np.pi), "rad",
             )  # fmt: skip
     chain = on.axis.chain
-    if chain.couplings and fitter.view.channel == "velocity":
-        from mjsim.ode import simulate
-
-        y = simulate(on.axis, r.torque, r.dt, before=experiment.before)
+    if chain.couplings and fitter.view.channel != "torque":
+        y = free_run(on.axis, experiment)
         for j, c in enumerate(chain.couplings):
             if j < y.q.shape[1] - 1:
                 out[f"deflection at {c.place}"] = (c.ratio * y.q[:, j] - y.q[:, j + 1], "rad")
     out["time"] = (r.time[every], "s")
     return out
+
+
+def _input_name(r: Recording) -> str:
+    return "torque command" if r.command is None else "servo error"
+
+
+def _input(r: Recording) -> np.ndarray:
+    """The input (N,): the torque, or how far the angle is behind the command of a servo."""
+    return r.torque if r.command is None or r.angle is None else r.command - r.angle
 
 
 def _smooth(x: np.ndarray, width: int) -> np.ndarray:
@@ -199,8 +212,10 @@ def _spectrum(
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
     """(frequency, residual, noise and output psd), and the share of the residual coherent with the input."""
     every = fitter.view.decimate
-    y = experiment.recording.torque if fitter.view.channel == "torque" else measured_velocity(experiment.recording)
-    y, u = y[::every][: len(e)], experiment.recording.torque[::every][: len(e)]
+    r = experiment.recording
+    y = {"torque": r.torque, "angle": r.angle}.get(fitter.view.channel)
+    y = measured_velocity(r) if y is None else y
+    y, u = y[::every][: len(e)], r.input[::every][: len(e)]
     segment = min(len(e), max(256, 2 ** int(np.log2(len(e) / 6))))
     f, pe = welch(e, dt, segment, level=True)
     _, py = welch(y, dt, segment)

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnose.data.experiment import measured_velocity
+from diagnose.data.runs import free_run
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.thresholds import INTERVALS
-from mjsim.ode import DivergedError, apply_input, simulate
+from mjsim.ode import DivergedError, apply_input
 from mjsim.quantity import Quantity
 from mjsim.system import assemble
 from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
@@ -48,13 +49,10 @@ def variables(fitter: Fitter, fitted: Fitted) -> list[dict[tuple[str, bool, str]
             out.append(own)
             continue
         try:
-            y = simulate(
-                axis, recording.torque, recording.dt, initial=fitted.hypothesis.initial(fitted.fit.x, r), angle=recording.angle,
-                before=experiment.before,
-            )  # fmt: skip
+            y = free_run(axis, experiment, fitted.hypothesis.initial(fitted.fit.x, r))
         except (DivergedError, ValueError):
             return None
-        command = apply_input(assemble(axis), recording.torque)
+        command = apply_input(assemble(axis), recording.input)
         shift = recording.angle - y.q[:, 0] if recording.angle is not None else np.zeros(len(recording))
         for place, i in places:
             # the model errs, hence is here: the motor's speed as measured

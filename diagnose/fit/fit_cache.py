@@ -150,7 +150,8 @@ def fingerprint(nominal: Axis, recordings: Iterable[Recording], *told: object) -
     digest = hashlib.sha256(repr((nominal, told)).encode())
     for r in recordings:
         digest.update(repr((r.sha256, r.dt, r.judge, r.loop, r.varies)).encode())
-        for a in (r.time, r.torque, r.velocity, r.angle, r.second_angle, r.second_velocity):
+        arrays = (r.time, r.torque, r.velocity, r.angle, r.second_angle, r.second_velocity, r.command, r.known_torque)
+        for a in arrays:
             digest.update(b"-" if a is None else np.ascontiguousarray(a).tobytes())
     for package in (mjsim, diagnose):
         root = Path(str(package.__file__)).parent

@@ -61,6 +61,12 @@ class Fitter:
         """On the same engine, by another whitening filter or weight of the prior."""
         return Fitter.of(self.problem.relax(whitening=whitening, prior_weight=prior_weight), self.engine)
 
+    def paced_by(self, axis: Axis) -> Fitter:
+        """On the same engine, whose runs are counted by the steps of an axis: a nominal servo may be far too stiff."""
+        problem = dataclasses.replace(self.problem, pace=axis)
+        self.engine.unit = problem.steps * sum(len(e.recording) for e in self.experiments)
+        return Fitter.of(problem, self.engine)
+
     def beside(self, problem: Problem, *, remembers: bool = False, counts_here: bool = False) -> Fitter:
         """A fitter of a related problem on the same threads; see `Engine.beside`."""
         return Fitter.of(problem, self.engine.beside(remembers=remembers, counts_here=counts_here))
@@ -279,7 +285,7 @@ class Fitter:
 
         By its steps, and by how a step is taken: as one product where all is affine between events, else by RK4.
         """
-        if self.view.channel != "velocity":
+        if self.view.channel == "torque":
             return 1.0
         r = self.experiments[0].recording
         try:

@@ -20,7 +20,7 @@ __all__ = ["nuisance_values"]
 def nuisance_values(problem: Problem, run: Run, fitted: Fitted, experiment: Experiment) -> tuple[Axis, np.ndarray | None] | None:
     """The fitted axis with a recording's own phases and initial speed, estimated on it if it is held out; None if that fails."""
     h = fitted.hypothesis
-    moving = experiment.moving and problem.view.channel == "velocity"
+    moving = experiment.moving and problem.view.channel != "torque"
     at = problem.experiments.index(experiment) if experiment in problem.experiments else 0
     alone = Hypothesis.build(
         h.nominal, fitted.effects, problem.scales, 1, (moving,), fitted.linear,

@@ -26,6 +26,8 @@ def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axi
     behind the driven body can be moved as recorded: one that is unstable then swings up whatever the torque. Raises
     InputError where that is asked for.
     """
+    if nominal is not None and nominal.chain.servo is not None:
+        return MotionView.of(nominal, recordings)
     judge = judge or recordings[0].judge
     growth = growth_when_held(nominal) if nominal is not None else -math.inf
     swings_up = growth * max(r.duration for r in recordings) > SWING

@@ -98,8 +98,10 @@ class Hypothesis:
         for p in nominal.chain.linear_parameters():
             start = (linear or {}).get(p.name, p.value)
             scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
-            positive = p.kind in ("inertia", "stiffness")
+            positive = p.kind in ("inertia", "stiffness", "stiffness of the servo", "limit of the servo")
             low, high = (0.1 * scale, 10 * scale) if positive else (-20 * scale, 20 * scale)
+            if p.kind == "stiffness of the servo":  # a data sheet gives what the firmware's units come to, or nothing of it
+                low, high = 1e-3 * scale, 1e3 * scale
             for r in range(n_recordings) if p.name in varies else (-1,):
                 mine = min(max((own or {}).get(("", p.name, r), start), low), high)
                 entries.append(Entry("", p.name, p.quantity, scale, low, high, mine, r, positive))
@@ -108,6 +110,8 @@ class Hypothesis:
             s = scales[effect.place]
             turning = scales[type(effect).angle_of or effect.place]
             for spec in type(effect).specs():
+                if f"{effect.key}.{spec.name}" in nominal.chain.held:
+                    continue
                 value = getattr(effect, spec.name)
                 scale = _scale(spec.quantity, value, turning if spec.quantity is Quantity.CYCLES else s)
                 log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
@@ -288,6 +292,8 @@ def _scale(quantity: Quantity, value: float, s: Scales) -> float:
 def _fallback_scale(nominal: Axis, kind: str, scales: Mapping[str, Scales]) -> float:
     """Scale of a linear parameter whose nominal value is zero."""
     s = scales["motor"]
+    if kind == "zero of the servo":
+        return max(0.02 * s.travel, 1e-12)
     return max(s.torque / max(s.velocity, 1e-12), 1e-12) * (0.05 if kind == "viscous" else 1.0)
 
 

@@ -48,7 +48,7 @@ class Problem:
 
     varies: linear parameters that each recording has of its own; orders, swung: spatial orders in the residual, as starts for
     position-locked effects and for a varying inertia; whitening: monic filter over a scale; prior_weight: of the nominal model's
-    numbers; sigmas: noise rms by recording.
+    numbers; sigmas: noise rms by recording; pace: the axis by whose steps runs are counted, the nominal one if None.
     """
 
     nominal: Axis
@@ -62,6 +62,7 @@ class Problem:
     swung: tuple[float, ...] = ()
     whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
     prior_weight: float = 1.0
+    pace: Axis | None = None
     _clear: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -89,7 +90,7 @@ class Problem:
     def with_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = ()) -> Problem:
         """The same with the spatial orders found in a residual as starts."""
         # judged by force, orders have to stand out of the residual: none is tried for being whole
-        turning = self.view.channel == "velocity"
+        turning = self.view.channel != "torque"
         scales = scales_by_place(self.nominal, self.experiments[0], orders, swung, turning=turning)
         return dataclasses.replace(self, scales=scales, orders=orders, swung=swung)
 
@@ -135,8 +136,9 @@ class Problem:
 
     @cached_property
     def steps(self) -> int:
-        """Steps that the nominal model takes a sample."""
-        return max(1, math.ceil(self.experiments[0].recording.dt * assemble(self.nominal).omega / STEP))
+        """Steps a sample of the axis by which runs are counted."""
+        axis = self.nominal if self.pace is None else self.pace
+        return max(1, math.ceil(self.experiments[0].recording.dt * assemble(axis).omega / STEP))
 
     def sigma(self, experiment: Experiment) -> float:
         """Noise rms used as weight."""
@@ -154,7 +156,7 @@ class Problem:
     def hypothesis(self, effects: Sequence[Effect], linear: Mapping[str, float] | None = None,
                    own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
         """Lay out a hypothesis on these recordings."""
-        moving = tuple(e.moving and self.view.channel == "velocity" for e in self.experiments)
+        moving = tuple(e.moving and self.view.channel != "torque" for e in self.experiments)
         return Hypothesis.build(
             self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own, self.varies
         )

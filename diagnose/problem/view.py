@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.data.runs import free_run, with_known
 from diagnose.thresholds import DITHER, DITHER_SAMPLES, KEPT_TORQUES, LEAST_DELIVERED, MOST_SUBSTEPS, OBSERVER_NOISE, STIFFER
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
@@ -49,6 +50,8 @@ def most_led(axis: Axis) -> float:
 
     Ahead of a sensor's lag T the noise that leads it is rate T times as large: a body that would stick is shaken by that.
     """
+    if axis.chain.servo is not None:
+        return 0.0  # its own feedback draws it to the command
     try:
         lag = assemble(axis).output_lag
     except (NotApplicableError, ValueError):
@@ -125,7 +128,7 @@ def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np
 
 @dataclass(frozen=True)
 class MotionView:
-    """Free run on the recorded torque, judged on motor velocity.
+    """Free run on the recorded input, judged on motor velocity, or on the angle where the input is the command of a servo.
 
     lead [1/s]: rate at which a torque draws the model to the recorded velocity, by its own motor inertia; 0 for a free run.
     A led model has forgotten within 1/lead what it did before: events do not add up, and its error has fewer minima.
@@ -143,14 +146,19 @@ class MotionView:
     def of(cls, nominal: Axis, recordings: Sequence[Recording]) -> MotionView:
         """For recordings of an axis: slow ones need many steps a sample."""
         steps = math.ceil(STIFFER * max(r.dt for r in recordings) * assemble(nominal).omega / STEP)
-        return cls(most_substeps=max(MOST_SUBSTEPS, min(steps, MOST_STEPS)))
+        servo = nominal.chain.servo is not None
+        return cls(
+            "angle" if servo else "velocity", most_substeps=MOST_STEPS if servo else max(MOST_SUBSTEPS, min(steps, MOST_STEPS))
+        )
 
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
         """Velocity measured and simulated at every sample."""
         r = experiment.recording
-        torque = r.torque
+        torque = r.input
         try:
-            system = assemble(self._led(axis))
+            if self.channel == "angle":
+                return self._angles(axis, experiment, initial)
+            system = assemble(with_known(self._led(axis), experiment))
             if self.lead > 0:  # lead J (v - v_model): the first part is input, past the actuator, the second viscous friction
                 torque = self._drawn(system, experiment, axis)
                 system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
@@ -160,7 +168,7 @@ class MotionView:
                 system = dataclasses.replace(system, output_maps=rest)
             predicted = (sensed if r.velocity is not None else _mean_speed)(
                 system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before,
-                most_substeps=self.most_substeps, step=self.step,
+                most_substeps=self.most_substeps, step=self.step, hold=r.hold,
             )  # fmt: skip
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
@@ -172,10 +180,17 @@ class MotionView:
             predicted = _rounded(measured, predicted, step, experiment.counts)
         return Signals(r.time, measured, predicted, predicted - smooth if rounding else None)
 
+    def _angles(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals:
+        """Angle measured, and simulated under the model's own servo on the recorded command."""
+        run = free_run(axis, experiment, initial, most_substeps=self.most_substeps, step=self.step)
+        measured = experiment.recording.angle
+        assert measured is not None
+        return Signals(experiment.recording.time, measured, run.angle)
+
     def _drawn(self, system: System, experiment: Experiment, axis: Axis) -> np.ndarray:
         """The torque (N,) past the actuator that draws a model to a recording."""
         delivered, velocity = self._path(system, experiment)
-        return delivered + self.lead * axis.chain.bodies[0].inertia / axis.chain.gain * velocity
+        return delivered + self.lead * axis.chain.bodies[0].inertia / system.gain * velocity
 
     def _path(self, system: System, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
         """What an actuator makes of the recorded torque, and the velocity ahead of a sensor, kept: a fit asks for few others."""
@@ -190,7 +205,7 @@ class MotionView:
         known = experiment.kept.get(path)
         if known is None:
             r = experiment.recording
-            known = _delivered(system, r.torque, r.dt, experiment.before), _ahead(system, measured_velocity(r), r.dt)
+            known = _delivered(system, r.input, r.dt, experiment.before), _ahead(system, measured_velocity(r), r.dt)
             if len(experiment.kept) >= KEPT_TORQUES:
                 experiment.kept.clear()
             experiment.kept[path] = known
@@ -209,7 +224,7 @@ class MotionView:
         return experiment.counts
 
     def noise(self, experiment: Experiment) -> float | None:
-        """White noise of the measured velocity."""
+        """White noise of the measured channel."""
         return experiment.sigma
 
 

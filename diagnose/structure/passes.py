@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from diagnose.data.experiment import measured_angle, measured_velocity
+from diagnose.data.runs import free_run
 from diagnose.evidence.force_orders import force_orders
 from diagnose.evidence.orders import find_orders, torque_to_velocity
 from diagnose.evidence.predictable import motion_error
@@ -31,7 +32,6 @@ from diagnose.structure.observer_search import among_led
 from diagnose.structure.search import Search
 from diagnose.thresholds import MOST_FILTERS, OFFSET, REFUSED, SWUNG, TAKEN
 from mjsim.errors import InputError
-from mjsim.ode import simulate
 
 __all__ = ["searched"]
 
@@ -52,7 +52,7 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[fl
     b, a = torque_to_velocity(fitted.axis, r.dt)
     orders = find(angle, measured_velocity(r), b, a)
     # a spring lets the arm swing otherwise than the motor: how, only a simulation tells
-    y = simulate(fitted.axis, r.torque, r.dt, initial=initial, angle=r.angle, before=experiment.before)
+    y = free_run(fitted.axis, experiment, initial)
     arm = len(fitter.nominal.chain.bodies) - 1
     ratio = fitter.nominal.chain.total_ratio(arm)
     b, a = torque_to_velocity(fitted.axis, r.dt, arm)
@@ -79,6 +79,9 @@ def _search(
             "check units, signs and the actuator's gain",
         )  # fmt: skip
     _need_same_sign(fitter, base)
+    if fitter.view.channel == "angle":
+        fitter = fitter.paced_by(base.axis)
+        search.use(fitter)
     if known is not None and known.effects:
         search.know(known)
     fitter = fitter.with_orders(*_orders(fitter, base))

@@ -209,7 +209,7 @@ def look(fitter: Fitter, base: Fitted) -> Look:
         not isinstance(view, MotionView)
         or len(fitter.whitening) > 1
         or fitter.misfit(base) < LEAVES
-        or any(e.recording.velocity is None for e in fitter.experiments)
+        or any(e.recording.velocity is None or e.recording.command is not None for e in fitter.experiments)
         or not base.fit.J.any()
     ):
         return Look(fitter, base, fitter)

@@ -27,6 +27,8 @@ __all__ = ["diagnosis", "unit_of"]
 def unit_of(fitter: Fitter) -> str:
     """Unit of the judged channel."""
     angular = fitter.nominal.chain.motion.value == "hinge"
+    if fitter.view.channel == "angle":
+        return "rad" if angular else "m"
     if fitter.view.channel == "velocity":
         return "rad/s" if angular else "m/s"
     return "N m" if angular else "N"
@@ -60,7 +62,7 @@ def diagnosis(
         next_experiment=next_experiment(fitter, search.pool.values(), best, found),
         channel=fitter.view.channel,
         unit=outcome.unit,
-        view="motion (free run)" if fitter.view.channel == "velocity" else "force (inverse dynamics)",
+        view="motion (free run)" if fitter.view.channel != "torque" else "force (inverse dynamics)",
         traces=traces(fitter, base, best, mapped.fitted if mapped is not None else None),
         recordings=tuple(
             {"file": e.recording.source, "sha256": e.recording.sha256, "role": role}

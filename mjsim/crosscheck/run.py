@@ -12,6 +12,7 @@ from mjsim.crosscheck.cases import DT, Case, effect_cases, study_cases
 from mjsim.crosscheck.engines import compare
 from mjsim.crosscheck.laws import energy_rows, scaling_row
 from mjsim.crosscheck.report import Report, Row
+from mjsim.errors import InputError
 from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis
 from mjsim.mjcf.compile import caught_warnings
@@ -29,6 +30,11 @@ def check_all(model: str | Path | None = None, *, duration: float = 10.0, amplit
     """
     path = shipped_model("robot_axis1") if model is None else Path(model)
     axis = load_axis(path)
+    if axis.chain.servo is not None:
+        raise InputError(
+            path, f"actuator {axis.chain.actuator!r} is a servo", "an axis that is driven by a torque",
+            "replace it by <motor>; simgap replay --engine literal compares a servo on a recording",
+        )  # fmt: skip
     u = chirp(duration, DT, amplitude, 0.5, 30.0)
     robot = axis == load_axis(shipped_model("robot_axis1"))
     cases = study_cases(axis) if robot else [Case("the model as it is", axis, 1e-4, literal=None)]

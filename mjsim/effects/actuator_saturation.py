@@ -1,6 +1,6 @@
 """Actuator saturation: the drive's torque limit.
 
-tau = clip(u, -L, L)
+tau = clip(u, -L, L); of a servo, u is the force that its law asks for.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.native import DriveLimit, Native, Value
+from mjsim.effects.ports import DriveLimit as ForceLimit
 from mjsim.effects.ports import InputMap, Port, StaticMap
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -38,6 +39,8 @@ class ActuatorSaturation(Effect):
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
+        if chain.servo is not None:
+            return (ForceLimit(self.limit_Nm),)
         return (InputMap(StaticMap.CLIP, self.limit_Nm),)
 
     def native(self, chain: Chain) -> Native:

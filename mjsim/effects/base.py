@@ -18,6 +18,7 @@ from mjsim.chain import Chain
 from mjsim.effects.native import Native, Value
 from mjsim.effects.ports import CouplingTorque, Gap, Port, Twist
 from mjsim.quantity import Motion, Quantity
+from mjsim.servo import Target
 from mjsim.site import Site
 
 __all__ = [
@@ -29,6 +30,8 @@ __all__ = [
     "bristle_stiffnesses",
     "need_body",
     "need_coupling",
+    "need_servo",
+    "need_torque_input",
     "parameter",
 ]
 
@@ -53,6 +56,20 @@ def need_body(chain: Chain, place: str) -> int:
     if i is None:
         raise NotApplicableError(f"this chain of {len(chain.bodies)} bodies has no body at {place!r}")
     return i
+
+
+def need_servo(chain: Chain, *, position: bool = False) -> None:
+    """Refuse a chain whose input is a torque, or that follows a velocity where ``position``. Raises NotApplicableError."""
+    if chain.servo is None:
+        raise NotApplicableError("the actuator is driven by a torque, and no servo")
+    if position and chain.servo.target is Target.VELOCITY:
+        raise NotApplicableError("the servo follows a velocity, and no position")
+
+
+def need_torque_input(chain: Chain) -> None:
+    """Refuse a chain whose input is the command of a servo. Raises NotApplicableError."""
+    if chain.servo is not None:
+        raise NotApplicableError("the actuator is a servo: its input is no torque")
 
 
 def need_coupling(chain: Chain, place: str) -> int:
@@ -106,7 +123,7 @@ class Scales:
     frequencies of the residual over the body's angle [1/rev | rad/m]; swung: those at which an inertia that varies over the
     angle would leave it; turns: whole orders of the motor's turn that its travel can
     show, which what is fixed to the motor is likely to have; steps: those in which the measured output comes, where
-    its values show any.
+    its values show any; following: rms error of a servo between command and angle [rad | m].
     """
 
     torque: float
@@ -126,6 +143,7 @@ class Scales:
     swung: tuple[float, ...] = ()
     turns: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
+    following: float = 0.0
 
 
 def bristle_stiffnesses(level: float, scales: Scales, count: int = 4) -> list[float]:

@@ -131,7 +131,7 @@ class DriveTorque:
 
 @dataclass(frozen=True)
 class DriveLimit:
-    """Symmetric limit of the input [unit of the input]."""
+    """Symmetric limit of the input [unit of the input], or of the force of a servo [N m | N]."""
 
     limit: float
 

@@ -23,7 +23,10 @@ __all__ = [
     "BacklashLaw",
     "BodyInertia",
     "BodyTorque",
+    "CommandDeadBand",
+    "CommandSlew",
     "CouplingTorque",
+    "DriveLimit",
     "Friction",
     "Gap",
     "InputDelay",
@@ -35,6 +38,7 @@ __all__ = [
     "Port",
     "SplitInertia",
     "StaticMap",
+    "TorqueSpeedLine",
     "Twist",
 ]
 
@@ -68,6 +72,7 @@ class BodyTorque:
     p: tuple[float, ...]
     state: bool = False
     spatial: float = 0.0
+    timed: bool = False
 
 
 @dataclass(frozen=True)
@@ -150,6 +155,35 @@ class InputMap:
 
 
 @dataclass(frozen=True)
+class DriveLimit:
+    """Largest force of the actuator, of either sign [N m | N], ahead of the gear and behind the servo's law."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
+class TorqueSpeedLine:
+    """Largest force of the actuator at a speed v of it: ``stall`` (1 - v / ``no_load``) forward, the mirror image backward."""
+
+    stall: float
+    no_load: float
+
+
+@dataclass(frozen=True)
+class CommandDeadBand:
+    """A band of the servo's error, ``half_width`` [rad | m] to either side, inside which its proportional part does nothing."""
+
+    half_width: float
+
+
+@dataclass(frozen=True)
+class CommandSlew:
+    """A limit of how fast the target of the servo follows the command [rad/s | m/s]."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
 class InputLag:
     """First-order lag of the commanded torque, time constant [s]."""
 
@@ -194,6 +228,10 @@ Port = (
     | Gap
     | SplitInertia
     | InputMap
+    | DriveLimit
+    | TorqueSpeedLine
+    | CommandDeadBand
+    | CommandSlew
     | InputLag
     | InputDelay
     | OutputMap

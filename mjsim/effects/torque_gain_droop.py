@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.base import Effect, Scales, need_torque_input, parameter
 from mjsim.effects.ports import InputMap, Port, StaticMap
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -39,6 +39,7 @@ class TorqueGainDroop(Effect):
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
+        need_torque_input(chain)
         return (InputMap(StaticMap.DROOP, self.coefficient_per_Nm2),)
 
     @classmethod

@@ -14,7 +14,9 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.mjcf.servo import read_servo
 from mjsim.quantity import Motion
+from mjsim.servo import Servo
 
 __all__ = ["Drive", "Layout", "Mass", "Passive", "lay_out", "outside", "parallel"]
 
@@ -66,12 +68,13 @@ class Passive:
 
 @dataclass(frozen=True)
 class Drive:
-    """The bound actuator: its row (gear included) and its gain."""
+    """The bound actuator: its row (gear included), its gain (1 per unit of force of a servo) and its servo's law."""
 
     id: int
     name: str
     row: np.ndarray
     gain: float
+    servo: Servo | None = None
 
 
 @dataclass(frozen=True)
@@ -201,14 +204,8 @@ def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: l
         raise outside(source, f"{where} does not act on a joint or a fixed tendon", "drive the joint")
     if int(model.actuator_gaintype[chosen]) != mujoco.mjtGain.mjGAIN_FIXED:
         raise outside(source, f"{where} has a gain that depends on the motion", "use <motor>, or gaintype fixed")
-    if mujoco.mjtBias(int(model.actuator_biastype[chosen])) not in (
-        mujoco.mjtBias.mjBIAS_NONE,
-        mujoco.mjtBias.mjBIAS_AFFINE,
-    ) or np.any(model.actuator_biasprm[chosen, 1:3]):
-        raise outside(
-            source, f"{where} is a servo: its force depends on position or velocity", "use <motor>: the input is a torque"
-        )
-    return Drive(chosen, names[chosen], row, float(model.actuator_gainprm[chosen, 0]))
+    servo = read_servo(model, chosen, source, names[chosen])
+    return Drive(chosen, names[chosen], row, 1.0 if servo else float(model.actuator_gainprm[chosen, 0]), servo)
 
 
 def _body_masses(model: mujoco.MjModel, data: mujoco.MjData, source: object) -> list[Mass]:

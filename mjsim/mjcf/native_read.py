@@ -14,6 +14,7 @@ from mjsim.effects import native as N  # noqa: N812
 from mjsim.mjcf.chain import Found
 from mjsim.mjcf.layout import outside
 from mjsim.quantity import Motion
+from mjsim.servo import Target
 
 __all__ = ["PassiveMotor", "passive_motors", "read_native"]
 
@@ -63,7 +64,7 @@ def _on_drive(found: Found, path: Path) -> Iterator[N.Value]:
     dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[a]))
     if dyntype in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
         yield N.DriveLag(float(model.actuator_dynprm[a, 0]))
-    elif dyntype != mujoco.mjtDyn.mjDYN_NONE:
+    elif dyntype != mujoco.mjtDyn.mjDYN_NONE and not (drive.servo and drive.servo.target is Target.INTEGRATED):
         raise outside(path, f"actuator {drive.name!r} has dynamics other than a first-order filter", 'use dyntype="filter"')
 
 
@@ -71,6 +72,8 @@ def _limit(found: Found, path: Path) -> float | None:
     """Smallest symmetric limit of the input [unit of the input]."""
     model, drive = found.layout.model, found.layout.drive
     a = drive.id
+    if drive.servo is not None:  # its limits are part of its law
+        return None
     ranges = []
     if model.actuator_ctrllimited[a]:
         ranges.append(("ctrlrange", model.actuator_ctrlrange[a], 1.0))
@@ -168,7 +171,7 @@ def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
     """Constant torque at the motor and the weight on the last body, from the actuator's bias and MuJoCo's gravity."""
     model, drive, n = found.layout.model, found.layout.drive, len(found.chain.bodies)
     bias = 0.0
-    if int(model.actuator_biastype[drive.id]) == mujoco.mjtBias.mjBIAS_AFFINE:
+    if drive.servo is None and int(model.actuator_biastype[drive.id]) == mujoco.mjtBias.mjBIAS_AFFINE:
         bias = float(model.actuator_biasprm[drive.id, 0]) * found.chain.gain / drive.gain
     data = mujoco.MjData(model)
     to_q = found.base()

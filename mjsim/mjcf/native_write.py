@@ -14,6 +14,7 @@ from mjsim.effects.ports import BacklashLaw
 from mjsim.mjcf.editor import MjcfEditor, element, number, row
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors
+from mjsim.mjcf.servo import bias_of
 from mjsim.quantity import Motion
 
 __all__ = ["NativeWriter"]
@@ -75,6 +76,9 @@ class NativeWriter:
     def close(self) -> None:
         """Write the constant torque of the drive, whose parts add up: what a weight along a slide gives is taken off."""
         editor, drive = self.editor, self.editor.found.layout.drive
+        if editor.chain.servo is not None:
+            self._close_servo()
+            return
         present = float(editor.model.actuator_biasprm[drive.id, 0])
         per_torque = drive.gain / editor.chain.gain
         held = sum(v.torque for v in self.held if isinstance(v, N.DriveTorque))
@@ -84,6 +88,14 @@ class NativeWriter:
         bias = (self._torque - pull) * per_torque
         if abs(bias - present) > 1e-12 * max(abs(bias), abs(present), abs(pull * per_torque)):
             editor.set("actuator", editor.general(), biastype="affine", biasprm=f"{number(bias)} 0 0")
+
+    def _close_servo(self) -> None:
+        """Write the constant torque beside the servo's law; that of a weight along a slide is gravity's own."""
+        editor, servo = self.editor, self.linear.target.servo
+        extra = self._torque - sum(v.torque for v in self.held if isinstance(v, N.DriveTorque))
+        if servo is not None and extra:
+            bias = bias_of(servo, extra / editor.chain.gain)
+            editor.set("actuator", editor.general(), biastype="affine", biasprm=row(list(bias)))
 
     # ---- bodies -----------------------------------------------------------------------------------------------------------
 
@@ -305,8 +317,11 @@ class NativeWriter:
         return ""
 
     def _drive_limit(self, value: N.DriveLimit) -> str:
-        name = self.editor.found.layout.drive.name
-        self.editor.set("actuator", name, ctrllimited="true", ctrlrange=row([-value.limit, value.limit]))
+        name, span = self.editor.found.layout.drive.name, row([-value.limit, value.limit])
+        if self.editor.chain.servo is not None:
+            self.editor.set("actuator", name, forcelimited="true", forcerange=span)
+        else:
+            self.editor.set("actuator", name, ctrllimited="true", ctrlrange=span)
         return ""
 
     def _drive_lag(self, value: N.DriveLag) -> str:

@@ -23,6 +23,7 @@ from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.load import Model, load_model
 from mjsim.mjcf.native_read import read_native
 from mjsim.mjcf.native_write import NativeWriter
+from mjsim.mjcf.servo_write import write_servo
 from mjsim.mjcf.xmltext import XmlText
 
 __all__ = ["Written", "check_writable", "write_corrected"]
@@ -121,6 +122,7 @@ def _write_axis(editor: MjcfEditor, source: Model, axis: Axis, carried_only: Con
     """Write the linear parameters and the effects of an axis; returns (effect, line) for what plain MuJoCo lacks of them."""
     linear = LinearWriter(editor, axis.chain)
     linear.write()
+    write_servo(editor, axis.chain.servo)
     writer = NativeWriter(editor, linear, axis.backlash_law, read_native(source.found, source.path))
     own, kept = {e.key: e for e in source.axis.effects}, {e.key for e in axis.effects}
     for e in own.values():

@@ -26,10 +26,16 @@ def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json
 
     from diagnose.check import LogVerdict, Machine, check_log
     from diagnose.check.page import write_check
+    from mjsim.errors import InputError
     from mjsim.mjcf import carried_binding, load_model
     from mjsim.recording import load
 
     source = load_model(model)
+    if source.axis.chain.servo is not None:
+        raise InputError(
+            model, f"actuator {source.axis.chain.actuator!r} is a servo", "a model that is driven by a torque",
+            "simgap diagnose takes the log of a servo as it is",
+        )  # fmt: skip
     loaded = [load(p, model=model, binding=carried_binding(source, p), uniform=False) for p in recordings]
     result = check_log(Machine.of(source), loaded)
     if out is not None:

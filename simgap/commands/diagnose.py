@@ -28,6 +28,9 @@ __all__ = ["command"]
     type=click.Choice(["motion", "force"]),
     help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says.",
 )
+@click.option(
+    "--joint", default=None, help="The joint to diagnose, of a log that holds several; default: the model's driven one."
+)
 @click.option("--effects", default="", help="Consider only these effects: identifiers with commas (simgap effects lists them).")
 @click.option(
     "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
@@ -51,6 +54,7 @@ def command(
     out: Path,
     held_out: tuple[Path, ...],
     judge: str | None,
+    joint: str | None,
     effects: str,
     jobs: int,
     seed: int,
@@ -83,7 +87,7 @@ def command(
         options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf)
         try:
             result = diagnose_files(
-                recordings, model, out, held_out, options, progress=not quiet, draw=draw, accept_log=accept_log
+                recordings, model, out, held_out, options, progress=not quiet, draw=draw, accept_log=accept_log, joint=joint
             )
         except KeyboardInterrupt:
             kept = out / STATE

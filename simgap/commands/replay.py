@@ -27,6 +27,7 @@ _COLUMNS = {
     "hinge": ("time_s", "torque_Nm", "velocity_rad_s", "angle_rad"),
     "slide": ("time_s", "torque_N", "velocity_m_s", "angle_m"),
 }
+_COMMAND = {"hinge": "command_rad", "slide": "command_m"}
 
 
 @click.command("replay")
@@ -48,8 +49,9 @@ _COLUMNS = {
     show_default=True,
     help="Motion at the first sample: auto chooses rest or the recorded velocity by the error over the first half second.",
 )
+@click.option("--joint", default=None, help="The joint, of a log that holds several; default: the model's driven one.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(model: Path, recording: Path, out: Path, engine: str, start: str, as_json: bool) -> None:
+def command(model: Path, recording: Path, out: Path, engine: str, start: str, joint: str | None, as_json: bool) -> None:
     """Simulate MODEL (a file or a shipped name) on the input of RECORDING, write the predicted motion and print the fit.
 
     The simulation includes the effects that `simgap diagnose` wrote into the model. In the ode engine, effects that depend on
@@ -66,17 +68,24 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, as
     need_file(out)
     spare_inputs([out], [recording, model])
     source = load_model(model)
-    record = load(recording, model=model, binding=carried_binding(source, recording))
+    record = load(
+        recording, model=model, binding=carried_binding(source, recording), joint=joint, prefer=source.axis.chain.bodies[0].joint
+    )
+    servo = source.axis.chain.servo is not None
     try:
-        run = _run(source, record.torque, record, engine, _initial(source, record, start))
+        run = (
+            _servo_run(source, record, engine)
+            if servo
+            else _run(source, record.torque, record, engine, _initial(source, record, start))
+        )
     except DivergedError as error:
         raise InputError(recording, str(error)) from None
-    channel = "velocity" if record.velocity is not None else "angle"
+    channel = "velocity" if record.velocity is not None and not servo else "angle"
     measured, predicted = record.column(channel), getattr(run, channel)
-    if channel == "angle":
+    if channel == "angle" and not servo:
         predicted = predicted + (measured[0] - predicted[0])
     figures = _figures(measured, predicted, recording)
-    _write(out, source.axis.chain.motion.value, run)
+    _write(out, source.axis.chain.motion.value, run, servo=servo)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
     force = _force(source, record) if record.judge == "force" else None
     if force is not None:
@@ -105,6 +114,23 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, as
             f"torque that the recorded motion needs: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
         )
     click.echo(printable(f"wrote {out}"))
+
+
+def _servo_run(source: Model, record: Recording, engine: str) -> Trajectory:
+    """One run under the model's own servo on the recorded command, from the angle that was measured first."""
+    from diagnose.data.experiment import prepare
+    from diagnose.data.runs import free_run
+    from diagnose.data.servo import as_servo
+    from mjsim.errors import InputError
+
+    if engine == "mujoco":
+        raise InputError("--engine", "'mujoco', and the model is a servo", "'ode'", "leave the option out")
+    axis, (driven,), _, _ = as_servo(source.axis, [record], [])
+    if engine == "literal":
+        from mjsim.servo_run import literal_servo_run
+
+        return literal_servo_run(source, driven)
+    return free_run(axis, prepare(driven, minimum=2))
 
 
 def _run(source: Model, torque: np.ndarray, record: Recording, engine: str, initial: np.ndarray | None) -> Trajectory:
@@ -186,8 +212,10 @@ def _force(source: Model, record: Recording) -> dict[str, float] | None:
     }
 
 
-def _write(out: Path, motion: str, run: Trajectory) -> None:
+def _write(out: Path, motion: str, run: Trajectory, *, servo: bool) -> None:
     """Write the prediction beside its final name, then move it there."""
+    time, torque, *rest = _COLUMNS[motion]
+    columns = (time, _COMMAND[motion] if servo else torque, *rest)
     from mjsim.errors import InputError
 
     part = out.with_name(f".{out.name}.part")
@@ -195,7 +223,7 @@ def _write(out: Path, motion: str, run: Trajectory) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         with part.open("w", newline="", encoding="utf-8") as handle:
             writer = csv.writer(handle)
-            writer.writerow(_COLUMNS[motion])
+            writer.writerow(columns)
             for row in zip(run.time, run.torque, run.velocity, run.angle, strict=True):
                 writer.writerow([f"{v:.12g}" for v in row])
         os.replace(part, out)

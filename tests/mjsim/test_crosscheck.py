@@ -26,8 +26,9 @@ CASES, SKIPPED = effect_cases(ROBOT, U)
 
 
 def test_every_registered_effect_has_a_case_at_every_place() -> None:
-    assert not SKIPPED
-    assert {c.axis.effects[0].key for c in CASES} == {f"{n}@{p}" for n, cls in registered().items() for p in cls.places}
+    servo = {f"{n}@{p}" for n, cls in registered().items() for p in cls.places if cls.family == "servo"}
+    assert {key for key, _ in SKIPPED} == servo, "tests/mjsim/test_servo.py holds those against a reference of their own"
+    assert {c.axis.effects[0].key for c in CASES} == {f"{n}@{p}" for n, cls in registered().items() for p in cls.places} - servo
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)

@@ -1,0 +1,38 @@
+"""Free runs of a model as a recording drives it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from diagnose.data.experiment import Experiment, start_angle
+from mjsim.axis import Axis
+from mjsim.known_torque import KnownTorque
+from mjsim.ode import Trajectory, simulate
+
+__all__ = ["free_run", "with_known"]
+
+
+def free_run(axis: Axis, experiment: Experiment, initial: np.ndarray | None = None, **how: Any) -> Trajectory:
+    """Free run on the input of a recording, as the input is held there; a servo's starts at the angle that was measured first.
+
+    ``initial`` (2, n): angles and velocities at the start, relative to that angle. Raises DivergedError.
+    """
+    r = experiment.recording
+    axis = with_known(axis, experiment)
+    chain = axis.chain
+    angle = r.angle
+    if chain.servo is not None:
+        initial = np.zeros((2, len(chain.bodies))) if initial is None else np.array(initial, float)
+        initial[0] += [start_angle(r) * chain.total_ratio(i) for i in range(len(chain.bodies))]
+        angle = None  # under its own servo a model does not drift from the angle that laws are locked to
+    return simulate(axis, r.input, r.dt, initial=initial, angle=angle, before=experiment.before, hold=r.hold, **how)
+
+
+def with_known(axis: Axis, experiment: Experiment) -> Axis:
+    """The axis with the torque on it that a recording knows sample by sample."""
+    known = experiment.recording.known_torque
+    if known is None:
+        return axis
+    return axis + KnownTorque.of(known, experiment.recording.dt)

@@ -1,0 +1,123 @@
+"""Servo logs: the model's drive and the recording's input made to agree, and what such a log cannot tell held as given.
+
+A log of command and angle knows no torque. Its equation, divided by any of its numbers, is the same equation:
+
+    J q'' + f q' + friction + weight = kp (c - zero - q) - kv q'
+
+so that only ratios show unless one torque is known: a gain (`Recording.known`), the weight that the model carries, a torque that
+is known sample by sample, or the inertia. Damping at the joint and kv act alike, and only their sum shows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.thresholds import REACHED
+from mjsim.axis import Axis, Chain
+from mjsim.errors import InputError
+from mjsim.recording import Recording
+from mjsim.servo import Target
+from mjsim.system import assemble
+
+__all__ = ["as_servo"]
+
+WEIGHT = "gravity_load@arm.torque_Nm"
+
+
+def as_servo(
+    nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording]
+) -> tuple[Axis, list[Recording], list[Recording], tuple[str, ...]]:
+    """Model and recordings with one input, a torque or a command; and what is held as given, in words.
+
+    Raises InputError where a servo's log has no command, or a torque-driven model's none of the torque.
+    """
+    every = [*recordings, *held_out]
+    said = tuple(dict.fromkeys(note for r in every for note in r.notes))
+    if nominal.chain.servo is None:
+        for r in every:
+            if np.isnan(r.torque).any():
+                raise InputError(
+                    r.source, "it holds the command of a servo and no torque", "a torque, as the model's <motor> has it",
+                    "use a servo in the model (<position kp=... kv=...>), or record the torque",
+                )  # fmt: skip
+        fitted, kept = ([dataclasses.replace(r, command=None) for r in group] for group in (recordings, held_out))
+        return nominal, fitted, kept, said
+    for r in every:
+        if r.command is None:
+            raise InputError(
+                r.source, f"no command, and {nominal.chain.actuator!r} of the model is a servo", "a column command_rad",
+                "bind it ([recording] command = ...), or drive the model by <motor>",
+            )  # fmt: skip
+        if r.angle is None:
+            raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
+    chain, notes = _known(nominal.chain, recordings)
+    chain, more = _held(nominal, chain, recordings)
+    fitted, kept = ([dataclasses.replace(r, velocity=None) for r in group] for group in (recordings, held_out))
+    return dataclasses.replace(nominal, chain=chain), fitted, kept, (*said, *notes, *more)
+
+
+def _known(chain: Chain, recordings: Sequence[Recording]) -> tuple[Chain, list[str]]:
+    """The chain with the gains that the experiments state, which are then held."""
+    assert chain.servo is not None
+    notes, servo, held = [], chain.servo, list(chain.held)
+    for name, unit in (("kp", "N m/rad"), ("kv", "N m s/rad")):
+        values = {r.known.get(name) for r in recordings}
+        if values == {None}:
+            continue
+        if len(values) > 1:
+            raise InputError("[experiment]", f"{name} differs between the recordings", "one value", "diagnose them apart")
+        value = values.pop()
+        assert value is not None
+        servo = dataclasses.replace(servo, kp=value) if name == "kp" else dataclasses.replace(servo, kv=value)
+        held.append(name)
+        notes.append(f"{name} = {value:.6g} {unit} is known from the experiment, and held.")
+    return dataclasses.replace(chain, servo=servo, held=tuple(held)), notes
+
+
+def _held(nominal: Axis, chain: Chain, recordings: Sequence[Recording]) -> tuple[Chain, list[str]]:
+    """The chain with what these recordings cannot tell held, and why."""
+    servo = chain.servo
+    assert servo is not None
+    held, notes = list(chain.held), []
+    main = "kv" if servo.target is Target.VELOCITY else "kp"
+    weight = next((e for e in nominal.effects if e.key == WEIGHT.rpartition(".")[0]), None)
+    if main in held:
+        pass
+    elif all(r.known_torque is not None for r in recordings):
+        notes.append("The torque that is known sample by sample sets the scale of all torques.")
+    elif weight is not None and weight.values["torque_Nm"] > 0:
+        held.append(WEIGHT)
+        notes.append(
+            "Command and angle tell ratios of torques only. The weight is taken as the model has it "
+            f"({weight.values['torque_Nm']:.4g}): an error of it scales all gains, frictions and inertias. A known payload, or "
+            "kp stated in [experiment], tells."
+        )
+    else:
+        first = chain.linear_parameters()[0]
+        held.append(first.name)
+        notes.append(
+            "Without a weight or another known torque, command and angle tell ratios to the inertia only (kp/J, friction/J): "
+            f"{first.name} is held at {first.value:.4g} as in the model. A known payload, or kp stated in [experiment], tells."
+        )
+    if servo.kv != 0 and "kv" not in held and main != "kv":
+        held.append(next(p.name for p in chain.linear_parameters() if p.kind == "viscous"))
+        notes.append("kv and the viscous friction of the joint act alike: only their sum shows, and kv is fitted.")
+    elif main == "kv":
+        held.append(next(p.name for p in chain.linear_parameters() if p.kind == "viscous"))
+    held = [*held, *(["limit"] if np.isfinite(servo.limit) and not _reached(nominal, recordings) else [])]
+    return dataclasses.replace(chain, held=tuple(dict.fromkeys(held))), notes
+
+
+def _reached(nominal: Axis, recordings: Sequence[Recording]) -> bool:
+    """Whether the recorded error asks the nominal servo for its force limit."""
+    s, servo = assemble(nominal), nominal.chain.servo
+    assert servo is not None
+    for r in recordings:
+        assert r.angle is not None
+        asked = s.gain * (servo.scale * r.input - servo.zero) - s.servo[0] * r.angle - s.servo[1] * np.gradient(r.angle, r.dt)
+        if np.max(np.abs(asked)) > REACHED * s.servo[2]:
+            return True
+    return False

@@ -1,0 +1,269 @@
+"""Which column of a file is what: `Binding`, read from TOML, or the default names.
+
+``[recording]``: ``time``, ``torque``, ``command`` (of a servo), ``velocity``, ``angle``, ``current``, ``supply``,
+``second_angle``, ``second_velocity``, ``known_torque``, ``command_time``, each a column name or a table
+``{column, unit, gain, row}``; ``dt`` [s] instead of a time column; ``hold`` = "held" | "linear" | "mean": how the input goes
+between samples (`mjsim.hold`); ``jitter``: stamps may be off by this part of the sample time, and are resampled uniformly.
+``[joints.NAME]``: the same channels of one joint of a robot.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from mjsim.errors import InputError
+from mjsim.hold import HOLDS
+
+__all__ = ["DEFAULT_COLUMNS", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
+
+DEFAULT_COLUMNS = {"time": "time_s", "torque": "torque_Nm", "velocity": "velocity_rad_s", "angle": "angle_rad"}
+DEFAULT_SOURCE = "default column names"
+DEFAULT_UNITS = {"time": "s", "torque": "Nm", "velocity": "rad/s", "angle": "rad"}
+
+# unit -> (factor to SI, what it measures)
+UNITS: dict[str, tuple[float, str]] = {
+    "s": (1.0, "time"), "ms": (1e-3, "time"), "us": (1e-6, "time"), "ns": (1e-9, "time"),
+    "rad": (1.0, "angle"), "deg": (math.pi / 180, "angle"), "rev": (2 * math.pi, "angle"), "mrad": (1e-3, "angle"),
+    "m": (1.0, "angle"), "mm": (1e-3, "angle"), "um": (1e-6, "angle"),
+    "rad/s": (1.0, "velocity"), "deg/s": (math.pi / 180, "velocity"), "rpm": (math.pi / 30, "velocity"),
+    "m/s": (1.0, "velocity"), "mm/s": (1e-3, "velocity"),
+    "Nm": (1.0, "torque"), "N m": (1.0, "torque"), "mNm": (1e-3, "torque"), "kNm": (1e3, "torque"),
+    "N": (1.0, "torque"), "kN": (1e3, "torque"),
+    "V": (math.nan, "torque"), "A": (math.nan, "torque"), "1": (math.nan, "torque"), "mA": (math.nan, "torque"),
+    "mV": (math.nan, "torque"),
+}  # fmt: skip
+_OWN = {"current": {"A": 1.0, "mA": 1e-3}, "voltage": {"V": 1.0, "mV": 1e-3}}  # of channels that are no input
+
+SI_UNITS = {
+    "m": "m", "mm": "m", "um": "m", "m/s": "m/s", "mm/s": "m/s", "N": "N", "kN": "N",
+    "V": "", "A": "", "1": "", "mA": "", "mV": "",
+    "Nm": "Nm", "N m": "Nm", "mNm": "Nm", "kNm": "Nm", "rad/s": "rad/s", "deg/s": "rad/s", "rpm": "rad/s",
+    "rad": "rad", "deg": "rad", "rev": "rad", "mrad": "rad", "s": "s", "ms": "s", "us": "s", "ns": "s",
+}  # fmt: skip
+"""Unit of a binding -> that of the values once they are in SI; empty where the gain decides (newton or newton metre)."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One bound channel: column (of a struct ``rec.x``; ``row`` of a matrix), its unit and gain (SI value per unit, as N/V)."""
+
+    column: str
+    unit: str | None = None
+    gain: float | None = None
+    row: int | None = None
+
+    def factor(self, measures: str, where: str) -> float:
+        """Multiplier that turns the column into SI."""
+        if self.unit is None:
+            return 1.0 if self.gain is None else self.gain
+        if self.unit not in UNITS:
+            raise InputError(where, f"unit {self.unit!r} is not known", f"one of {', '.join(UNITS)}", "correct the unit")
+        factor, kind = UNITS[self.unit]
+        if measures == "command" and kind in ("angle", "velocity"):
+            measures = kind
+        if measures in _OWN and self.unit in _OWN[measures]:
+            return _OWN[measures][self.unit] * (1.0 if self.gain is None else self.gain)
+        if kind != measures:
+            raise InputError(where, f"unit {self.unit!r} measures {kind}", f"a unit of {measures}", "correct the unit")
+        if math.isnan(factor):
+            if self.gain is None:
+                raise InputError(
+                    where, f"unit {self.unit!r} has no gain", "gain = torque or force per unit", "add the key 'gain'"
+                )
+            return self.gain
+        return factor * (1.0 if self.gain is None else self.gain)
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Which column is what, and what is known of the experiment (see the module's text for the keys).
+
+    channels: by role; joints: the same of each joint of a robot, by name. ``[experiment]`` with ``loop`` = "open" | "closed",
+    ``judge`` = "motion" | "force", ``varies`` = names of linear parameters that each recording has of its own (an inertia that
+    depends on the pose of other axes), and values that are ``known``: ``kp``, ``kv`` of the servo [SI], ``supply_V``. named:
+    whether the channels are bound by name, and not by default.
+    """
+
+    channels: Mapping[str, Channel]
+    dt: float | None = None
+    loop: str | None = None
+    judge: str | None = None
+    varies: tuple[str, ...] = ()
+    source: str = DEFAULT_SOURCE
+    hold: str = "held"
+    jitter: float = 0.0
+    joints: Mapping[str, Mapping[str, Channel]] = field(default_factory=dict)
+    known: Mapping[str, float] = field(default_factory=dict)
+    named: bool = True
+
+    CHANNELS = (
+        "time", "torque", "velocity", "angle", "second_angle", "second_velocity", "command", "current", "supply", "known_torque",
+        "command_time",
+    )  # fmt: skip
+    MEASURES = MappingProxyType(
+        dict(
+            zip(
+                CHANNELS,
+                ("time", "torque", "velocity", "angle", "angle", "velocity", "command", "current", "voltage", "torque", "time"),
+                strict=True,
+            )
+        )
+    )
+    KNOWN = ("kp", "kv", "supply_V")
+
+    @classmethod
+    def default(cls) -> Binding:
+        """The default column names, in SI."""
+        return cls({k: Channel(c) for k, c in DEFAULT_COLUMNS.items()}, named=False)
+
+    @classmethod
+    def from_toml(cls, path: Path) -> Binding | None:
+        """The binding that a TOML file states, or None when it has none of ``[recording]``, ``[joints]``, ``[experiment]``."""
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        if not {"recording", "experiment", "joints"} & set(table):
+            return None
+        given, experiment = _table(table, "recording", path), _table(table, "experiment", path)
+        own: dict[str, Any] = {k: given[k] for k in ("dt", "hold", "jitter") if k in given}
+        channels = _channels(
+            {k: v for k, v in given.items() if k not in own}, f"{path}: [recording]", (*cls.CHANNELS, "dt", "hold", "jitter")
+        )
+        joints = {
+            name: _channels(_table(_table(table, "joints", path), name, path), f"{path}: [joints.{name}]", cls.CHANNELS)
+            for name in _table(table, "joints", path)
+        }
+        for key, choices in (("loop", ("open", "closed")), ("judge", ("motion", "force"))):
+            if experiment.get(key) not in (None, *choices):
+                raise InputError(f"{path}: [experiment] {key}", f"{experiment[key]!r}", " or ".join(choices), "correct it")
+        varies = experiment.get("varies", [])
+        if not isinstance(varies, list) or not all(isinstance(v, str) for v in varies):
+            raise InputError(f"{path}: [experiment] varies", f"{varies!r}", 'a list of names, as ["Jm"]', "correct it")
+        if "payload" in experiment:
+            raise InputError(
+                f"{path}: [experiment] payload", "not used yet", f"one of {', '.join(cls.KNOWN)}",
+                "put the payload into the model, and remove the key",
+            )  # fmt: skip
+        return cls(
+            channels or dict(cls.default().channels),
+            _above_zero(own, "dt", path),
+            experiment.get("loop"),
+            experiment.get("judge"),
+            tuple(varies),
+            str(path),
+            _choice(own, path),
+            _above_zero(own, "jitter", path) or 0.0,
+            joints,
+            {k: _known(experiment, k, path) for k in cls.KNOWN if k in experiment},
+            bool(channels),
+        )
+
+    def of_joint(self, name: str) -> Binding:
+        """The binding of one joint of ``joints``, with what all joints share (the time)."""
+        shared = {k: c for k, c in self.channels.items() if k in ("time", "command_time")}
+        return dataclasses.replace(self, channels={**shared, **self.joints[name]}, joints={}, named=True)
+
+
+def _table(table: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: {key}", f"{value!r}", f"a table [{key}]", "correct it")
+    return value
+
+
+def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> dict[str, Channel]:
+    """The channels of a table, by role."""
+    channels = {}
+    for key, value in given.items():
+        if key not in Binding.CHANNELS:
+            raise InputError(where, f"key {key!r} is not known", f"{', '.join(known[:-1])} or {known[-1]}", "rename it")
+        if isinstance(value, str):
+            value = {"column": value}
+        if not isinstance(value, dict) or "column" not in value:
+            raise InputError(f"{where} {key}", "no column named", '"name" or {column = "name", unit = ...}', "add it")
+        unknown = set(value) - {"column", "unit", "gain", "row"}
+        if unknown:
+            raise InputError(
+                f"{where} {key}", f"key {sorted(unknown)[0]!r} is not known", "column, unit, gain or row", "rename it"
+            )
+        channels[key] = Channel(**_checked(value, f"{where} {key}"))
+    return channels
+
+
+def _above_zero(own: Mapping[str, Any], key: str, path: Path) -> float | None:
+    value, unit = own.get(key), {"dt": "a sample time in seconds", "jitter": "a part of the sample time"}[key]
+    if value is not None and not (_is_number(value) and 0 < value < math.inf):
+        raise InputError(f"{path}: [recording] {key}", f"{value!r}", f"{unit}, above zero", "correct it")
+    return value
+
+
+def _choice(own: Mapping[str, Any], path: Path) -> str:
+    hold = own.get("hold", "held")
+    if hold not in HOLDS:
+        raise InputError(f"{path}: [recording] hold", f"{hold!r}", " or ".join(HOLDS), "correct it")
+    return str(hold)
+
+
+def _known(experiment: Mapping[str, Any], key: str, path: Path) -> float:
+    value = experiment[key]
+    if not (_is_number(value) and 0 < value < math.inf):
+        raise InputError(f"{path}: [experiment] {key}", f"{value!r}", "a number above zero", "correct it")
+    return float(value)
+
+
+NAMES = {
+    "command": ("command_rad", "command_m", "command_rad_s", "command_m_s"), "torque": ("torque_Nm", "torque_N"),
+    "angle": ("angle_rad", "angle_m"), "velocity": ("velocity_rad_s", "velocity_m_s"),
+    "second_angle": ("second_angle_rad", "second_angle_m"), "current": ("current_A",), "supply": ("supply_V",),
+}  # fmt: skip
+"""Role -> the default names of its column, SI unit included."""
+
+SHARED = {"time": "time_s", "command_time": "command_time_s"}
+
+
+def joints_in(columns: Collection[str]) -> list[str]:
+    """Joints of which a log has a column by its default name (JOINT.angle_rad and the like), in the order of its columns."""
+    ends = {name for names in NAMES.values() for name in names}
+    found = (c.rpartition(".") for c in columns)
+    return list(dict.fromkeys(joint for joint, _, end in found if joint and end in ends))
+
+
+def joint_channels(columns: Collection[str], joint: str) -> dict[str, Channel]:
+    """The channels of one joint by the default names."""
+    found = {role: next((f"{joint}.{n}" for n in names if f"{joint}.{n}" in columns), None) for role, names in NAMES.items()}
+    found |= {role: name for role, name in SHARED.items() if name in columns}
+    return {role: Channel(name) for role, name in found.items() if name is not None}
+
+
+def plain_channels(columns: Collection[str]) -> dict[str, Channel]:
+    """The channels of a single axis by the default names: those that stand in the log, and those that it needs."""
+    found = {role: next((n for n in names if n in columns), None) for role, names in NAMES.items()}
+    found |= {role: name for role, name in SHARED.items() if name in columns}
+    channels = {role: Channel(name) for role, name in found.items() if name is not None}
+    channels.setdefault("time", Channel(DEFAULT_COLUMNS["time"]))
+    if "command" not in channels:
+        channels.setdefault("torque", Channel(DEFAULT_COLUMNS["torque"]))
+    return channels
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _checked(value: dict[str, Any], where: str) -> dict[str, Any]:
+    """The keys of a bound channel, each of its kind."""
+    kinds = {"column": ("a column name in quotes", str), "unit": ("a unit in quotes", str), "row": ("a whole number", int)}
+    for key, (expected, kind) in kinds.items():
+        if key in value and (not isinstance(value[key], kind) or isinstance(value[key], bool)):
+            raise InputError(f"{where}.{key}", f"{value[key]!r}", expected, "correct it")
+    if "gain" in value and not (_is_number(value["gain"]) and math.isfinite(value["gain"]) and value["gain"] != 0):
+        raise InputError(f"{where}.gain", f"{value['gain']!r}", "a number other than zero", "correct it")
+    return value

@@ -1,0 +1,46 @@
+"""Velocity limit of a servo: its target follows the command no faster than a limit.
+
+r' = clip((c - r) / 0+, -V, V),    the servo acts on the error to r
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from mjsim.effects.base import Effect, Scales, need_servo, parameter
+from mjsim.effects.ports import CommandSlew, Port
+from mjsim.effects.registry import register
+from mjsim.quantity import Quantity
+
+if TYPE_CHECKING:
+    from mjsim.chain import Chain
+
+__all__ = ["VelocityLimit"]
+
+
+@register
+@dataclass(frozen=True, kw_only=True)
+class VelocityLimit(Effect):
+    """Velocity limit of a servo; law, convention and source as in the module's text."""
+
+    id: ClassVar[str] = "velocity_limit"
+    places: ClassVar[tuple[str, ...]] = ("actuator",)
+    sentence: ClassVar[str] = "The servo follows its command no faster than {limit_rad_s}."
+    citation: ClassVar[str] = "Biagiotti, Melchiorri, Trajectory Planning for Automatic Machines and Robots (2008), ch. 4"
+    tolerance: ClassVar[float] = 1e-3
+    amplitudes: ClassVar[tuple[str, ...]] = ()
+    family: ClassVar[str] = "servo"
+
+    limit_rad_s: float = parameter(Quantity.VELOCITY, "largest speed of the target", lower=1e-9)
+
+    def ports(self, chain: Chain) -> tuple[Port, ...]:
+        """Where the law acts."""
+        need_servo(chain, position=True)
+        return (CommandSlew(self.limit_rad_s),)
+
+    @classmethod
+    def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
+        """Starts of a fit: below the fastest motion, at it, and above it."""
+        return [{"limit_rad_s": c * scales.max_velocity} for c in (0.5, 0.75, 1.0)]

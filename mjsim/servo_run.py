@@ -1,0 +1,39 @@
+"""Plain MuJoCo on the recorded command of a servo, as the command goes between its samples."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mjsim.hold import between
+from mjsim.mujoco_run import run_literal
+
+if TYPE_CHECKING:
+    from mjsim.mjcf import Model
+    from mjsim.ode import Trajectory
+    from mjsim.recording import Recording
+
+__all__ = ["literal_servo_run"]
+
+
+def literal_servo_run(source: Model, recording: Recording) -> Trajectory:
+    """Run of a servo's MJCF by MuJoCo, from rest at the angle that was measured first; arrays (N,) at the recorded samples.
+
+    A command that is not held is held over each step of MuJoCo, at its mean there. Raises DivergedError.
+    """
+    chain, r = source.axis.chain, recording
+    start = np.zeros((2, len(chain.bodies)))
+    first = 0.0 if r.angle is None else float(r.angle[0])
+    start[0] = [first * chain.total_ratio(i) for i in range(len(chain.bodies))]
+    before = float(r.input[0])
+    if r.hold == "held":
+        return run_literal(source, r.input, r.dt, initial=start, before=before)
+    each = max(1, math.ceil(r.dt / float(source.mjmodel.opt.timestep) - 1e-6))
+    u, slope = between(r.input, r.dt, r.hold)
+    fine = (u[:, None] + slope[:, None] * (np.arange(each) + 0.5) * (r.dt / each)).ravel()
+    run = run_literal(source, fine, r.dt / each, initial=start, before=before)
+    names = ("time", "torque", "velocity", "angle", "q", "v", "coupling_torque")
+    return dataclasses.replace(run, **{name: getattr(run, name)[::each].copy() for name in names})

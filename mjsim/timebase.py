@@ -1,0 +1,105 @@
+"""The time base of a log: its uniform sample time, stamps that jitter, and commands with stamps of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mjsim.errors import InputError
+
+__all__ = ["onto_stamps", "resample", "sample_time", "where_in"]
+
+UNIFORM = 0.05  # part of dt: a printed time stamp is rounded, a missing or shifted sample is off by a good part of dt
+
+
+def where_in(path: Path, index: int) -> str:
+    """How a user finds a sample in the file: by its row in a CSV, of which the header is row 1, else by its number from 1 on."""
+    return f"row {index + 2}" if path.suffix.lower() == ".csv" else f"sample {index + 1}"
+
+
+def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: bool = True) -> float:
+    """The uniform sample time [s] of stamps (N,), or an InputError that names the row at which it is not.
+
+    ``jitter``: part of the sample time by which a step may be off; ``uniform``: refuse others, else the median step is taken.
+    """
+    if len(time) < 2:
+        raise InputError(path, f"{len(time)} samples", "at least two", "record longer")
+    step = np.diff(time)
+    back = np.flatnonzero(step <= 0)
+    if len(back):
+        raise InputError(
+            path, f"time does not increase at {where_in(path, back[0] + 1)}", "increasing time", "sort or remove these rows"
+        )
+    dt = float((time[-1] - time[0]) / (len(time) - 1))
+    off = np.flatnonzero(np.abs(step - dt) > max(UNIFORM, jitter) * dt)
+    if len(off) and not uniform:
+        return float(f"{np.median(step):.9g}")
+    if len(off):
+        most = float(np.max(np.abs(step - dt))) / dt
+        raise InputError(
+            path, f"sample time {step[off[0]]:.6g} s at {where_in(path, off[0] + 1)}, elsewhere {dt:.6g} s", "uniform sampling",
+            "resample to a uniform grid first; if only the stamps jitter, give [recording] dt in the binding, and no time; "
+            f"if the samples were taken at these times, jitter = {most:.2g} resamples them",
+        )  # fmt: skip
+    return float(f"{dt:.9g}")
+
+
+def onto_stamps(path: Path, values: np.ndarray, stamps: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, str]:
+    """A command (N,) with stamps of its own, interpolated in straight lines onto the stamps of the state, and a note.
+
+    The note is empty where both stamps are the same, to a thousandth of a sample.
+    """
+    back = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(back):
+        raise InputError(
+            path, f"the time of the command does not increase at {where_in(path, back[0] + 1)}", "increasing time",
+            "sort or remove these rows",
+        )  # fmt: skip
+    apart = time - stamps
+    if np.max(np.abs(apart)) < 1e-3 * float(np.median(np.diff(time))):
+        return values, ""
+    note = (
+        f"The command has time stamps of its own, {1e3 * float(np.median(apart)):.3g} ms (median) before those of the state "
+        f"(from {1e3 * float(np.min(apart)):.3g} to {1e3 * float(np.max(apart)):.3g} ms): it was interpolated onto these."
+    )
+    return np.interp(time, stamps, values), note
+
+
+def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[str, np.ndarray], str]:
+    """Channels (N,) at jittered stamps ``time`` on the uniform grid of the same ends, and a note; () where stamps are uniform.
+
+    Inputs are resampled exactly for how they are held: of a held or averaged input the mean over each new sample is kept, a
+    linear one is read off its lines. Outputs are read off a cubic spline.
+    """
+    from scipy.interpolate import CubicSpline
+
+    time = arrays["time"]
+    grid = time[0] + dt * np.arange(len(time))
+    worst = float(np.max(np.abs(time - grid)))
+    if worst < 1e-6 * dt:
+        return arrays, ""
+    out = {}
+    for name, y in arrays.items():
+        if name == "time":
+            out[name] = grid
+        elif name in ("torque", "command"):
+            out[name] = np.interp(grid, time, y) if hold == "linear" else _means(time, y, grid, dt)
+        elif name == "known_torque":
+            out[name] = np.interp(grid, time, y)
+        else:
+            out[name] = CubicSpline(time, y)(np.clip(grid, time[0], time[-1]))
+    steps = np.abs(np.diff(time) - dt)
+    note = (
+        f"The time stamps jitter by up to {1e3 * float(np.max(steps)):.3g} ms a step and stray up to {1e3 * worst:.3g} ms from a "
+        f"uniform grid: all channels were resampled to one of {1e3 * dt:.6g} ms, the input for being {hold}."
+    )
+    return out, note
+
+
+def _means(time: np.ndarray, u: np.ndarray, grid: np.ndarray, dt: float) -> np.ndarray:
+    """Means over the samples of a grid of an input that is constant from each stamp to the next."""
+    edges = np.append(time, max(time[-1], grid[-1]) + 2.0 * dt)
+    area = np.concatenate([[0.0], np.cumsum(u * np.diff(edges))])
+    total = np.interp(np.append(grid, grid[-1] + dt), edges, area)
+    return np.diff(total) / dt

@@ -1,0 +1,135 @@
+"""Position servos logged by command and angle at 50 to 200 Hz: what is missing is named, what cannot be told is said."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from servo_logs import GEARED, PENDULUM, model, record, write
+
+from diagnose.data.experiment import angle_noise_level, prepare
+from diagnose.data.runs import free_run
+from diagnose.data.servo import as_servo
+from diagnose.pipeline import Options, diagnose
+from diagnose.problem.view import MotionView
+from diagnose.result import Verdict
+from mjsim.errors import InputError
+from mjsim.known_torque import KnownTorque
+from mjsim.mjcf import load_axis
+from mjsim.ode import simulate
+
+FEW = ("coulomb_friction", "servo_deadband")
+SHORT = {"rate": 100.0, "seconds": 12.0}
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("servo")
+    return {template: load_axis(write(folder / "m.xml", template)) for template in (PENDULUM, GEARED)}
+
+
+def answer(nominal, template, *, options=None, gear=1.0, true=None, **log):
+    log = {**SHORT, "gear": gear, **log}
+    text = model(template, **(true or {}))
+    logs = [record(text, **log), record(text, **{**log, "seed": 7, "seconds": 0.5 * log["seconds"]})]
+    return diagnose(nominal[template], logs[:1], logs[1:], options or Options(jobs=1, effects=FEW))
+
+
+@pytest.mark.parametrize(("template", "gear", "level"), [(PENDULUM, 1.0, 0.08), (GEARED, 20.0, 0.1)])
+def test_coulomb_friction_is_named_with_its_value(nominal, template, gear, level):
+    result = answer(nominal, template, gear=gear, true={"friction": level})
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    assert [f.effect for f in result.findings] == ["coulomb_friction"]
+    assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(level, rel=0.02)
+    assert (result.channel, result.unit) == ("angle", "rad")
+    assert result.fit["corrected"].held_out_rms < 1.15 * result.noise_floor
+
+
+def test_nothing_is_named_where_nothing_is_missing(nominal):
+    result = answer(nominal, PENDULUM)
+    assert result.verdict is Verdict.NO_MISMATCH
+    assert result.findings == ()
+
+
+def test_another_gain_is_a_parameter_and_no_physics(nominal):
+    result = answer(nominal, GEARED, gear=20.0, true={"kp": 0.02})
+    assert result.verdict is Verdict.PARAMETERS_ONLY
+    assert result.linear_parameters["kp"].value == pytest.approx(0.02, rel=0.01)
+    assert "Jm" not in result.linear_parameters, "only ratios to it are known"
+    assert any("tell ratios to the inertia only" in note for note in result.notes)
+
+
+def test_a_dead_band_of_the_servo_is_named(nominal):
+    result = answer(nominal, PENDULUM, deadband=0.02)
+    assert [f.effect for f in result.findings] == ["servo_deadband"]
+    assert result.findings[0].parameters["half_width_rad"].value == pytest.approx(0.02, rel=0.02)
+
+
+@pytest.mark.slow  # the whole library, at three rates
+@pytest.mark.parametrize(("rate", "hold"), [(50.0, "held"), (100.0, "held"), (200.0, "linear")])
+def test_friction_is_named_among_the_whole_library(nominal, rate, hold):
+    result = answer(nominal, PENDULUM, options=Options(), true={"friction": 0.08}, rate=rate, seconds=30.0, hold=hold)
+    assert [f.effect for f in result.findings] == ["coulomb_friction"]
+    assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(0.08, rel=0.02)
+
+
+def test_a_free_run_starts_at_the_angle_that_was_measured(nominal):
+    log = record(model(PENDULUM), seconds=5.0, step=0.0, noise=0.0)
+    run = free_run(nominal[PENDULUM], prepare(dataclasses.replace(log, angle=log.angle)))
+    assert run.angle[0] == log.angle[0]
+    assert np.std(run.angle - log.angle) < 1e-4
+
+
+def test_the_noise_of_an_encoder_is_that_of_its_steps():
+    q = 0.3 * np.sin(np.arange(2000) * 0.01)
+    step = 0.001534
+    assert angle_noise_level(step * np.round(q / step)) == pytest.approx(step / np.sqrt(12), rel=0.05)
+
+
+def test_what_cannot_be_told_is_held_unless_it_is_known(nominal):
+    log = record(model(GEARED), seconds=5.0, gear=20.0)
+    held, *_, said = as_servo(nominal[GEARED], [log], [])
+    assert held.chain.held == ("Jm", "fm")
+    assert any("Jm is held" in s for s in said)
+    known, *_, said = as_servo(nominal[GEARED], [dataclasses.replace(log, known={"kp": 0.025})], [])
+    assert known.chain.held == ("kp", "fm")
+    assert known.chain.servo.kp == 0.025
+    loaded, *_, said = as_servo(nominal[PENDULUM], [record(model(PENDULUM), seconds=5.0)], [])
+    assert loaded.chain.held == ("gravity_load@arm.torque_Nm", "fm")
+    assert MotionView.of(loaded, [log]).channel == "angle"
+
+
+def test_a_torque_that_is_known_sample_by_sample_acts_on_the_joint(nominal):
+    bare = dataclasses.replace(nominal[PENDULUM], effects=())
+    log = record(model(PENDULUM), seconds=5.0, step=0.0, noise=0.0)
+    weight = -0.5 * 9.81 * 0.15 * np.sin(log.angle)
+    run = free_run(bare, prepare(dataclasses.replace(log, known_torque=weight)))
+    assert np.std(run.angle - log.angle) < 5e-4
+    assert np.std(free_run(bare, prepare(log)).angle - log.angle) > 1e-2
+    table = KnownTorque.of(np.array([0.0, 1.0, 3.0]), 0.1)
+    (port,) = table.ports(bare.chain)
+    for t, value in ((-1.0, 0.0), (0.05, 0.5), (0.1, 1.0), (0.15, 2.0), (0.2, 3.0), (9.0, 3.0)):
+        out = [0.0, 0.0, 0.0]
+        port.law([t, 0, 0, 0, 0, 0, 0, 0], port.p, out)
+        assert out[0] == pytest.approx(value)
+
+
+def test_model_and_log_must_have_one_kind_of_input(nominal, robot):
+    log = record(model(PENDULUM), seconds=5.0)
+    with pytest.raises(InputError, match=r"no torque.*use a servo in the model"):
+        diagnose(robot, [log])
+    with pytest.raises(InputError, match="'servo' of the model is a servo; expected a column command_rad"):
+        diagnose(nominal[PENDULUM], [dataclasses.replace(log, command=None, torque=log.command)])
+    with pytest.raises(InputError, match="kp differs between the recordings"):
+        diagnose(nominal[PENDULUM], [dataclasses.replace(log, known={"kp": k}) for k in (8.0, 9.0)])
+
+
+def test_a_servo_far_off_is_found_from_its_data_sheet(nominal):
+    """A hundred times too stiff in the model: the bounds of its gains are wide."""
+    stiff = nominal[GEARED].with_linear({"kp": 0.6, "kv": 0.02})
+    log = record(model(GEARED), seconds=20.0, gear=20.0)
+    result = diagnose(stiff, [log], [], Options(jobs=1, effects=("coulomb_friction",)))
+    assert result.verdict is Verdict.PARAMETERS_ONLY
+    assert result.linear_parameters["kp"].value == pytest.approx(0.03, rel=0.02)
+    assert simulate(stiff.with_linear({"kp": 0.03, "kv": 0.001}), log.input, log.dt).angle.shape == log.angle.shape
