@@ -37,7 +37,9 @@ SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 def before_search(
     path: Path, axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options
 ) -> Nominal | None:
-    """The nominal file in MuJoCo beside the engine; None where recordings are not judged by motion."""
+    """The nominal file in MuJoCo beside the engine; None for servos and where recordings are judged by force."""
+    if axis.chain.servo is not None:
+        return None
     r = recordings[0]
     judge = options.judge or r.judge or ("motion" if r.velocity is not None else "force")
     return None if judge == "force" else compare_nominal(path, axis, recordings, held_out, options.jobs)

@@ -21,6 +21,7 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
+from diagnose.verdict.reference_servo import judge_servo
 from diagnose.verdict.reference_stage import Nominal, without_difference
 from mjsim.axis import Axis
 from mjsim.errors import InputError
@@ -129,19 +130,21 @@ def diagnose_files(
         raise
     finally:
         memory.close()
-    result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw, given, options.jobs)
+    result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw, given, options.jobs, (loaded, held))
     memory.discard()
     return result
 
 
 def _written(
     result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, draw: Draw,
-    given: Nominal | None = None, threads: int = 1,
+    given: Nominal | None = None, threads: int = 1, logs: tuple[Sequence[Recording], Sequence[Recording]] = ((), ()),
 ) -> Diagnosis:  # fmt: skip
     """Write the folder of a diagnosis, judged by plain MuJoCo where ``given`` says what the nominal file does there."""
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, corrected, threads)
+    if result.channel == "angle":
+        result = judge_servo(result, model, corrected, *logs)
     mapped, with_map = out / "mapped.xml", mapped_axis(nominal, result)
     if with_map is None:
         mapped.unlink(missing_ok=True)

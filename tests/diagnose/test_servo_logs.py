@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from diagnose.data.servo import as_servo
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
+from diagnose.verdict.reference_servo import servo_figures
 from mjsim.errors import InputError
 from mjsim.known_torque import KnownTorque
-from mjsim.mjcf import load_axis
+from mjsim.mjcf import load_axis, load_model
 from mjsim.ode import simulate
+from mjsim.recording import load
+from simgap.pipeline import diagnose_files
 
 FEW = ("coulomb_friction", "servo_deadband")
 SHORT = {"rate": 100.0, "seconds": 12.0}
@@ -133,3 +137,23 @@ def test_a_servo_far_off_is_found_from_its_data_sheet(nominal):
     assert result.verdict is Verdict.PARAMETERS_ONLY
     assert result.linear_parameters["kp"].value == pytest.approx(0.03, rel=0.02)
     assert simulate(stiff.with_linear({"kp": 0.03, "kv": 0.001}), log.input, log.dt).angle.shape == log.angle.shape
+
+
+def test_the_files_are_judged_by_plain_mujoco(tmp_path):
+    """The figures of nominal and corrected are those of the files on disk; the engine's stand beside them."""
+    nominal = write(tmp_path / "pendulum.xml", PENDULUM)
+    paths = []
+    for i, seconds in enumerate((12.0, 6.0)):
+        r = record(model(PENDULUM, friction=0.08), rate=100.0, seconds=seconds, seed=i)
+        paths.append(tmp_path / f"log{i}.csv")
+        columns = np.column_stack([r.time, r.command, r.angle])
+        np.savetxt(paths[-1], columns, delimiter=",", header="time_s,command_rad,angle_rad", comments="", fmt="%.12g")
+    out = tmp_path / "out"
+    result = diagnose_files(paths[:1], nominal, out, paths[1:], Options(jobs=1, effects=FEW), progress=False)
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    written = json.loads((out / "diagnosis.json").read_text())["fit"]
+    recorded = [load(p, model=out / "corrected.xml") for p in paths]
+    judged = servo_figures(load_model(out / "corrected.xml"), recorded[:1], recorded[1:])
+    assert written["corrected"]["held_out_rms"] == pytest.approx(judged.held_out_rms, rel=1e-6)
+    assert judged.held_out_rms < 1.1 * result.surrogate["corrected"].held_out_rms
+    assert written["nominal"]["held_out_rms"] > 3 * judged.held_out_rms
