@@ -1,0 +1,111 @@
+"""Which column is which channel of which joint: ``[recording]``, ``[joints.NAME]`` and ``[experiment]`` of a TOML file."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjsim.errors import InputError
+from mjsim.recording import Channel
+
+__all__ = ["CHANNELS", "HOLDS", "MEASURES", "Payload", "RobotBinding", "find_robot_binding"]
+
+CHANNELS = ("command", "torque", "angle", "velocity", "current", "second_angle")
+MEASURES = dict(zip(CHANNELS, ("angle", "torque", "angle", "velocity", "current", "angle"), strict=True))
+HOLDS = ("held", "linear", "mean")
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A known point mass [kg] at ``pos`` [m] in the frame of a body, mounted in one recording."""
+
+    body: str
+    mass: float
+    pos: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RobotBinding:
+    """joints: by joint and channel (column, factor to SI, row of a matrix or None); time: (column, factor), or dt [s]."""
+
+    joints: dict[str, dict[str, tuple[str, float, int | None]]]
+    time: tuple[str, float] | None
+    dt: float | None
+    hold: str
+    payload: Payload | None
+    source: str
+
+    @classmethod
+    def from_toml(cls, path: Path) -> RobotBinding | None:
+        """The binding that a file states; None when it has no ``[joints]``. Raises InputError for a key that is not known."""
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        if "joints" not in table:
+            return None
+        recording = table.get("recording", {})
+        joints: dict[str, dict[str, tuple[str, float, int | None]]] = {}
+        for name, channels in table["joints"].items():
+            where = f"{path}: [joints.{name}]"
+            if not isinstance(channels, dict):
+                raise InputError(where, "no table", "command, torque, angle, ...", "correct it")
+            for key, value in channels.items():
+                if key not in CHANNELS:
+                    raise InputError(where, f"key {key!r} is not known", ", ".join(CHANNELS), "rename it")
+                joints.setdefault(name, {})[key] = _bound(value, MEASURES[key], f"{where} {key}")
+        hold = recording.get("hold", "held")
+        if hold not in HOLDS:
+            raise InputError(f"{path}: [recording] hold", f"{hold!r}", " or ".join(HOLDS), "correct it")
+        dt = recording.get("dt")
+        if dt is not None and not (isinstance(dt, int | float) and 0 < dt < math.inf):
+            raise InputError(f"{path}: [recording] dt", f"{dt!r}", "a sample time in seconds, above zero", "correct it")
+        time = _bound(recording["time"], "time", f"{path}: [recording] time")[:2] if "time" in recording else None
+        payload = _payload(table.get("experiment", {}).get("payload"), f"{path}: [experiment] payload")
+        return cls(joints, time, dt, hold, payload, str(path))
+
+
+def _bound(value: Any, measures: str, where: str) -> tuple[str, float, int | None]:
+    """(column, factor, row) of a column name or a table {column, unit, gain, row}."""
+    if isinstance(value, str):
+        return value, 1.0, None
+    if not isinstance(value, dict) or not isinstance(value.get("column"), str):
+        raise InputError(where, "no column named", '"name" or {column = "name", unit = ...}', "add it")
+    unknown = set(value) - {"column", "unit", "gain", "row"}
+    if unknown:
+        raise InputError(where, f"key {sorted(unknown)[0]!r} is not known", "column, unit, gain or row", "rename it")
+    row, gain = value.get("row"), value.get("gain")
+    if not (row is None or (isinstance(row, int) and not isinstance(row, bool))):
+        raise InputError(f"{where}.row", f"{row!r}", "a whole number", "correct it")
+    if gain is not None and not (isinstance(gain, int | float) and math.isfinite(gain) and gain != 0):
+        raise InputError(f"{where}.gain", f"{gain!r}", "a number other than zero", "correct it")
+    if measures == "current":
+        factor = 1.0 if gain is None else float(gain)
+    else:
+        factor = Channel(value["column"], value.get("unit"), gain).factor(measures, where)
+    return value["column"], factor, row
+
+
+def _payload(value: Any, where: str) -> Payload | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict) or set(value) - {"body", "mass", "pos"} or not {"body", "mass"} <= set(value):
+        raise InputError(where, f"{value!r}", '{body = "name", mass = kg, pos = [x, y, z]}', "correct it")
+    pos = value.get("pos", [0.0, 0.0, 0.0])
+    if not (isinstance(value["mass"], int | float) and 0 <= value["mass"] < math.inf and isinstance(pos, list) and len(pos) == 3):
+        raise InputError(where, f"{value!r}", "a mass in kg and a position of three numbers", "correct it")
+    x, y, z = map(float, pos)
+    return Payload(str(value["body"]), float(value["mass"]), (x, y, z))
+
+
+def find_robot_binding(recording: Path, model: Path | None = None) -> RobotBinding | None:
+    """The sidecar beside the recording, else the robot's TOML beside the model; None where neither binds joints."""
+    for candidate in (recording.with_suffix(".toml"), model.with_suffix(".toml") if model else None):
+        if candidate is not None and candidate.is_file():
+            binding = RobotBinding.from_toml(candidate)
+            if binding is not None:
+                return binding
+    return None
