@@ -1,0 +1,179 @@
+"""The corrected MJCF of a robot: numbers that MJCF has an element for in place, the rest in ``<custom>``.
+
+The author's file keeps its text: only attributes of joints and the ``<inertial>`` of links are changed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import mujoco
+import numpy as np
+
+from mjsim.errors import InputError
+from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.xmltext import Node, XmlText
+from mjsim.robot.inertia import to_body
+from mjsim.robot.model import Robot, load_robot
+
+__all__ = ["CUSTOM", "carried_effects", "write_robot"]
+
+CUSTOM = "simgap_robot"
+STEP_RATE = 1.0  # over the timestep: how fast a stiff frictionloss acts on velocity (docs/decisions/mjcf-native.md)
+
+
+def write_robot(
+    source: Path, robot: Robot, out: Path, links: np.ndarray, joints: Mapping[str, Mapping[str, float]], effects: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write a corrected copy of an MJCF.
+
+    links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
+    damping, frictionloss, stiffness, springref [SI] to write; effects: what MJCF has no element for, as JSON values, read back by
+    `carried_effects`. Raises InputError where the file cannot be written, or holds a link or joint in an included file.
+    """
+    xml = XmlText(source.read_text(encoding="utf-8"))
+    model = robot.model
+    for at, body in enumerate(robot.links):
+        if not np.allclose(links[at], robot.nominal[at] - robot.fixed[at], rtol=1e-12, atol=1e-300):
+            _inertial(xml, source, robot, body, links[at])
+    degrees = _in_degrees(xml)
+    for name, values in joints.items():
+        for key, value in values.items():
+            turned = key == "springref" and degrees and _is_hinge(model, robot, name)
+            node = _joint(xml, source, robot, name)
+            xml.set(node, key, _number(math.degrees(value) if turned else value))
+    if any(v.get("frictionloss") for v in joints.values()):
+        for name, values in joints.items():
+            if values.get("frictionloss"):
+                rate = STEP_RATE / float(model.opt.timestep)
+                xml.set(_joint(xml, source, robot, name), "solreffriction", f"-1 {_number(-rate)}")
+                xml.set(_joint(xml, source, robot, name), "solimpfriction", "0.9999 0.9999 0.001 0.5 2")
+    _drop(xml)
+    if effects:
+        xml.append(xml.root, _custom(effects))
+    _relocate(xml, source, out)
+    _save(xml.text, out)
+
+
+def carried_effects(path: Path) -> list[dict[str, Any]]:
+    """Effects that a corrected file carries in ``<custom>``; [] for a file without."""
+    model = compile_file(path)
+    at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, CUSTOM)
+    if at < 0:
+        return []
+    start = int(model.text_adr[at])
+    raw = bytes(model.text_data[start : start + int(model.text_size[at])]).split(b"\0")[0]
+    try:
+        return list(json.loads(raw.decode())["effects"])
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{path}: <custom> text {CUSTOM!r}", "not readable", "what simgap writes", "take a fresh copy") from None
+
+
+def _number(value: float) -> str:
+    return f"{float(value):.12g}"
+
+
+def _row(values: np.ndarray) -> str:
+    return " ".join(_number(v) for v in values)
+
+
+def _named(xml: XmlText, source: Path, tag: str, name: str) -> Node:
+    node = xml.find(lambda n: n.tag == tag and n.attributes.get("name") == name and not _within(n, "default"))
+    if node is None:
+        raise InputError(source, f"no <{tag} name={name!r}> in the file itself", "names, and no <include> of the arm", "name it, or join the files")
+    return node
+
+
+def _within(node: Node, tag: str) -> bool:
+    parent = node.parent
+    while parent is not None:
+        if parent.tag == tag:
+            return True
+        parent = parent.parent
+    return False
+
+
+def _joint(xml: XmlText, source: Path, robot: Robot, name: str) -> Node:
+    return _named(xml, source, "joint", name)
+
+
+def _is_hinge(model: mujoco.MjModel, robot: Robot, name: str) -> bool:
+    return int(model.jnt_type[robot.dofs.index(name)]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+def _in_degrees(xml: XmlText) -> bool:
+    compiler = xml.root.child("compiler")
+    return compiler is None or compiler.attributes.get("angle", "degree") == "degree"
+
+
+def _inertial(xml: XmlText, source: Path, robot: Robot, body: int, phi: np.ndarray) -> None:
+    """Give a body an explicit inertial; what its geoms weigh no longer counts."""
+    name = mujoco.mj_id2name(robot.model, mujoco.mjtObj.mjOBJ_BODY, body) or ""
+    mass, centre, quat, principal = to_body(phi)
+    attributes = {"pos": _row(centre), "quat": _row(quat), "mass": _number(mass), "diaginertia": _row(principal)}
+    node = _named(xml, source, "body", name)
+    old = node.child("inertial")
+    if old is not None:
+        xml.remove(old)
+    node = _named(xml, source, "body", name)
+    line = "<inertial " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
+    if node.children:
+        xml.insert_before(node.children[0], [line])
+    else:
+        xml.append(node, [line])
+
+
+def _drop(xml: XmlText) -> None:
+    """Remove what an earlier correction carries."""
+    node = xml.find(lambda n: n.tag == "text" and n.attributes.get("name") == CUSTOM)
+    if node is not None:
+        alone = node.parent is not None and len(node.parent.children) == 1
+        xml.remove(node.parent if alone and node.parent is not None else node)
+
+
+def _custom(effects: Sequence[Mapping[str, Any]]) -> list[str]:
+    said = "Plain MuJoCo lacks: " + "; ".join(f"{e['effect'].replace('_', ' ')} at {e['joint']}" for e in effects) + "."
+    text = escape(json.dumps({"version": 1, "effects": list(effects)}), {"'": "&apos;"})
+    lines = ["<!--", *(f"  {line}" for line in textwrap.wrap(said.replace("--", "- -"), 120)), "-->"]
+    return ["<custom>", *(f"  {line}" for line in lines), f"  <text name=\"{CUSTOM}\" data='{text}'/>", "</custom>"]
+
+
+def _relocate(xml: XmlText, source: Path, out: Path) -> None:
+    """Keep references to meshes and textures valid when the copy stands in another folder."""
+    here, there = source.resolve().parent, out.resolve().parent
+    if here == there or not any("file" in n.attributes for n in xml.root.walk()):
+        return
+    relative = Path(os.path.relpath(here, there))
+    if any(n.tag == "include" for n in xml.root.walk()):
+        raise InputError(source, "the file includes others", "a file without <include>", "join the files, or give --out beside it")
+    compiler = xml.root.child("compiler")
+    if compiler is None:
+        raise InputError(source, "files are referred to and there is no <compiler>", "a <compiler> element", "add one")
+    for key in ("assetdir", "meshdir", "texturedir"):
+        compiler = xml.root.child("compiler")
+        assert compiler is not None
+        if key == "assetdir" or key in compiler.attributes:
+            xml.set(compiler, key, str(relative / compiler.attributes.get(key, ".")))
+
+
+def _save(text: str, out: Path) -> None:
+    """Write beside the final name, let MuJoCo load it, then move it there."""
+    part = out.with_name(f".{out.name}.part.xml")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+        load_robot(part)
+        os.replace(part, out)
+    except OSError as error:
+        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another one") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
