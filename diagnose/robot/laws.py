@@ -16,7 +16,7 @@ import numpy as np
 
 from mjsim.quantity import Motion, Quantity
 
-__all__ = ["Law", "Row", "laws_for"]
+__all__ = ["Law", "Row", "law_parameters", "laws_for"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,3 +228,25 @@ def laws_for(row: Row, motion: Motion, gear: float, only: Sequence[str] = ()) ->
     """All laws of a joint; ``row``: its signals over all estimation recordings, from which the grids follow."""
     laws = (*_plain(), *_shaped(row, motion), *_position(row, motion, gear), *_coupled(row))
     return tuple(law for law in laws if not only or law.id in only)
+
+
+def law_parameters(law: Law, c: np.ndarray, shape: float, V: np.ndarray) -> dict[str, tuple[float, float, float, Quantity]]:
+    """Parameters of a law as (value, ends of the 95 % interval, quantity), by the delta method.
+
+    V: covariance of the coefficients (k,), and of the shape where the law has one. The gradient of each parameter is taken by
+    central differences.
+    """
+    x = np.append(c, shape) if law.shape_name else np.asarray(c, float)
+    k = len(c)
+    out: dict[str, tuple[float, float, float, Quantity]] = {}
+    for name, (value, quantity) in law.values(c, shape).items():
+        gradient = np.zeros(len(x))
+        for i in range(len(x)):
+            step = np.zeros(len(x))
+            step[i] = 1e-4 * max(abs(x[i]), 1e-3 * float(np.max(np.abs(c))))
+            high, low = ((law.values(y[:k], float(y[-1]) if law.shape_name else shape)[name][0]) for y in (x + step, x - step))
+            change = math.remainder(high - low, 2 * math.pi) if quantity is Quantity.PHASE else high - low
+            gradient[i] = change / (2 * step[i])
+        half = 1.96 * math.sqrt(max(float(gradient @ V @ gradient), 0.0))
+        out[name] = float(value), float(value) - half, float(value) + half, quantity
+    return out

@@ -126,7 +126,13 @@ def clean_band(robot: Robot, recording: RobotRecording, joints: Sequence[str]) -
 
 
 def prepare(
-    robot: Robot, recording: RobotRecording, joints: Sequence[str], cutoff: float, *, role: str = "estimation", split: bool = False
+    robot: Robot,
+    recording: RobotRecording,
+    joints: Sequence[str],
+    cutoff: float,
+    *,
+    role: str = "estimation",
+    split: bool = False,
 ) -> RobotMotion:
     """The recording behind the filter. ``split``: hold out every third of ten blocks; role "held_out": hold out all of it."""
     from scipy.signal import butter, sosfiltfilt

@@ -1,8 +1,8 @@
-"""The robot's own parameters with physical consistency: every link a body that can exist, no negative armature or friction.
+"""The solution with physical consistency: every link a body that can exist, no negative armature or friction.
 
     minimise  f(x) - mu ( sum over links log det J_l + sum log of armatures, dampings, dry frictions )
 
-f: the regression with its prior, effects included; J_l: pseudo-inertia of link l less what is fixed to it, whose positive definiteness is
+f: the regression with its prior, its least over the effects' coefficients; J_l: pseudo-inertia of link l less what is fixed to it, whose positive definiteness is
 mass > 0, inertia > 0 and the triangle inequality. A convex problem; Newton steps along a path of mu that ends where the barrier
 is worth less than a tenth of a unit of chi-square (a barrier of nu terms is nu mu from the optimum).
 Sources: Wensing, Kim, Slotine, IEEE RA-L 3 (2018) 60; S. Boyd, L. Vandenberghe, Convex Optimization (2004), ch. 11.
@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from diagnose.robot.problem import Problem
-from diagnose.robot.solve import Solution
+from diagnose.robot.solve import Solution, normal, unpacked
 from mjsim.robot.inertia import SIZE, pseudo_inertia
 
 __all__ = ["consistent", "physical"]
@@ -31,44 +31,47 @@ def consistent(problem: Problem, theta: np.ndarray) -> bool:
     return bool(np.all(np.linalg.eigvalsh(pseudo_inertia(links))[:, 0] > 0) and np.all(theta[links.size :] >= 0))
 
 
-def physical(problem: Problem, s: Solution, weights: Mapping[int, float]) -> np.ndarray:
-    """theta (P,) of least cost that is physically consistent, the coefficients of the effects kept.
+def physical(problem: Problem, s: Solution, weights: Mapping[int, float], start: np.ndarray | None = None) -> Solution:
+    """The physically consistent solution of least cost with the same terms; the solution itself where it is consistent.
 
-    Returns the solution's own theta where that is consistent already.
+    start (P,): a strictly consistent theta to begin at, by default one next to the nominal.
     """
-    if consistent(problem, s.theta):
-        return s.theta
-    P, robot = len(problem.names), problem.robot
-    H, center = np.eye(P), (s.theta - problem.nominal) / problem.scale
-    for j in problem.joints:
-        H += weights[j] ** 2 * problem.grams[j][1]
-    x = (_inside(problem) - problem.nominal) / problem.scale
-    size = len(robot.links) * SIZE
-    terms = 4 * len(robot.links) + P - size
-    mu = 1e4 * GAP / terms
+    n = normal(problem, s.terms, weights, s.columns)
+    P = len(problem.names)
+    theta = np.where(n.free, s.theta, 1.0)  # what has given way is neither free nor bound
+    if consistent(problem, theta):
+        return s
+    C = slice(P, len(n.g))
+    to_coefficients = np.linalg.solve(n.H[C, C], np.column_stack([n.H[C, :P], n.g[C]])) if len(n.g) > P else np.zeros((0, P + 1))
+    H = n.H[:P, :P] - n.H[:P, C] @ to_coefficients[:, :P]
+    g = n.g[:P] - n.H[:P, C] @ to_coefficients[:, P]
+    x = ((_inside(problem) if start is None else start) - problem.nominal) / problem.scale
+    x = np.where(n.free, x, n.fixed)
+    stiffness = np.zeros((P, P))
+    terms = 4 * len(problem.robot.links) + int(n.free.sum()) - len(problem.robot.links) * SIZE
+    mu = 1e3 * GAP / terms
     while True:
-        for _ in range(60):
-            gradient, hessian = _barrier(problem, x)
-            g = H @ (x - center) + mu * gradient
-            step = -np.linalg.solve(H + mu * hessian, g)
+        for _ in range(50):
+            gradient, hessian = _barrier(problem, x, n.free)
+            slope, stiffness = (H @ x - g + mu * gradient)[n.free], mu * hessian
+            step = np.zeros(P)
+            step[n.free] = -np.linalg.solve((H + stiffness)[np.ix_(n.free, n.free)], slope)
             length = 1.0
-            while not _feasible(problem, x + length * step):
+            while not _feasible(problem, x + length * step, n.free) and length > 1e-10:
                 length *= 0.5
-                if length < 1e-10:
-                    break
-            decrement = float(-g @ step)
             x = x + (0.95 if length < 1 else 1.0) * length * step
-            if decrement < 1e-3 * GAP:
+            if float(-slope @ step[n.free]) < 1e-2 * GAP:
                 break
         if mu * terms <= GAP:
-            return problem.nominal + problem.scale * x
-        mu /= 10.0
+            break
+        mu /= 30.0
+    full = np.concatenate([x, to_coefficients[:, P] - to_coefficients[:, :P] @ x])
+    return unpacked(problem, s.terms, n, full, stiffness)
 
 
-def _feasible(problem: Problem, x: np.ndarray) -> bool:
-    return consistent(problem, problem.nominal + problem.scale * x) and bool(
-        np.all((problem.nominal + problem.scale * x)[len(problem.robot.links) * SIZE :] > 0)
-    )
+def _feasible(problem: Problem, x: np.ndarray, free: np.ndarray) -> bool:
+    theta = np.where(free, problem.nominal + problem.scale * x, 1.0)
+    return consistent(problem, theta) and bool(np.all(theta[len(problem.robot.links) * SIZE :] > 0))
 
 
 def _inside(problem: Problem) -> np.ndarray:
@@ -87,7 +90,7 @@ def _inside(problem: Problem) -> np.ndarray:
     return theta
 
 
-def _barrier(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _barrier(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient (P,) and Hessian (P, P) of -sum log det J_l - sum log of the joints' parameters, in scaled x."""
     theta = problem.nominal + problem.scale * x
     size = len(problem.robot.links) * SIZE
@@ -99,8 +102,8 @@ def _barrier(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         E = inverse @ (_BASIS * problem.scale[own, None, None])
         gradient[own] = -np.trace(E, axis1=1, axis2=2)
         hessian[own, own] = np.einsum("aij,bji->ab", E, E)
-    rest = np.arange(size, len(x))
-    ratio = problem.scale[size:] / theta[size:]
-    gradient[size:] = -ratio
+    rest = size + np.flatnonzero(free[size:])
+    ratio = problem.scale[rest] / theta[rest]
+    gradient[rest] = -ratio
     hessian[rest, rest] = ratio**2
     return gradient, hessian

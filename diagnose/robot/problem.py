@@ -21,6 +21,7 @@ from mjsim.robot.rows import link_rows
 
 __all__ = ["Part", "Problem", "Term", "build"]
 
+NEAR = 2  # joints further apart in the chain have no gears in common
 JOINT_PARAMETERS = ("armature", "damping", "frictionloss", "stiffness")
 
 
@@ -117,7 +118,7 @@ def _row(robot: Robot, motion: RobotMotion, j: int, joints: Sequence[int], load:
     from diagnose.robot.motion import derivative
 
     torque = motion.torque[:, j]
-    others = {robot.joints[k]: (motion.dz[:, k], motion.torque[:, k]) for k in joints if k != j}
+    others = {robot.joints[k]: (motion.dz[:, k], motion.torque[:, k]) for k in joints if 0 < abs(k - j) <= NEAR}
     rate = derivative(torque[:, None], motion.dt)[:, 0]
     return Row(motion.z[:, j], motion.dz[:, j], motion.time - motion.time[0], load, torque, rate, others)
 
@@ -196,9 +197,7 @@ def _columns(robot: Robot, motion: RobotMotion, Y: np.ndarray, j: int, names: Se
     return A, known
 
 
-def _scales(
-    robot: Robot, joints: Sequence[int], parts: dict[int, Part], names: Sequence[str], nominal: np.ndarray
-) -> np.ndarray:
+def _scales(robot: Robot, joints: Sequence[int], parts: dict[int, Part], names: Sequence[str], nominal: np.ndarray) -> np.ndarray:
     """Prior standard deviation of each parameter.
 
     A link may be wrong by its own mass, or by the mean mass of a link where it is lighter, at a distance as far as its own

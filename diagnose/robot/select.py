@@ -17,16 +17,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.evidence.held_out import Comparison, compare
-from diagnose.robot.laws import Law, Row
+from diagnose.robot.laws import Law, Row, law_parameters
 from diagnose.robot.options import RobotOptions
+from diagnose.robot.physical import physical
 from diagnose.robot.problem import Problem, Term
-from diagnose.robot.solve import Solution, held_out, solve, weigh, worth
+from diagnose.robot.solve import Solution, covariance, held_out, solve, told_apart, weigh, worth
 
 __all__ = ["Refusal", "Selection", "Step", "select"]
 
 FINALISTS = 5  # laws of a joint that are refitted, by what the screening promises
 PROMISING = 0.5  # of what is needed to enter: a promise is the gain of one row alone
 ROUNDS = 40  # moves at most: each lowers the criterion, so that it ends by itself
+UNSIGNED = ("phase_rad", *(f"coefficient_{k}" for k in range(5)))  # nought is a value like any other
+NOT_PHYSICAL = "its coefficients are not physical"
+STAYS = 5.0  # times the level to enter, at which a term stays: what enters at 1 % may stay at 5 %
 ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart (a likelihood ratio of 150)
 
 
@@ -68,6 +72,8 @@ class Selection:
     solution: Solution
     refusals: dict[tuple[int, str], Refusal] = field(default_factory=dict)
     cache: dict[Term, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    removed: set[tuple[int, str]] = field(default_factory=set)
+    visited: set[frozenset[tuple[int, str]]] = field(default_factory=set)
 
     @functools.cached_property
     def hypotheses(self) -> int:
@@ -79,12 +85,16 @@ class Selection:
         """Number of (joint, law, shape)."""
         return sum(len(law.grid) for laws in self.problem.laws.values() for law in laws)
 
-    @property
+    @functools.cached_property
     def price(self) -> float:
-        """Of a parameter: log of the number of independent samples (BIC)."""
+        """Of a parameter: log of the number of independent samples (BIC), by the residual of the robot without effects."""
         s = self.solution
         n = sum(len(s.fitted[j]) * worth(self.problem, j, s.fitted[j], s.fitted[j]) for j in self.problem.joints)
         return math.log(max(n, 3.0))
+
+    def known(self, solution: Solution) -> bool:
+        """Whether the search stood at these laws before."""
+        return frozenset(t.key for t in solution.terms) in self.visited
 
     def charge(self, terms: Sequence[Term]) -> float:
         """What the numbers of the terms cost, and the choice among the shapes of a grid: 2 log of their number."""
@@ -101,9 +111,13 @@ class Selection:
         self.cache |= self.problem.all_columns([t for t in terms if t not in self.cache], self.rows)
 
     def solve(self, terms: Sequence[Term]) -> Solution:
-        """The solution with other terms."""
+        """The physically consistent solution with other terms."""
         self.fill(terms)
-        return solve(self.problem, terms, self.weights, self.rows, self.cache)
+        return self.physical(solve(self.problem, terms, self.weights, self.rows, self.cache))
+
+    def physical(self, solution: Solution) -> Solution:
+        """The physically consistent solution of the same terms."""
+        return physical(self.problem, solution, self.weights)
 
     def raw_gain(self, poorer: Solution, richer: Solution) -> float:
         """Twice the log of the likelihood ratio, each row by its independent samples."""
@@ -119,25 +133,24 @@ class Selection:
     def step(self, poorer: Solution, richer: Solution, joint: int) -> Step:
         """What the richer solution gains over the poorer one."""
         more = self.charge(richer.terms) - self.charge(poorer.terms)
-        before = held_out(self.problem, poorer, self.weights, joint, richer)
-        after = held_out(self.problem, richer, self.weights, joint)
+        share = told_apart(self.problem, poorer, richer, joint)
+        before, after = (held_out(self.problem, x, self.weights, joint, share) for x in (poorer, richer))
         return Step(self.raw_gain(poorer, richer) - more, compare(before, after), self.held_gain(poorer, richer, joint))
 
     def held_gain(self, poorer: Solution, richer: Solution, joint: int) -> float:
         """Twice the log of the likelihood ratio on the held-out samples of a joint, by its independent samples."""
         a, b = poorer.held[joint], richer.held[joint]
-        d, e = poorer.fitted[joint] - richer.fitted[joint], richer.fitted[joint]
-        return worth(self.problem, joint, d, e) * len(b) * math.log((a @ a + 1e-300) / (b @ b + 1e-300))
+        return told_apart(self.problem, poorer, richer, joint) * len(b) * math.log((a @ a + 1e-300) / (b @ b + 1e-300))
 
-    def why_not(self, step: Step, more: int) -> str:
-        """The test that refuses a step; empty when none does. ``more``: numbers that it adds."""
-        entry = 2.0 * math.log(self.candidates) if more > 0 else 0.0
+    def why_not(self, step: Step, more: int, ease: float = 1.0) -> str:
+        """The test that refuses a step; empty when none does. ``more``: numbers that it adds; ``ease``: of the level and the sizes."""
+        entry = 2.0 * math.log(self.candidates) / ease if more > 0 else 0.0
         if step.gain < entry:
             return f"gains {step.gain:.1f} on the fitted samples, {entry:.1f} needed"
-        if step.held.relative_gain < self.options.material:
+        if step.held.relative_gain < self.options.material / ease:
             return f"takes {100 * step.held.relative_gain:.1f} % off the held-out squared error of its joint, {100 * self.options.material:g} % needed"
         p = min(1.0, step.held.p_value * self.hypotheses)
-        if p > self.options.p_enter:
+        if p > self.options.p_enter * ease:
             return f"held-out p = {p:.2g} over {self.hypotheses} hypotheses, {self.options.p_enter:g} needed"
         return ""
 
@@ -157,9 +170,13 @@ def select(problem: Problem, options: RobotOptions) -> Selection:
     """Search for the effects. The selection's solution is the last one; its terms are what was found."""
     rows = problem.rows(problem.nominal)
     weights, solution = weigh(problem, (), rows)
+    solution = physical(problem, solution, weights)
     found = Selection(problem, options, problem.rows(solution.theta), weights, solution)
     for _ in range(ROUNDS):
-        if not (_enter(found, simple=True) or _enter(found, simple=False) or _exchange(found) or _remove(found)):
+        found.visited.add(frozenset(t.key for t in found.solution.terms))
+        if not (
+            _enter(found, simple=True) or _enter(found, simple=False) or _exchange(found) or _remove(found) or _reduce(found)
+        ):
             break
         _reweigh(found)
     return found
@@ -170,7 +187,8 @@ def _reweigh(s: Selection) -> None:
     s.rows = s.problem.rows(s.solution.theta)
     for term in [t for t in s.cache if t.law.loaded]:
         del s.cache[term]
-    s.weights, s.solution = weigh(s.problem, s.solution.terms, s.rows)
+    s.weights, solution = weigh(s.problem, s.solution.terms, s.rows)
+    s.solution = s.physical(solution)
     s.fill(s.solution.terms)
 
 
@@ -194,7 +212,7 @@ def _screen(s: Selection, now: Solution, joint: int) -> list[tuple[float, Term]]
     own = [i for i, t in enumerate(now.terms) if t.joint == joint]
     w = s.weights[joint]
     A = np.hstack([part.A * p.scale, *(now.columns[i][0] for i in own)])
-    root = np.linalg.cholesky(_hessian(s, joint, A))
+    root = np.linalg.cholesky(_hessian(s, now, joint, A))
     Q = np.linalg.solve(root, w * A.T)
     left = w * w * float(e @ e)
     present = {t.law.key for t in now.terms if t.joint == joint}
@@ -220,11 +238,13 @@ def _screen(s: Selection, now: Solution, joint: int) -> list[tuple[float, Term]]
     return sorted(out, key=lambda x: -x[0])
 
 
-def _hessian(s: Selection, joint: int, A: np.ndarray) -> np.ndarray:
+def _hessian(s: Selection, now: Solution, joint: int, A: np.ndarray) -> np.ndarray:
     """Hessian of the robot's parameters and of the coefficients at one joint; those of other joints are taken as known."""
     p, P = s.problem, len(s.problem.names)
     H = np.zeros((A.shape[1], A.shape[1]))
     H[np.arange(P), np.arange(P)] = 1.0
+    if now.stiffness is not None:
+        H[:P, :P] += now.stiffness
     for j in p.joints:
         if j == joint:
             H += s.weights[j] ** 2 * (A.T @ A)
@@ -248,14 +268,20 @@ def _enter(s: Selection, simple: bool) -> bool:
     for joint in s.problem.joints:
         if len(s.solution.terms) >= s.options.most:
             break
-        ranked = [x for x in _screen(s, s.solution, joint) if not simple or _eligible(s, joint, x[1].law)]
+        ranked = [
+            x
+            for x in _screen(s, s.solution, joint)
+            if (not simple or _eligible(s, joint, x[1].law)) and x[1].key not in s.removed
+        ]
         best: tuple[float, Solution, Term] | None = None
         for promised, term in ranked[:FINALISTS]:
             if promised < PROMISING * entry:
                 break
             trial = s.solve(_with(s.solution.terms, term))
+            if s.known(trial):
+                continue
             step = s.step(s.solution, trial, joint)
-            why = s.why_not(step, 1) if trial.sane() else "its coefficients are not physical"
+            why = s.why_not(step, 1) if trial.sane(term) else NOT_PHYSICAL
             if why:
                 s.refusals[term.key] = Refusal(joint, term.law, why, step)
             elif best is None or step.total > best[0]:
@@ -288,8 +314,8 @@ def _refined(s: Selection, now: Solution, term: Term) -> Solution:
         return sum(len(trial.fitted[j]) * math.log(trial.sse(j) + 1e-300) for j in s.problem.joints)
 
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 3e-3 * (high - low), "maxiter": 12})
-    trial = with_shape(float(found.x))
-    return trial if trial.sane() and found.fun < cost(term.shape) else now
+    trial = s.physical(with_shape(float(found.x)))
+    return trial if trial.sane(term) and found.fun < cost(term.shape) else now
 
 
 def _exchange(s: Selection) -> bool:
@@ -299,8 +325,10 @@ def _exchange(s: Selection) -> bool:
         for _, other in _screen(s, rest, term.joint)[:FINALISTS]:
             if other.law.key == term.law.key or any(t.joint == term.joint and t.law.id == other.law.id for t in rest.terms):
                 continue
-            trial = _refined(s, s.solve(_with(rest.terms, other)), other)
-            if trial.sane() and _better(s, trial, term.joint):
+            trial = s.solve(_with(rest.terms, other))
+            if s.step(s.solution, trial, term.joint).total > -2 * ALIKE:
+                trial = _refined(s, trial, other)
+            if trial.sane(other) and not s.known(trial) and _better(s, trial, term.joint):
                 s.solution = trial
                 return True
     return False
@@ -322,16 +350,38 @@ def _better(s: Selection, trial: Solution, joint: int) -> bool:
 
 
 def _remove(s: Selection) -> bool:
-    """Take off the least term that no longer pays beside the others."""
+    """Take off the least term that no longer pays beside the others; it does not come back."""
     worst: tuple[float, Solution] | None = None
+    taken = Term(0, s.problem.laws[s.problem.joints[0]][0], 0.0)
     for term in s.solution.terms:
         without = s.solve([t for t in s.solution.terms if t != term])
+        if s.known(without) and s.solution.sane(term):
+            continue
         step = s.step(without, s.solution, term.joint)
-        why = s.why_not(step, 1)
+        why = s.why_not(step, 1, STAYS) if s.solution.sane(term) else NOT_PHYSICAL
         if why and (worst is None or step.gain < worst[0]):
             worst = step.gain, without
+            taken = term
             s.refusals[term.key] = Refusal(term.joint, term.law, f"beside the other findings: {why}", step)
     if worst is None:
         return False
     s.solution = worst[1]
+    s.removed.add(taken.key)
     return True
+
+
+def _reduce(s: Selection) -> bool:
+    """Put a simpler law in the place of one of which a parameter's interval holds nought, else take it off."""
+    V, slices = covariance(s.problem, s.solution, s.weights, s.rows)
+    for term, c, own in zip(s.solution.terms, s.solution.coefficients, slices, strict=True):
+        intervals = law_parameters(term.law, c, term.shape, V[own, own])
+        if all(low > 0 or high < 0 for name, (_, low, high, _) in intervals.items() if name not in UNSIGNED):
+            continue
+        rest = [t for t in s.solution.terms if t != term]
+        simpler = [law for law in s.problem.laws[term.joint] if law.id in term.law.holds and not law.form and not law.shape_name]
+        trials = [(s.solve([*rest, new]), new) for new in (Term(term.joint, law, 0.0) for law in simpler)]
+        sane = [trial for trial, new in trials if trial.sane(new)]
+        s.solution = min(sane, key=lambda x: x.sse(term.joint)) if sane else s.solve(rest)
+        s.removed.add(term.key)
+        return True
+    return False

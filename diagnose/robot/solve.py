@@ -16,7 +16,7 @@ from diagnose.fit.fitted import HeldOut
 from diagnose.robot.laws import Row
 from diagnose.robot.problem import Problem, Term
 
-__all__ = ["Solution", "autocorrelation", "covariance", "held_out", "solve", "weigh", "worth"]
+__all__ = ["Solution", "autocorrelation", "covariance", "held_out", "normal", "solve", "told_apart", "unpacked", "weigh", "worth"]
 
 LAGS = 2.0  # [s] over which residuals may be correlated
 RIDGE = 1e-10  # of an effect's coefficient, whose column has unit rms: for columns that depend on each other
@@ -24,7 +24,10 @@ RIDGE = 1e-10  # of an effect's coefficient, whose column has unit rms: for colu
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved regression: theta (P,), coefficients of each term, residuals by joint on fitted and held-out samples."""
+    """A solved regression: theta (P,), coefficients of each term, residuals by joint on fitted and held-out samples.
+
+    columns: of each term, fitted and held out; stiffness (P, P): curvature of the barrier that keeps scaled theta physical.
+    """
 
     terms: tuple[Term, ...]
     theta: np.ndarray
@@ -32,71 +35,111 @@ class Solution:
     fitted: Mapping[int, np.ndarray]
     held: Mapping[int, np.ndarray]
     columns: tuple[tuple[np.ndarray, np.ndarray], ...]
+    stiffness: np.ndarray | None = None
 
     def sse(self, joint: int) -> float:
         """Sum of squared residuals on the fitted samples of a joint."""
         return float(self.fitted[joint] @ self.fitted[joint])
 
-    def sane(self) -> bool:
-        """Whether every term has physical coefficients."""
-        return all(t.law.sane(c, t.shape) for t, c in zip(self.terms, self.coefficients, strict=True))
+    def sane(self, term: Term) -> bool:
+        """Whether a term, found by its joint and law, has physical coefficients."""
+        return all(t.law.sane(c, t.shape) for t, c in zip(self.terms, self.coefficients, strict=True) if t.key == term.key)
 
 
-def solve(
-    problem: Problem, terms: Sequence[Term], weights: Mapping[int, float], rows: Sequence[dict[int, Row]],
-    known: Mapping[Term, tuple[np.ndarray, np.ndarray]] | None = None, theta: np.ndarray | None = None,
-) -> Solution:  # fmt: skip
-    """The weighted least-squares solution with these terms.
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations H x = g in scaled parameters and scaled coefficients: the first P are the robot's own.
 
-    weights: of a row's residual, by joint; known: columns that are computed already. theta: with these values of the robot's own
-    parameters, and only the coefficients free. The file's own dry friction gives way to a law of dry friction at its joint.
+    free (P,): which of these are free; fixed (P,): the values of the others; starts: first coefficient of each term; norms: rms of
+    the columns of each term, by which its coefficients are scaled; columns: of each term.
     """
-    columns = tuple(known[t] if known and t in known else problem.columns(t, rows) for t in terms)
-    free = np.ones(len(problem.names), bool) if theta is None else np.zeros(len(problem.names), bool)
-    fixed = np.zeros(len(problem.names)) if theta is None else (theta - problem.nominal) / problem.scale
-    for t in terms:
-        if t.joint in problem.own_friction and ("coulomb_friction" in (t.law.id, *t.law.holds)):
-            k = problem.own_friction[t.joint]
-            free[k], fixed[k] = False, -problem.nominal[k] / problem.scale[k]
+
+    H: np.ndarray
+    g: np.ndarray
+    free: np.ndarray
+    fixed: np.ndarray
+    starts: np.ndarray
+    norms: list[np.ndarray]
+    columns: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+
+def normal(
+    problem: Problem, terms: Sequence[Term], weights: Mapping[int, float], columns: tuple[tuple[np.ndarray, np.ndarray], ...]
+) -> Normal:
+    """The normal equations of these terms. The file's own dry friction gives way to a law of dry friction at its joint."""
     P, sizes = len(problem.names), [c[0].shape[1] for c in columns]
+    free, fixed = np.ones(P, bool), np.zeros(P)
+    for k in _given_way(problem, terms):
+        free[k], fixed[k] = False, -problem.nominal[k] / problem.scale[k]
     starts = P + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
     norms = [np.sqrt(np.mean(c[0] ** 2, axis=0)) + 1e-300 for c in columns]
     K = int(starts[-1])
     H, g = np.zeros((K, K)), np.zeros(K)
     H[np.arange(P), np.arange(P)] = 1.0
     H[np.arange(P, K), np.arange(P, K)] = RIDGE
-    own: dict[int, list[int]] = {j: [i for i, t in enumerate(terms) if t.joint == j] for j in problem.joints}
     for j in problem.joints:
+        own = [i for i, t in enumerate(terms) if t.joint == j]
         B, G, b = problem.grams[j]
         w2 = weights[j] ** 2
         H[:P, :P] += w2 * G
         g[:P] += w2 * b
-        if own[j]:
-            C = np.hstack([columns[i][0] / norms[i] for i in own[j]])
-            index = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in own[j]])
+        if own:
+            C = np.hstack([columns[i][0] / norms[i] for i in own])
+            index = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in own])
             cross = w2 * (B.T @ C)
             H[:P, index] += cross
             H[index, :P] += cross.T
             H[np.ix_(index, index)] += w2 * (C.T @ C)
             g[index] += w2 * (C.T @ problem.fitted[j].y)
-    x = np.zeros(K)
-    x[:P] = np.where(free, 0.0, fixed)
-    use = np.concatenate([free, np.ones(K - P, bool)])
-    x[use] = np.linalg.solve(H[np.ix_(use, use)], (g - H @ x)[use])
-    coefficients = tuple(x[starts[i] : starts[i + 1]] / norms[i] for i in range(len(terms)))
+    return Normal(H, g, free, fixed, starts, norms, columns)
+
+
+def _given_way(problem: Problem, terms: Sequence[Term]) -> list[int]:
+    """Indices of the file's own dry friction at joints that have a law of dry friction among the terms."""
+    return [
+        problem.own_friction[t.joint]
+        for t in terms
+        if t.joint in problem.own_friction and "coulomb_friction" in (t.law.id, *t.law.holds)
+    ]
+
+
+def solve(
+    problem: Problem, terms: Sequence[Term], weights: Mapping[int, float], rows: Sequence[dict[int, Row]],
+    known: Mapping[Term, tuple[np.ndarray, np.ndarray]] | None = None,
+) -> Solution:  # fmt: skip
+    """The weighted least-squares solution with these terms, whether or not it is physical.
+
+    weights: of a row's residual, by joint; known: columns that are computed already.
+    """
+    n = normal(problem, terms, weights, tuple(known[t] if known and t in known else problem.columns(t, rows) for t in terms))
+    x = np.zeros(len(n.g))
+    x[: len(n.fixed)] = n.fixed
+    use = np.concatenate([n.free, np.ones(len(x) - len(n.fixed), bool)])
+    x[use] = np.linalg.solve(n.H[np.ix_(use, use)], (n.g - n.H @ x)[use])
+    return unpacked(problem, terms, n, x)
+
+
+def unpacked(problem: Problem, terms: Sequence[Term], n: Normal, x: np.ndarray, stiffness: np.ndarray | None = None) -> Solution:
+    """The solution of scaled parameters and coefficients x."""
+    P = len(problem.names)
+    coefficients = tuple(x[n.starts[i] : n.starts[i + 1]] / n.norms[i] for i in range(len(terms)))
     residuals: list[dict[int, np.ndarray]] = []
     for parts, which in ((problem.fitted, 0), (problem.held, 1)):
         left = {}
         for j in problem.joints:
             predicted = parts[j].A @ (x[:P] * problem.scale)
-            for i in own[j]:
-                predicted = predicted + columns[i][which] @ coefficients[i]
+            for i, t in enumerate(terms):
+                if t.joint == j:
+                    predicted = predicted + n.columns[i][which] @ coefficients[i]
             left[j] = parts[j].y - predicted
         residuals.append(left)
-    return Solution(tuple(terms), problem.nominal + problem.scale * x[:P], coefficients, residuals[0], residuals[1], columns)
+    theta = problem.nominal + problem.scale * x[:P]
+    return Solution(tuple(terms), theta, coefficients, residuals[0], residuals[1], n.columns, stiffness)
 
 
-def weigh(problem: Problem, terms: Sequence[Term], rows: Sequence[dict[int, Row]], rounds: int = 4) -> tuple[dict[int, float], Solution]:
+def weigh(
+    problem: Problem, terms: Sequence[Term], rows: Sequence[dict[int, Row]], rounds: int = 4
+) -> tuple[dict[int, float], Solution]:
     """Weights of the rows that their own residuals bear out, and the solution: sqrt(share of independent samples) / rms."""
     weights = {j: 1.0 / (float(np.std(problem.fitted[j].measured)) + 1e-300) for j in problem.joints}
     known = {t: problem.columns(t, rows) for t in terms}
@@ -137,16 +180,23 @@ def worth(problem: Problem, joint: int, difference: np.ndarray, left: np.ndarray
     return 1.0 / max(1.0, 1.0 + 2.0 * total)
 
 
+def told_apart(problem: Problem, poorer: Solution, richer: Solution, joint: int) -> float:
+    """Share of independent samples, by `worth`, to tell two solutions apart at a joint."""
+    return worth(problem, joint, poorer.fitted[joint] - richer.fitted[joint], richer.fitted[joint])
+
+
 def held_out(
-    problem: Problem, s: Solution, weights: Mapping[int, float], joint: int | None = None, like: Solution | None = None
+    problem: Problem, s: Solution, weights: Mapping[int, float], joint: int | None = None, share: float | None = None
 ) -> HeldOut:
-    """Held-out errors over the rms of each row's residual, in blocks three times as long as the residual of ``like`` remembers."""
+    """Held-out errors over the rms of each row's residual, in blocks three times as long as it remembers.
+
+    share: of independent samples, by default that of each row's own residual; of two solutions that are compared, that of `worth`.
+    """
     errors, sse, count, squares, spread = [], [], [], 0.0, 0.0
     for j in problem.joints if joint is None else (joint,):
         part, e = problem.held[j], s.held[j]
-        remembers = (like or s).fitted[j]
-        share = worth(problem, j, remembers, remembers)
-        memory = 3 * max(1, round(1.0 / share))
+        own = worth(problem, j, s.fitted[j], s.fitted[j]) if share is None else share
+        memory = 3 * max(1, round(1.0 / own))
         for stretch in _stretches(part.at, part.run):
             pieces = max(1, round(len(stretch) / memory))
             for piece in np.array_split(e[stretch], pieces):
@@ -169,7 +219,9 @@ def _stretches(at: np.ndarray, run: np.ndarray) -> list[np.ndarray]:
     return np.split(np.arange(len(at)), cut)
 
 
-def covariance(problem: Problem, s: Solution, weights: Mapping[int, float], rows: Sequence[dict[int, Row]]) -> tuple[np.ndarray, list[slice]]:
+def covariance(
+    problem: Problem, s: Solution, weights: Mapping[int, float], rows: Sequence[dict[int, Row]]
+) -> tuple[np.ndarray, list[slice]]:
     """Covariance of (theta, then of each term its coefficients and its shape), and the slice of each term.
 
     B = H^-1 (prior + sum over rows w^4 D' R D) H^-1 with R the Toeplitz matrix of the residual's autocovariance, tapered by a
@@ -192,12 +244,13 @@ def covariance(problem: Problem, s: Solution, weights: Mapping[int, float], rows
     H, S, effective = np.zeros((at, at)), np.zeros((at, at)), 0.0
     H[np.arange(P), np.arange(P)] = S[np.arange(P), np.arange(P)] = 1.0
     H[np.arange(P, at), np.arange(P, at)] = RIDGE
+    if s.stiffness is not None:
+        H[:P, :P] += s.stiffness
     for j in problem.joints:
         own = [i for i, t in enumerate(s.terms) if t.joint == j]
         index = np.concatenate([np.arange(P), *(np.arange(slices[i].start, slices[i].stop) for i in own)])
         D = np.hstack([problem.fitted[j].A, *(extra[i] for i in own)]) * scale[index]
-        if j in problem.own_friction and any("coulomb_friction" in (s.terms[i].law.id, *s.terms[i].law.holds) for i in own):
-            D[:, problem.own_friction[j]] = 0.0
+        D[:, _given_way(problem, [s.terms[i] for i in own])] = 0.0
         w2 = weights[j] ** 2
         H[np.ix_(index, index)] += w2 * (D.T @ D)
         S[np.ix_(index, index)] += w2**2 * _sandwich(problem, j, D, s.fitted[j])

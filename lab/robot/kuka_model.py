@@ -1,7 +1,9 @@
 """The MJCF of a KUKA KR300 R2500 from its published Denavit-Hartenberg table, with primitive geoms.
 
 Source of the numbers: J. Weigand, J. Ulmen, A. Janot, M. Ruskowski, 2021; repository JonasWeigand/Robot_Identification (MIT).
-Standard convention: frame i = Rz(q) Tz(d) Tx(a) Rx(alpha) of frame i - 1; base turned by 180 deg about x, axis 3 offset by 90 deg.
+Standard convention: frame i = Rz(q) Tz(d) Tx(a) Rx(alpha) of frame i - 1; base turned by 180 deg about x. The table says no more of the zero
+positions than an offset of axis 3; those of axes 2 and 3 (-90 and 180 deg: upper arm upright) are the ones of all multiples of 90 deg
+that the recorded torques bear out.
 """
 
 from __future__ import annotations
@@ -39,16 +41,18 @@ def _row(d: float, a: float, alpha: float, mass: float, centre: tuple[float, ...
          ratio: float, viscous: float, coulomb: float, offset: float = 0.0) -> LinkRow:  # fmt: skip
     x, y, z = (c * 1e-3 for c in centre)
     xx, yy, zz, xy, yz, xz = (i * 1e-6 for i in inertia)
-    return LinkRow(d, a, math.radians(alpha), math.radians(offset), mass, (x, y, z), (xx, yy, zz, xy, yz, xz), rotor, ratio, viscous, coulomb)
+    return LinkRow(
+        d, a, math.radians(alpha), math.radians(offset), mass, (x, y, z), (xx, yy, zz, xy, yz, xz), rotor, ratio, viscous, coulomb
+    )
 
 
 AXES = (
     _row(-0.675, 0.350, 90, 395.40, (-353, 174, -4), (16733765, 29799119, 32814954, -1703664, 129384, 4404062), 0.00923, 1798 / 7,
          0.00147635, 0.7319),
     _row(-0.189, 1.15, 0, 339.12, (-709, -1, 23), (7507819, 88886691, 88673761, 430046, 173157, -4396607), 0.0118, 1872 / 7,
-         0.01068183, 1.8323),
+         0.01068183, 1.8323, -90),
     _row(0.189, 0.041, -90, 105.21, (-18, -18, -76), (10783798, 10186135, 1943179, 118474, -606384, -101950), 0.0118, 757 / 3,
-         0.08398663, 1.8626, -90),
+         0.08398663, 1.8626, 180),
     _row(-1.0, 0.0, 90, 35.80, (0, 236, 1), (425035, 217993, 428465, -4, -11353, -27), 0.00173, 221.0, 0.00191608, 0.4480),
     _row(0.0, 0.0, -90, 31.46, (0, -80, -9), (283826, 229562, 258266, -4, -19521, -120), 0.00173, 5032 / 21, 0.00162988, 0.4132),
     _row(-0.24, 0.0, 180, 17.78, (0, 0, -50), (0, 0, 0, 0, 0, 0), 0.00173, 206793 / 1340, 0.00220532, 0.3726),
@@ -134,7 +138,9 @@ def kuka_mjcf(payload: float = 0.0, *, friction: bool = False) -> str:
     place, R = np.zeros(3), _rx(math.pi)
     depth = 4
     for i, row in enumerate(AXES):
-        turn = np.array([[math.cos(row.offset), -math.sin(row.offset), 0], [math.sin(row.offset), math.cos(row.offset), 0], [0, 0, 1]])
+        turn = np.array(
+            [[math.cos(row.offset), -math.sin(row.offset), 0], [math.sin(row.offset), math.cos(row.offset), 0], [0, 0, 1]]
+        )
         pad = " " * depth
         lines += [
             f'{pad}<body name="link{i + 1}" pos="{_text(place)}" quat="{_text(_quat(R @ turn))}">',

@@ -40,16 +40,16 @@ class RobotBinding:
 
     @classmethod
     def from_toml(cls, path: Path) -> RobotBinding | None:
-        """The binding that a file states; None when it has no ``[joints]``. Raises InputError for a key that is not known."""
+        """The binding that a file states; None when it says nothing of a robot (joints, hold, payload). Raises InputError for a key that is not known."""
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
-        if "joints" not in table:
+        recording, experiment = table.get("recording", {}), table.get("experiment", {})
+        if "joints" not in table and not {"hold"} & set(recording) and "payload" not in experiment:
             return None
-        recording = table.get("recording", {})
         joints: dict[str, dict[str, tuple[str, float, int | None]]] = {}
-        for name, channels in table["joints"].items():
+        for name, channels in table.get("joints", {}).items():
             where = f"{path}: [joints.{name}]"
             if not isinstance(channels, dict):
                 raise InputError(where, "no table", "command, torque, angle, ...", "correct it")
@@ -64,7 +64,7 @@ class RobotBinding:
         if dt is not None and not (isinstance(dt, int | float) and 0 < dt < math.inf):
             raise InputError(f"{path}: [recording] dt", f"{dt!r}", "a sample time in seconds, above zero", "correct it")
         time = _bound(recording["time"], "time", f"{path}: [recording] time")[:2] if "time" in recording else None
-        payload = _payload(table.get("experiment", {}).get("payload"), f"{path}: [experiment] payload")
+        payload = _payload(experiment.get("payload"), f"{path}: [experiment] payload")
         return cls(joints, time, dt, hold, payload, str(path))
 
 

@@ -167,9 +167,7 @@ def _ties(model: mujoco.MjModel, source: str, dofs: tuple[str, ...]) -> tuple[np
     return tie, rest, independent
 
 
-def _drives(
-    model: mujoco.MjModel, source: str, dofs: tuple[str, ...], independent: list[int]
-) -> tuple[np.ndarray, np.ndarray]:
+def _drives(model: mujoco.MjModel, source: str, dofs: tuple[str, ...], independent: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Gear and whether it is driven, of each independent joint."""
     gear, driven = np.ones(len(independent)), np.zeros(len(independent), bool)
     for a in range(model.nu):

@@ -18,7 +18,7 @@ from mjsim.errors import InputError
 from mjsim.robot.inertia import SIZE
 from mjsim.robot.model import HINGE, Robot
 
-__all__ = ["Frames", "check_rows", "frames", "inertia_along", "link_rows", "nominal_torque"]
+__all__ = ["Frames", "check_rows", "frames", "inertia_along", "link_rows", "mujoco_torque", "nominal_torque"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,3 +205,24 @@ def check_rows(robot: Robot, samples: int = 5, tolerance: float = 1e-6) -> float
             "no fluid, no tendon springs, no nonlinear damping", "remove them in a copy of the model",
         )  # fmt: skip
     return worst
+
+
+def mujoco_torque(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray) -> np.ndarray:
+    """Torque (N, m) that plain MuJoCo finds for a motion (N, m) by mj_inverse, the file's dry friction and springs included.
+
+    Contacts and limits are left out: the recording is taken for free of them.
+    """
+    model, data = robot.model, mujoco.MjData(robot.model)
+    q, v, a = z @ robot.tie.T + robot.rest, dz @ robot.tie.T, ddz @ robot.tie.T
+    out = np.empty_like(z)
+    flags = model.opt.disableflags
+    off = mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    try:
+        model.opt.disableflags = flags | sum(int(bit) for bit in off)
+        for k in range(len(z)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+            mujoco.mj_inverse(model, data)
+            out[k] = data.qfrc_inverse @ robot.tie
+    finally:
+        model.opt.disableflags = flags
+    return out

@@ -31,7 +31,12 @@ STEP_RATE = 1.0  # over the timestep: how fast a stiff frictionloss acts on velo
 
 
 def write_robot(
-    source: Path, robot: Robot, out: Path, links: np.ndarray, joints: Mapping[str, Mapping[str, float]], effects: Sequence[Mapping[str, Any]]
+    source: Path,
+    robot: Robot,
+    out: Path,
+    links: np.ndarray,
+    joints: Mapping[str, Mapping[str, float]],
+    effects: Sequence[Mapping[str, Any]],
 ) -> None:
     """Write a corrected copy of an MJCF.
 
@@ -88,7 +93,12 @@ def _row(values: np.ndarray) -> str:
 def _named(xml: XmlText, source: Path, tag: str, name: str) -> Node:
     node = xml.find(lambda n: n.tag == tag and n.attributes.get("name") == name and not _within(n, "default"))
     if node is None:
-        raise InputError(source, f"no <{tag} name={name!r}> in the file itself", "names, and no <include> of the arm", "name it, or join the files")
+        raise InputError(
+            source,
+            f"no <{tag} name={name!r}> in the file itself",
+            "names, and no <include> of the arm",
+            "name it, or join the files",
+        )
     return node
 
 
@@ -153,7 +163,9 @@ def _relocate(xml: XmlText, source: Path, out: Path) -> None:
         return
     relative = Path(os.path.relpath(here, there))
     if any(n.tag == "include" for n in xml.root.walk()):
-        raise InputError(source, "the file includes others", "a file without <include>", "join the files, or give --out beside it")
+        raise InputError(
+            source, "the file includes others", "a file without <include>", "join the files, or give --out beside it"
+        )
     compiler = xml.root.child("compiler")
     if compiler is None:
         raise InputError(source, "files are referred to and there is no <compiler>", "a <compiler> element", "add one")

@@ -13,7 +13,8 @@ __all__ = ["command"]
 
 @click.command(
     "diagnose",
-    epilog="Example: simgap diagnose log.csv --model robot_axis1 --held-out other.csv --out report/",
+    epilog="Example: simgap diagnose log.csv --model robot_axis1 --held-out other.csv --out report/; "
+    "simgap diagnose log.csv --model robot.xml --joint elbow --joint wrist --out report/",
 )
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis, or the name of a shipped model.")
@@ -46,6 +47,7 @@ __all__ = ["command"]
     "Unlike --budget, it gives the same answer on every machine.",
 )
 @click.option("--accept-log", is_flag=True, help="Search even where the check of the log says that it has to be fixed first.")
+@click.option("--joint", "joints", multiple=True, help="Of a robot: this joint only (repeatable).")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def command(
@@ -61,6 +63,7 @@ def command(
     budget: float,
     effort: float,
     accept_log: bool,
+    joints: tuple[str, ...],
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -68,11 +71,19 @@ def command(
     import json
     import math
 
-    from diagnose.report.render_worker import Drawers
-
     need_folder(out)
     written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html")
     spare_inputs([out / name for name in written], [*recordings, *held_out, model])
+    from simgap.robot import is_robot
+
+    if is_robot(recordings, model, joints):
+        from simgap.commands.diagnose_robot import run_robot
+
+        run_robot(recordings, model, out, held_out, joints, effects, seed, as_json=as_json, quiet=quiet)
+        return
+
+    from diagnose.report.render_worker import Drawers
+
     with Drawers(jobs) as draw:  # its processes import the plotting library while this one imports the rest
         from diagnose.pipeline import Options
         from mjsim.effects import registered

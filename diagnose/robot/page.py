@@ -1,0 +1,241 @@
+"""The report of a robot: one self-contained page with a matrix of joints and effects, and a section a joint."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from diagnose.report.curves import envelope
+from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
+from diagnose.report.words import VERDICTS, effect_name
+from diagnose.result import Estimate, FitFigures
+from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding, Trace
+
+__all__ = ["render_page", "write_page"]
+
+WIDE, HIGH, LEFT = 920, 150, 70
+MODELS = {
+    "nominal": "file as given, in MuJoCo",
+    "refitted": "its numbers refitted",
+    "corrected": "corrected.xml, in MuJoCo",
+    "surrogate": "with all findings (regression)",
+}
+
+
+def write_page(d: RobotDiagnosis, path: Path) -> None:
+    """Write the page in one move; nothing half-written is left under ``path``."""
+    text = render_page(d)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as out:
+            out.write(text)
+        os.chmod(scratch, 0o644)
+        os.replace(scratch, path)
+    except BaseException:
+        Path(scratch).unlink(missing_ok=True)
+        raise
+
+
+def render_page(d: RobotDiagnosis) -> str:
+    """The page as text."""
+    css = (files("diagnose.report") / "page.css").read_text(encoding="utf-8")
+    words = VERDICTS[d.verdict]
+    names = ", ".join(escape(r["file"]) for r in d.recordings)
+    body = [
+        "<header>", f'<p class="kicker">Diagnosis of {names}, every joint judged on the torque that its motion needs</p>',
+        f'<p class="verdict"><span class="badge {words.colour}">{words.badge}</span></p>', f"<h1>{escape(prose(d.summary))}</h1>",
+        f'<p class="meaning">{escape(words.meaning)}</p>',
+        '<nav aria-label="Contents">' + "".join(f'<a href="#{escape(j)}">{escape(j)}</a>' for j in d.joints) + "</nav>", "</header>", "<main>",
+        _matrix(d), _errors(d), _changed(d), *(_joint(r) for r in d.joints.values()), _links(d), _notes(d), "</main>", _footer(d),
+    ]  # fmt: skip
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n<meta name="color-scheme" content="light dark">\n'
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n"
+        f"<title>{words.badge}: diagnosis of a robot</title>\n<style>\n{css}\n</style>\n</head>\n<body>\n" + "\n".join(body) + "\n</body>\n</html>\n"
+    )  # fmt: skip
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = ()) -> str:
+    """A table; cells are HTML already; the first of a row heads it."""
+    cells = "".join(f'<th scope="col"{_n(i, numeric)}>{h}</th>' for i, h in enumerate(head))
+    lines = [
+        f'<tr><th scope="row">{row[0]}</th>'
+        + "".join(f"<td{_n(i, numeric)}>{c}</td>" for i, c in enumerate(row[1:], 1))
+        + "</tr>"
+        for row in rows
+    ]
+    return f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>\n' + "\n".join(lines) + "\n</tbody></table></div>"
+
+
+def _n(column: int, numeric: Sequence[int]) -> str:
+    return ' class="n"' if column in numeric else ""
+
+
+def _badge(r: JointResult) -> str:
+    words = VERDICTS[r.verdict]
+    return f'<span class="badge tiny {words.colour}">{words.badge}</span>'
+
+
+def _matrix(d: RobotDiagnosis) -> str:
+    """Joints by effects: what is missing where, with its first parameter."""
+    effects = list(dict.fromkeys(f.effect for f in d.findings))
+    rows = []
+    for joint, r in d.joints.items():
+        found = {f.effect: f for f in r.findings}
+        cells = [_size(found[e]) if e in found else '<span class="muted">·</span>' for e in effects]
+        rows.append([f'<a href="#{escape(joint)}">{escape(joint)}</a>', _badge(r), *cells])
+    return '<section id="matrix" class="firm"><h2>What is missing where</h2>' + _table(
+        ["Joint", "Verdict", *(escape(effect_name(e)) for e in effects)], rows
+    ) + "</section>"  # fmt: skip
+
+
+def _size(f: RobotFinding) -> str:
+    name, e = next(iter(f.parameters.items()))
+    return (
+        f"<strong>{estimate(e)}</strong> {unit(e.unit)}"
+        if name != "delay_s"
+        else f"<strong>{number(1e3 * e.value, 3)}</strong> ms"
+    )
+
+
+def _errors(d: RobotDiagnosis) -> str:
+    rows = [
+        [escape(joint), *(f"{percent(f.held_out_nrmse, 3)}" for f in r.fit.values()), percent(max(r.remains[0], 0.0))]
+        for joint, r in d.joints.items()
+    ]
+    head = ["Joint", *(MODELS.get(k, k) for k in next(iter(d.joints.values())).fit), "Still predictable, of the squared error"]
+    return (
+        "<section id=\"errors\" class=\"firm\"><h2>Error of the torque, held out</h2><p>Root mean square over the spread of the measured torque. "
+        "The noise of a torque is not known beforehand: the last column says how much of what is left a black-box model predicts.</p>"
+        + _table(head, rows, range(1, len(head))) + "</section>"
+    )  # fmt: skip
+
+
+def _changed(d: RobotDiagnosis) -> str:
+    if not d.changed:
+        return ""
+    items = "".join(f"<li>{escape(prose(line))}</li>" for line in d.changed)
+    return f'<section id="changed"><h2>Numbers of the file that differ</h2><p>The fewest groups of numbers that have to change:</p><ul>{items}</ul></section>'
+
+
+def _joint(r: JointResult) -> str:
+    parts = [f'<section id="{escape(r.joint)}"><h2>{escape(r.joint)} {_badge(r)}</h2>', f"<p>{escape(prose(r.summary))}</p>"]
+    parts += [_finding(f, r.unit) for f in r.findings]
+    parts.append(_figure(r))
+    rows = [[escape(MODELS.get(k, k)), *_four(f)] for k, f in r.fit.items()]
+    u = unit(r.unit)
+    parts.append(_table(["Model", f"fitted [{u}]", "over the spread", f"held out [{u}]", "over the spread"], rows, (1, 2, 3, 4)))
+    own = [[escape(k), number(r.nominal_parameters.get(k)), *_estimated(e)] for k, e in r.linear_parameters.items()]
+    parts.append(_table(["Own number", "file", "fitted", "95 % interval", "unit"], own, (1, 2, 3)))
+    if r.refusals:
+        items = "".join(f"<li>{escape(effect_name(line))}</li>" for line in r.refusals[:12])
+        parts.append(f"<details><summary>What was tried and refused</summary><ul>{items}</ul></details>")
+    return "\n".join(parts) + "</section>"
+
+
+def _four(f: FitFigures) -> list[str]:
+    return [number(f.rms), percent(f.nrmse, 3), number(f.held_out_rms), percent(f.held_out_nrmse, 3)]
+
+
+def _estimated(e: Estimate) -> list[str]:
+    return [estimate(e), interval(e), unit(e.unit)]
+
+
+def _finding(f: RobotFinding, channel: str) -> str:
+    rows = [[escape(name), *_estimated(e)] for name, e in f.parameters.items()]
+    e, u = f.evidence, unit(channel)
+    told = (
+        f"Held out, the torque is missed by {number(e['held_out_error_before'])} {u} rms without it and by "
+        f"{number(e['held_out_error_after'])} {u} with it. Probability of such a gain by chance: {p_value(e['p_value'])}, corrected for "
+        f"{e['hypotheses']:.0f} hypotheses over all joints."
+    )
+    alike = f"<p>Cannot be told from: {escape(', '.join(effect_name(x) for x in f.equivalents))}.</p>" if f.equivalents else ""
+    origin = f" (from {escape(f.source)})" if f.source else ""
+    return (
+        f'<div class="finding"><h3>{escape(effect_name(f.effect))}{origin}</h3><p>{escape(f.sentence)}</p>'
+        + _table(["Parameter", "value", "95 % interval", "unit"], rows, (1, 2)) + f"<p>{told}</p>{alike}</div>"
+    )  # fmt: skip
+
+
+def _figure(r: JointResult) -> str:
+    """Measured torque and what the models leave, for the longest held-out trace and the longest fitted one."""
+    chosen = []
+    for role in ("held_out", "estimation"):
+        traces = [t for t in r.traces if t.role == role and len(t.time) > 1]
+        if traces:
+            chosen.append(max(traces, key=lambda t: len(t.time)))
+    out = []
+    for t in chosen:
+        out.append(
+            f'<figure><div class="picture">{_svg(t, r.unit)}</div><figcaption>{escape(t.source)}, {t.role.replace("_", " ")}: measured torque '
+            "(grey), what the refitted file leaves (orange) and what the corrected model leaves (blue).</figcaption></figure>"
+        )
+    return "\n".join(out)
+
+
+def _svg(t: Trace, channel: str) -> str:
+    lines = {"measured": t.measured, "refitted": t.measured - t.refitted, "corrected": t.measured - t.corrected}
+    low, high = (f([f(y) for y in lines.values()]) for f in (np.min, np.max))
+    span = (high - low) or 1.0
+    t0, t1 = float(t.time[0]), float(t.time[-1])
+
+    def path(y: np.ndarray, colour: str) -> str:
+        x, v = envelope(t.time, y, 450)
+        px = LEFT + (WIDE - LEFT - 10) * (x - t0) / ((t1 - t0) or 1.0)
+        py = 10 + (HIGH - 30) * (high - v) / span
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
+        return f'<polyline fill="none" stroke="var(--{colour})" stroke-width="1.3" points="{points}"/>'
+
+    zero = 10 + (HIGH - 30) * (high - min(max(0.0, low), high)) / span
+    labels = "".join(
+        f'<text x="{LEFT - 8}" y="{10 + (HIGH - 30) * (high - v) / span + 4:.1f}" text-anchor="end" font-size="12" fill="var(--muted)">{number(v, 3)}</text>'
+        for v in (low, high)
+    )
+    return (
+        f'<svg viewBox="0 0 {WIDE} {HIGH}" role="img" aria-label="torque over time"><line x1="{LEFT}" x2="{WIDE - 10}" y1="{zero:.1f}" y2="{zero:.1f}" '
+        f'stroke="var(--grid)"/>{"".join(path(y, c) for c, y in lines.items())}{labels}'
+        f'<text x="{LEFT}" y="{HIGH - 4}" font-size="12" fill="var(--muted)">{number(t0, 3)} s</text>'
+        f'<text x="{WIDE - 10}" y="{HIGH - 4}" text-anchor="end" font-size="12" fill="var(--muted)">{number(t1, 3)} s · {unit(channel)}</text></svg>'
+    )
+
+
+def _links(d: RobotDiagnosis) -> str:
+    rows = [[escape(k), number(d.nominal_links.get(k)), *_estimated(e)] for k, e in d.links.items()]
+    base = [[escape(b.combination), number(b.nominal), *_estimated(b.estimate)] for b in d.base]
+    head = ["file", "fitted", "95 % interval", "unit"]
+    return (
+        '<section id="links"><h2>Inertial parameters</h2><p>What the motion determines are combinations of the links\' parameters; of a single one '
+        "an interval as wide as the prior says that it is not told apart.</p>"
+        + f"<details><summary>{len(base)} combinations that are determined</summary>" + _table(["Combination", *head], base, (1, 2, 3)) + "</details>"
+        + "<details><summary>Every link</summary>" + _table(["Parameter", *head], rows, (1, 2, 3)) + "</details></section>"
+    )  # fmt: skip
+
+
+def _notes(d: RobotDiagnosis) -> str:
+    if not d.notes:
+        return ""
+    return (
+        '<section id="limits"><h2>What it cannot tell</h2><ul>'
+        + "".join(f"<li>{escape(n)}</li>" for n in d.notes)
+        + "</ul></section>"
+    )
+
+
+def _footer(d: RobotDiagnosis) -> str:
+    rows = "".join(
+        f"<li>{escape(r['file'])} ({escape(r['role'].replace('_', ' '))}) <code>{escape(r['sha256'])}</code></li>"
+        for r in d.recordings
+    )
+    versions = ", ".join(f"{k} {v}" for k, v in d.versions.items())
+    return (
+        f"<footer><h2>Provenance</h2><ul>{rows}</ul><p>Below {number(d.cutoff_hz, 3)} Hz; {d.hypotheses} hypotheses; {number(d.seconds, 3)} s; "
+        f"{escape(versions)}.</p></footer>"
+    )

@@ -1,0 +1,219 @@
+"""The diagnosis of a robot, stage by stage: filter, regression, search, intervals, verdicts."""
+
+from __future__ import annotations
+
+import math
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import mujoco
+import numpy as np
+
+from diagnose.result import FitFigures, Verdict
+from diagnose.robot import decide
+from diagnose.robot.motion import clean_band, moving_joints, prepare
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.physical import consistent
+from diagnose.robot.problem import Problem, build
+from diagnose.robot.remains import black_box
+from diagnose.robot.result import JointResult, RobotDiagnosis, Trace
+from diagnose.robot.select import Selection, select
+from diagnose.robot.solve import Solution
+from mjsim.errors import InputError
+from mjsim.robot.model import Robot
+from mjsim.robot.recording import RobotRecording
+from mjsim.robot.rows import check_rows
+
+__all__ = ["Outcome", "diagnose_robot"]
+
+DRAWN = 1500  # points of a trace at most
+ORDER = (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY, Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The diagnosis, and the search that it comes from: what `corrected.xml` is written from."""
+
+    diagnosis: RobotDiagnosis
+    search: Selection
+
+
+def diagnose_robot(
+    robot: Robot,
+    recordings: Sequence[RobotRecording],
+    held_out: Sequence[RobotRecording] = (),
+    options: RobotOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Outcome:
+    """Diagnose every joint that moves, or those named, by the force that the recorded motion needs.
+
+    Raises InputError for a model or recordings that are outside.
+    """
+    options = options or RobotOptions()
+    begun = time.perf_counter()
+    check_rows(robot)
+    everything = [*recordings, *held_out]
+    names = _chosen(robot, everything, options)
+    cutoff = options.cutoff_hz or min(clean_band(robot, r, names) for r in everything)
+    motions = [prepare(robot, r, names, cutoff, split=not held_out) for r in recordings]
+    motions += [prepare(robot, r, names, cutoff, role="held_out") for r in held_out]
+    problem = build(robot, motions, [robot.joints.index(n) for n in names], options.effects)
+    _enough(problem)
+    say(f"{len(names)} joints, {sum(len(p.y) for p in problem.fitted.values())} samples below {cutoff:.3g} Hz")
+    search = select(problem, options)
+    say(f"{len(search.solution.terms)} effects of {search.hypotheses} (joint, law) hypotheses")
+    diagnosis = _told(search, recordings, held_out, cutoff, begun)
+    return Outcome(diagnosis, search)
+
+
+def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOptions) -> tuple[str, ...]:
+    """Names of the joints to diagnose, in the order of the model. Raises InputError."""
+    moving = moving_joints(robot, recordings)
+    first = recordings[0]
+    for name in options.joints:
+        if name not in robot.joints:
+            raise InputError(
+                "--joint", f"joint {name!r} is not in the model", f"one of {', '.join(robot.joints)}", "correct the name"
+            )
+        if name not in moving:
+            why = "does not move" if first.has("torque", name) else "has no torque"
+            raise InputError(first.source, f"joint {name!r} {why} in the log", "motion and torque of it", "name another joint")
+    if not moving:
+        raise InputError(
+            first.source, "no joint has a torque and moves", f"columns such as {robot.joints[0]}.torque_Nm", "add or bind them; "
+            "a log of positions and commands alone is diagnosed one joint at a time",
+        )  # fmt: skip
+    for r in recordings[1:]:
+        lacking = [n for n in moving if not r.has("torque", n)]
+        if lacking:
+            raise InputError(r.source, f"no torque of joint {lacking[0]!r}", "the joints of the first recording", "add it")
+    return tuple(n for n in robot.joints if n in (options.joints or moving))
+
+
+def _enough(problem: Problem) -> None:
+    for j in problem.joints:
+        for parts, word in ((problem.fitted, "fitted"), (problem.held, "held-out")):
+            if len(parts[j].y) < 30:
+                raise InputError(
+                    problem.motions[0].source, f"{len(parts[j].y)} {word} samples of {problem.robot.joints[j]!r} in motion",
+                    "at least 30", "record longer, or name the other joints by --joint",
+                )  # fmt: skip
+
+
+def _told(
+    search: Selection, recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], cutoff: float, begun: float
+) -> RobotDiagnosis:
+    p, s, robot = search.problem, search.solution, search.problem.robot
+    given, refitted = decide.nominal_solution(p, search.weights), decide.refit(search)
+    V, slices = decide.posterior(search)
+    found = decide.findings(search, V, slices)
+    links, own = decide.estimates(p, s, V)
+    joints = {}
+    for j in p.joints:
+        name = robot.joints[j]
+        remains = black_box(p, s, search.weights, search.rows, j)
+        answer = decide.verdict(p, search.options, search.weights, j, bool(found[j]), remains, given, refitted)
+        fit = {
+            key: decide.figures(p, x, search.weights, j)
+            for key, x in (("nominal", given), ("refitted", refitted), ("corrected", s))
+        }
+        refused = tuple(
+            f"{r.law.key}: {r.reason}" for r in search.refusals.values() if r.joint == j and r.law.key not in _laws(s, j)
+        )
+        joints[name] = JointResult(
+            name, "N m" if robot.motions[j].value == "hinge" else "N", answer, _sentence(answer, fit["corrected"], remains),
+            tuple(found[j]), fit, {k.rpartition(".")[2]: v for k, v in own.items() if k.rpartition(".")[0] == name},
+            {k.rpartition(".")[2]: float(v) for k, v in zip(p.names, p.nominal, strict=True) if k.rpartition(".")[0] == name},
+            remains, refused, tuple(_traces(p, j, given, refitted, s)),
+        )  # fmt: skip
+    worst = max((r.verdict for r in joints.values()), key=ORDER.index)
+    changed = decide.changes(search) if worst is not Verdict.NO_MISMATCH else ()
+    return RobotDiagnosis(
+        worst, _summary(worst, joints, changed), joints, _overall(joints), links,
+        {k: float(v) for k, v in zip(p.names, p.nominal, strict=True)}, decide.base_parameters(p, s, V), changed,
+        _notes(search, recordings, joints), search.hypotheses, cutoff,
+        tuple(
+            {"file": r.source, "sha256": r.sha256, "role": role}
+            for role, group in (("estimation", recordings), ("held_out", held_out)) for r in group
+        ),
+        search.options.seed, time.perf_counter() - begun,
+        {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
+    )  # fmt: skip
+
+
+def _laws(s: Solution, joint: int) -> set[str]:
+    return {t.law.key for t in s.terms if t.joint == joint}
+
+
+def _sentence(answer: Verdict, fit: FitFigures, remains: tuple[float, float]) -> str:
+    """Why a joint has its verdict; the noise of a torque is not known, so that the error left is given."""
+    left = f"{100 * fit.nrmse:.1f} % of the torque's spread on the fitted samples and {100 * fit.held_out_nrmse:.1f} % held out"
+    black = f"a black-box model predicts {100 * max(remains[0], 0.0):.1f} % of the held-out squared error"
+    start = {
+        Verdict.NO_MISMATCH: "The file as given does as well as one with its numbers refitted.",
+        Verdict.PARAMETERS_ONLY: "The structure is right, its numbers are not.",
+        Verdict.MISSING_PHYSICS: "Physics is missing at this joint.",
+        Verdict.UNEXPLAINED: "Structure remains that none of the known effects accounts for.",
+    }[answer]
+    return f"{start} The noise is not known by force: {left} is left, and {black}."
+
+
+def _summary(worst: Verdict, joints: Mapping[str, JointResult], changed: Sequence[str]) -> str:
+    named = [f"{f.effect.replace('_', ' ')} at {f.joint}" for r in joints.values() for f in r.findings]
+    open_ = [r.joint for r in joints.values() if r.verdict is Verdict.UNEXPLAINED]
+    parts = []
+    if named:
+        parts.append(f"Missing: {', '.join(named)}.")
+    if open_:
+        parts.append(f"Structure remains at {', '.join(open_)}.")
+    if changed and worst is not Verdict.NO_MISMATCH:
+        parts.append(f"Numbers that differ from the file: {'; '.join(changed)}.")
+    return " ".join(parts) or "The model as given agrees with the log as well as one with its numbers refitted."
+
+
+def _overall(joints: Mapping[str, JointResult]) -> dict[str, FitFigures]:
+    """Root mean square over the joints of the errors over the spread; rms is the same number, since units differ."""
+    out = {}
+    for key in next(iter(joints.values())).fit:
+        figures = [r.fit[key] for r in joints.values()]
+        a = math.sqrt(sum(f.nrmse**2 for f in figures) / len(figures))
+        b = math.sqrt(sum(f.held_out_nrmse**2 for f in figures) / len(figures))
+        out[key] = FitFigures(a, a, b, b)
+    return out
+
+
+def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapping[str, JointResult]) -> tuple[str, ...]:
+    p = search.problem
+    notes = []
+    for name, at in recordings[0].held_at:
+        notes.append(f"Joint {name} is not in the log: it is held at {at:.4g}.")
+    still = [n for n in recordings[0].joints if n not in joints]
+    if still:
+        notes.append(f"Not diagnosed, since they do not move, have no torque or are not named: {', '.join(still)}.")
+    for joint, result in joints.items():
+        both = {f.effect for f in result.findings}
+        if {"coulomb_friction", "torque_offset"} <= both:
+            notes.append(f"At {joint}, dry friction with an offset is the same torque as asymmetric friction.")
+    if not consistent(p, search.solution.theta) or search.solution.stiffness is not None:
+        notes.append(
+            "Without the demand for physical links the fit would take inertial parameters that no body has; they are held physical."
+        )
+    return tuple(notes)
+
+
+def _traces(p: Problem, j: int, *solutions: Solution) -> list[Trace]:
+    out = []
+    for parts, which in ((p.fitted[j], "fitted"), (p.held[j], "held")):
+        for run in np.unique(parts.run):
+            keep = np.flatnonzero(parts.run == run)
+            keep = keep[:: max(1, len(keep) // DRAWN)]
+            motion = p.motions[int(run)]
+            start = parts.at[keep] - min(int(p.fitted[j].at[p.fitted[j].run == run].min(initial=10**9)),
+                                         int(p.held[j].at[p.held[j].run == run].min(initial=10**9)))  # fmt: skip
+            predicted = [parts.measured[keep] - getattr(s, which)[j][keep] for s in solutions]
+            role = "estimation" if which == "fitted" else "held_out"
+            out.append(Trace(motion.source, role, start * p.dt, parts.measured[keep], *predicted))
+    return out

@@ -1,0 +1,142 @@
+"""From files to a folder with the diagnosis of a robot: diagnosis.json, corrected.xml, report.html."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagnose.result import FitFigures
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.pipeline import Outcome, diagnose_robot
+from diagnose.robot.problem import Problem
+from diagnose.robot.result import JointResult, RobotDiagnosis
+from mjsim.errors import InputError
+from mjsim.mjcf.compile import compile_file
+from mjsim.robot.binding import RobotBinding
+from mjsim.robot.inertia import SIZE
+from mjsim.robot.model import Robot, load_robot
+from mjsim.robot.recording import joints_named, load_robot_recording
+from mjsim.robot.rows import mujoco_torque
+from mjsim.robot.write import write_robot
+
+__all__ = ["ROBOT_EFFECTS", "diagnose_robot_files", "is_robot"]
+
+ROBOT_EFFECTS = (
+    "coulomb_friction", "asymmetric_friction", "stribeck_friction", "sublinear_viscous_friction", "quadratic_friction",
+    "load_dependent_friction", "presliding_friction", "friction_drift", "position_dependent_friction", "torque_offset", "torque_ripple",
+    "gravity_load", "gravity_compensation_spring", "cable_torque", "coupled_transmission", "torque_gain_droop", "time_delay",
+)  # fmt: skip
+
+
+def is_robot(recordings: Sequence[Path], model: Path, joints: Sequence[str] = ()) -> bool:
+    """Whether a diagnosis is one of a robot: joints are named, the model has several driven joints, or the log's columns name several."""
+    if joints:
+        return True
+    if len(joints_named(recordings[0])) > 1:
+        return True
+    for toml in (recordings[0].with_suffix(".toml"), model.with_suffix(".toml")):
+        binding = RobotBinding.from_toml(toml) if toml.is_file() else None
+        if binding is not None and len(binding.joints) > 1:
+            return True
+    compiled = compile_file(model)
+    driven = {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) <= 1}
+    return len(driven) > 1
+
+
+def diagnose_robot_files(
+    recordings: Sequence[Path],
+    model: Path,
+    out: Path,
+    held_out: Sequence[Path] = (),
+    options: RobotOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> RobotDiagnosis:
+    """Diagnose a robot from files and write the folder ``out``. Raises InputError for what is outside."""
+    robot = load_robot(model)
+    loaded = [load_robot_recording(p, robot, model=model) for p in recordings]
+    held = [load_robot_recording(p, robot, model=model) for p in held_out]
+    there = next(p for p in (out, *out.resolve().parents) if p.exists())
+    if not there.is_dir():
+        raise InputError(out, f"{there.name!r} is a file", "a folder", "choose another --out")
+    outcome = diagnose_robot(robot, loaded, held, options, say)
+    out.mkdir(parents=True, exist_ok=True)
+    corrected = out / "corrected.xml"
+    _write_corrected(model, robot, outcome, corrected)
+    result = _by_mujoco(outcome, robot, corrected)
+    from diagnose.robot.page import write_page
+
+    write_page(result, out / "report.html")
+    result.write_json(out / "diagnosis.json")
+    return result
+
+
+def _write_corrected(model: Path, robot: Robot, outcome: Outcome, path: Path) -> None:
+    """The corrected MJCF: links, armature, damping, dry friction and springs in their elements, the rest carried."""
+    search = outcome.search
+    p, theta = search.problem, search.solution.theta
+    size = len(robot.links) * SIZE
+    joints: dict[str, dict[str, float]] = {}
+    for name, value in zip(p.names[size:], theta[size:], strict=True):
+        joint, _, kind = name.rpartition(".")
+        joints.setdefault(joint, {})[kind] = float(value)
+    carried: list[Mapping[str, Any]] = []
+    for term, c in zip(search.solution.terms, search.solution.coefficients, strict=True):
+        joint = robot.joints[term.joint]
+        if term.law.id == "coulomb_friction":
+            joints[joint]["frictionloss"] = float(c[0])
+        elif term.law.id == "gravity_compensation_spring" and "stiffness" not in joints[joint]:
+            joints[joint] |= {"stiffness": float(c[0]), "springref": float(-c[1] / c[0])}
+        else:
+            values = {k: v[0] for k, v in term.law.values(c, term.shape).items()}
+            effect = {"effect": term.law.id, "form": term.law.form, "joint": joint, "parameters": values}
+            carried.append(effect | ({"from": term.law.source} if term.law.source else {}))
+    for values_of in joints.values():  # a law has taken the place of the file's own dry friction
+        if abs(values_of.get("frictionloss", 0.0)) < 1e-12 and "frictionloss" in values_of:
+            values_of["frictionloss"] = 0.0
+    links = theta[:size].reshape(-1, SIZE) - robot.fixed
+    unchanged = np.allclose(theta[:size].reshape(-1, SIZE), robot.nominal, rtol=1e-12)
+    write_robot(model, robot, path, robot.nominal - robot.fixed if unchanged else links, joints, carried)
+
+
+def _by_mujoco(outcome: Outcome, robot: Robot, corrected: Path) -> RobotDiagnosis:
+    """The diagnosis with the errors of the two files as plain MuJoCo finds them; those of the regression stand as "surrogate"."""
+    p = outcome.search.problem
+    errors = {key: _file_figures(p, r) for key, r in (("nominal", robot), ("corrected", load_robot(corrected)))}
+    joints: dict[str, JointResult] = {}
+    for j in p.joints:
+        name = robot.joints[j]
+        was = outcome.diagnosis.joints[name]
+        fit = {"nominal": errors["nominal"][j], "refitted": was.fit["refitted"], "corrected": errors["corrected"][j],
+               "surrogate": was.fit["corrected"]}  # fmt: skip
+        joints[name] = dataclasses.replace(was, fit=fit)
+    overall = {}
+    for key in ("nominal", "refitted", "corrected", "surrogate"):
+        own = [r.fit[key] for r in joints.values()]
+        a, b = (math.sqrt(sum(getattr(f, k) ** 2 for f in own) / len(own)) for k in ("nrmse", "held_out_nrmse"))
+        overall[key] = FitFigures(a, a, b, b)
+    return dataclasses.replace(outcome.diagnosis, joints=joints, fit=overall)
+
+
+def _file_figures(p: Problem, robot: Robot) -> dict[int, FitFigures]:
+    """Errors of a file's torque by mj_inverse along the filtered motion, by joint."""
+    fitted: dict[int, list[np.ndarray]] = {j: [] for j in p.joints}
+    held: dict[int, list[np.ndarray]] = {j: [] for j in p.joints}
+    for motion, Y in zip(p.motions, p.links, strict=True):
+        torque = mujoco_torque(robot, motion.z, motion.dz, motion.ddz)
+        if motion.payload is not None:
+            torque = torque + Y[:, :, motion.payload[0]] @ motion.payload[1]
+        error = motion.thinned(motion.torque - motion.low_passed(torque))
+        for j in p.joints:
+            fitted[j].append(error[motion.counts[:, j] & ~motion.held, j])
+            held[j].append(error[motion.counts[:, j] & motion.held, j])
+    out = {}
+    for j in p.joints:
+        a, b = (float(np.sqrt(np.mean(np.concatenate(x[j]) ** 2))) for x in (fitted, held))
+        spread = [float(np.std(x[j].measured)) + 1e-300 for x in (p.fitted, p.held)]
+        out[j] = FitFigures(a, a / spread[0], b, b / spread[1])
+    return out
