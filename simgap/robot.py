@@ -89,6 +89,8 @@ def _write_corrected(model: Path, robot: Robot, outcome: Outcome, path: Path) ->
         joint = robot.joints[term.joint]
         if term.law.id == "coulomb_friction":
             joints[joint]["frictionloss"] = float(c[0])
+        elif term.law.id == "quadratic_friction":
+            joints[joint]["quadratic"] = float(c[0])
         elif term.law.id == "gravity_compensation_spring" and "stiffness" not in joints[joint]:
             joints[joint] |= {"stiffness": float(c[0]), "springref": float(-c[1] / c[0])}
         else:

@@ -11,7 +11,7 @@ from diagnose.evidence.held_out import compare
 from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.laws import law_parameters
 from diagnose.robot.options import RobotOptions
-from diagnose.robot.problem import JOINT_PARAMETERS, Problem
+from diagnose.robot.problem import JOINT_PARAMETERS, Problem, Term
 from diagnose.robot.result import BaseParameter, RobotFinding
 from diagnose.robot.select import ALIKE, Selection, _screen, _with
 from diagnose.robot.solve import Solution, covariance, held_out, normal, solve, told_apart, unpacked
@@ -76,28 +76,29 @@ def findings(search: Selection, V: np.ndarray, slices: Sequence[slice]) -> dict[
         before, after = (held_out(p, x, search.weights, term.joint) for x in (without, s))
         evidence = {
             "held_out_error_before": before.rms, "held_out_error_after": after.rms,
-            "p_value": min(1.0, step.held.p_value * search.hypotheses), "delta_chi2": search.raw_gain(without, s),
-            "hypotheses": float(search.hypotheses),
+            "p_value": min(1.0, step.held.p_value * search.multiplicity(term.law)), "delta_chi2": search.raw_gain(without, s),
+            "hypotheses": search.multiplicity(term.law),
         }  # fmt: skip
         joint = robot.joints[term.joint]
         out[term.joint].append(
             RobotFinding(
-                term.law.id, joint, joint, term.law.sentence, parameters, evidence, _equivalents(search, without, term.joint, term.law.key),
+                term.law.id, joint, joint, term.law.sentence, parameters, evidence, _equivalents(search, without, term),
                 term.law.form, term.law.source,
             )
         )  # fmt: skip
     return out
 
 
-def _equivalents(search: Selection, without: Solution, joint: int, key: str) -> tuple[str, ...]:
-    """Laws that could stand in the place of one: as many numbers or fewer, and within `ALIKE` on fitted and held-out samples."""
+def _equivalents(search: Selection, without: Solution, term: Term) -> tuple[str, ...]:
+    """Laws that could stand in the place of a term: within `ALIKE` of it on fitted and held-out samples, less the price."""
     s = search.solution
-    out = []
-    for _, other in _screen(search, without, joint)[:6]:
-        if other.law.key == key or any(t.joint == joint and t.law.id == other.law.id for t in without.terms):
+    out = ["torque_offset"] if term.law.id == "asymmetric_friction" else []  # beside dry friction, the same torque
+    for _, other in _screen(search, without, term.joint)[:6]:
+        if other.law.id == term.law.id or any(t.joint == term.joint and t.law.id == other.law.id for t in without.terms):
             continue
         trial = search.solve(_with(without.terms, other))
-        if trial.sane(other) and search.step(s, trial, joint).total > -ALIKE:
+        refines = term.law.id in other.law.holds  # a law that contains it and gains nothing is no equivalent
+        if trial.sane(other) and not refines and search.step(s, trial, term.joint).total > -ALIKE:
             out.append(other.law.id)
     return tuple(dict.fromkeys(out))
 
@@ -106,8 +107,8 @@ def verdict(
     problem: Problem, options: RobotOptions, weights: Mapping[int, float], joint: int, found: bool, remains: tuple[float, float],
     given: Solution, refitted: Solution,
 ) -> Verdict:  # fmt: skip
-    """Verdict of a joint: structure that remains, effects, parameters, or nothing."""
-    if remains[0] > options.remains and remains[1] < options.remains_p:
+    """Verdict of a joint: structure that a black-box model predicts on held-out samples, else effects, parameters, or nothing."""
+    if remains[0] > options.remains:
         return Verdict.UNEXPLAINED
     if found:
         return Verdict.MISSING_PHYSICS

@@ -14,8 +14,9 @@ class RobotOptions:
     joints: names of the joints to diagnose, all that move when empty; effects: identifiers to consider, all when empty; cutoff_hz:
     of the low-pass on both sides, from the encoder's noise when None; most: largest number of effects; p_enter: level of the
     one-sided held-out test times the number of (joint, effect) hypotheses; material: least relative gain of the held-out squared
-    error of a joint, 1 % of its rms error; remains, remains_p: part of a joint's held-out squared error that a black-box model
-    must predict for structure to remain, and its p-value (as in docs/decisions/false-alarms.md); seed: kept for the record.
+    error of a joint, 1 % of its rms error; remains: part of a joint's held-out squared error that a black-box model may predict: above it
+    structure remains (where none does, a black-box model predicts less than nothing of samples that it was not fitted to); seed: kept for
+    the record.
     """
 
     joints: tuple[str, ...] = ()
@@ -25,5 +26,4 @@ class RobotOptions:
     p_enter: float = 0.01
     material: float = 0.02
     remains: float = 0.05
-    remains_p: float = 1e-4
     seed: int = 0

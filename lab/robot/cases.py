@@ -85,11 +85,12 @@ def _condition(arm: Arm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> float:
     return float(s[0] / s[-1]) / len(s)
 
 
-def _laws(rng: np.random.Generator, joint: int, torque: float, load: float, speed: float, only: str = "") -> Law:
-    """A law at a joint, of a size between a twentieth and a quarter of the joint's rms torque."""
+def _laws(rng: np.random.Generator, joint: int, rms: tuple[float, ...], only: str = "") -> Law:
+    """A law at a joint; rms: of its torque, of its load and of its speed. Of 6 to 25 % of the joint's rms torque."""
     ids = ("coulomb_friction", "stribeck_friction", "load_dependent_friction", "torque_offset", "torque_ripple",
            "quadratic_friction", "gravity_compensation_spring", "asymmetric_friction")  # fmt: skip
     id_ = only or str(rng.choice(ids))
+    torque, load, speed = rms
     size = torque * float(rng.uniform(0.06, 0.25))
     if id_ == "coulomb_friction":
         return Law(id_, joint, {"torque_Nm": size}, lambda q, v, T, t: size * _sign(v))
@@ -155,10 +156,10 @@ def draw(seed: int, kind: str, axes: int) -> Case:
         total = load + [link.rotor for link in nominal.links] * a + [link.viscous for link in nominal.links] * v
         for joint in rng.choice(axes, count, replace=False):
             j = int(joint)
-            rms = [float(np.sqrt(np.mean(x[:, j] ** 2))) for x in (total, load, v)]
-            law = _laws(rng, j, *rms)
+            rms = tuple(float(np.sqrt(np.mean(x[:, j] ** 2))) for x in (total, load, v))
+            law = _laws(rng, j, rms)
             # a joint that bears no load has no load-dependent friction to speak of
-            laws.append(_laws(rng, j, *rms, only="coulomb_friction") if law.values.get("coefficient", 0.0) > 0.5 else law)
+            laws.append(_laws(rng, j, rms, only="coulomb_friction") if law.values.get("coefficient", 0.0) > 0.5 else law)
     return Case(kind, seed, nominal, true, tuple(laws), tuple(changed))
 
 

@@ -41,7 +41,7 @@ def write_robot(
     """Write a corrected copy of an MJCF.
 
     links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
-    damping, frictionloss, stiffness, springref [SI] to write; effects: what MJCF has no element for, as JSON values, read back by
+    damping, frictionloss, stiffness, springref and quadratic damping [SI] to write; effects: what MJCF has no element for, as JSON values, read back by
     `carried_effects`. Raises InputError where the file cannot be written, or holds a link or joint in an included file.
     """
     xml = XmlText(source.read_text(encoding="utf-8"))
@@ -51,16 +51,8 @@ def write_robot(
             _inertial(xml, source, robot, body, links[at])
     degrees = _in_degrees(xml)
     for name, values in joints.items():
-        for key, value in values.items():
-            turned = key == "springref" and degrees and _is_hinge(model, robot, name)
-            node = _joint(xml, source, robot, name)
-            xml.set(node, key, _number(math.degrees(value) if turned else value))
-    if any(v.get("frictionloss") for v in joints.values()):
-        for name, values in joints.items():
-            if values.get("frictionloss"):
-                rate = STEP_RATE / float(model.opt.timestep)
-                xml.set(_joint(xml, source, robot, name), "solreffriction", f"-1 {_number(-rate)}")
-                xml.set(_joint(xml, source, robot, name), "solimpfriction", "0.9999 0.9999 0.001 0.5 2")
+        for key, text in _attributes(values, degrees and _is_hinge(model, robot, name), float(model.opt.timestep)).items():
+            xml.set(_joint(xml, source, robot, name), key, text)
     _drop(xml)
     if effects:
         xml.append(xml.root, _custom(effects))
@@ -80,6 +72,17 @@ def carried_effects(path: Path) -> list[dict[str, Any]]:
         return list(json.loads(raw.decode())["effects"])
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{path}: <custom> text {CUSTOM!r}", "not readable", "what simgap writes", "take a fresh copy") from None
+
+
+def _attributes(values: Mapping[str, float], degrees: bool, timestep: float) -> dict[str, str]:
+    """Attributes of a joint: MuJoCo's damping is a polynomial of the speed, and dry friction acts stiffly on it."""
+    out = {k: _number(math.degrees(v) if k == "springref" and degrees else v) for k, v in values.items() if k != "quadratic"}
+    if "quadratic" in values:
+        out["damping"] = f"{_number(values.get('damping', 0.0))} {_number(values['quadratic'])}"
+    if values.get("frictionloss"):
+        out["solreffriction"] = f"-1 {_number(-STEP_RATE / timestep)}"
+        out["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
+    return out
 
 
 def _number(value: float) -> str:
