@@ -28,13 +28,15 @@ __all__ = ["ROBOT_EFFECTS", "diagnose_robot_files", "is_robot"]
 
 ROBOT_EFFECTS = (
     "coulomb_friction", "asymmetric_friction", "stribeck_friction", "sublinear_viscous_friction", "quadratic_friction",
-    "load_dependent_friction", "presliding_friction", "friction_drift", "position_dependent_friction", "torque_offset", "torque_ripple",
+    "load_dependent_friction", "presliding_friction", "friction_drift", "position_dependent_friction", "torque_offset",
+    "torque_ripple",
     "gravity_load", "gravity_compensation_spring", "cable_torque", "coupled_transmission", "torque_gain_droop", "time_delay",
 )  # fmt: skip
 
 
 def is_robot(recordings: Sequence[Path], model: Path, joints: Sequence[str] = ()) -> bool:
-    """Whether a diagnosis is one of a robot: joints are named, the model has several driven joints, or the log's columns name several."""
+    """Whether a diagnosis is one of a robot: joints are named, the model has several driven joints, or the log's columns
+    name several."""
     if joints:
         return True
     if len(joints_named(recordings[0])) > 1:

@@ -1,4 +1,5 @@
-"""From the search to an answer: findings with intervals, equivalents, verdict of each joint, and what differs from the file in words."""
+"""From the search to an answer: findings with intervals, equivalents, verdict of each joint, and what differs from the file
+in words."""
 
 from __future__ import annotations
 
@@ -13,8 +14,9 @@ from diagnose.robot.laws import law_parameters
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.problem import JOINT_PARAMETERS, Problem, Term
 from diagnose.robot.result import BaseParameter, RobotFinding
-from diagnose.robot.select import ALIKE, Selection, _screen, _with
+from diagnose.robot.select import ALIKE
 from diagnose.robot.solve import Solution, covariance, held_out, normal, solve, told_apart, unpacked
+from diagnose.robot.state import Selection, replaced, screen
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.inertia import NAMES, SIZE
 
@@ -93,10 +95,10 @@ def _equivalents(search: Selection, without: Solution, term: Term) -> tuple[str,
     """Laws that could stand in the place of a term: within `ALIKE` of it on fitted and held-out samples, less the price."""
     s = search.solution
     out = ["torque_offset"] if term.law.id == "asymmetric_friction" else []  # beside dry friction, the same torque
-    for _, other in _screen(search, without, term.joint)[:6]:
+    for _, other in screen(search, without, term.joint)[:6]:
         if other.law.id == term.law.id or any(t.joint == term.joint and t.law.id == other.law.id for t in without.terms):
             continue
-        trial = search.solve(_with(without.terms, other))
+        trial = search.solve(replaced(without.terms, other))
         refines = term.law.id in other.law.holds  # a law that contains it and gains nothing is no equivalent
         if trial.sane(other) and not refines and search.step(s, trial, term.joint).total > -ALIKE:
             out.append(other.law.id)
@@ -215,8 +217,8 @@ def _in_words(p: Problem, name: str, own: np.ndarray, x: np.ndarray, V: np.ndarr
     at = int(own[most])
     change, error = float(x[at] * p.scale[at]), 1.96 * float(np.sqrt(V[at, at])) * float(p.scale[at])
     return (
-        f"inertial parameters of {name}, of which mass and centre are not told apart, most in {NAMES[most]}: {p.nominal[at]:.4g} -> "
-        f"{p.nominal[at] + change:.4g} {UNITS[NAMES[most]]} (+-{error:.2g})"
+        f"inertial parameters of {name}, of which mass and centre are not told apart, most in "
+        f"{NAMES[most]}: {p.nominal[at]:.4g} -> {p.nominal[at] + change:.4g} {UNITS[NAMES[most]]} (+-{error:.2g})"
     )
 
 

@@ -1,7 +1,8 @@
 """A recording of a robot as its inverse dynamics see it: low-passed motion and torque on one grid, and the samples that count.
 
 Motion and torque pass one zero-phase Butterworth filter F. What is computed from the filtered motion is filtered once more, so
-that the torque is filtered twice: a column linear in the motion is then F^2 of it, as the torque is. A column that jumps with the sign
+that the torque is filtered twice: a column linear in the motion is then F^2 of it, as the torque is. A column that jumps
+with the sign
 of a velocity has to be filtered twice itself. Source: M. Gautier, IEEE ICRA (1997) 2278, for filtering both sides.
 """
 
@@ -27,6 +28,7 @@ THINNED = 3  # samples of the coarse grid per period of the cutoff
 SLOW, REST = 0.005, 0.05  # of the rms speed, as diagnose.problem.view.ForceView counts
 SHARE = 1e-3  # of the torque's power that the encoder's noise may make below the cutoff
 LEAST_MOVED = 20.0  # times the encoder's noise: the travel of a joint that moves
+LEAST_PERIODS = 20  # of the cutoff: the filter's ends take four
 BLOCKS, EVERY = 10, 3  # blocks of a recording, of which every third is held out
 
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
@@ -38,7 +40,8 @@ class RobotMotion:
     """One recording on the fine grid (N), and which samples of the coarse grid (M) count.
 
     time (N,) [s]; z, dz, ddz (N, m): filtered once; torque (N, m): joint side, filtered twice, NaN for a joint without; counts
-    (M, m): samples of a joint's row that are compared; held (M,): samples that are held out; sos: the filter on the fine grid; every:
+    (M, m): samples of a joint's row that are compared; held (M,): samples that are held out; sos: the filter on the fine
+    grid; every:
     samples of the fine grid per sample of the coarse one; dt: of the fine grid [s].
     """
 
@@ -81,7 +84,8 @@ def derivative(x: np.ndarray, dt: float, second: bool = False) -> np.ndarray:
 
 
 def moving_joints(robot: Robot, recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
-    """Driven joints whose travel, in the first recording, is clearly more than the encoder's noise, and whose torque is logged."""
+    """Driven joints whose travel, in the first recording, is clearly more than the encoder's noise, and whose torque is
+    logged."""
     first = recordings[0]
     out = []
     for k, name in enumerate(robot.joints):
@@ -103,7 +107,8 @@ def _step(q: np.ndarray) -> float:
 def clean_band(robot: Robot, recording: RobotRecording, joints: Sequence[str]) -> float:
     """Highest frequency [Hz], at most a tenth of the sampling rate, below which encoder noise is no torque to speak of.
 
-    White noise of an angle makes a torque M_jj w^2 of it: below the cutoff that may have `SHARE` of the power of the recorded torque.
+    White noise of an angle makes a torque M_jj w^2 of it: below the cutoff that may have `SHARE` of the power of the
+    recorded torque.
     The lowest of all joints counts, since the motion of every joint is in every row.
     """
     from scipy.signal import welch
@@ -139,11 +144,10 @@ def prepare(
 
     coarse = max(1, int(1 / (recording.dt * OVERSAMPLING * cutoff)))
     first = butter(ORDER, min(2 * cutoff * recording.dt, 0.9), output="sos")
-    if len(recording) * recording.dt * cutoff < 20:
-        raise InputError(
-            recording.source, f"{len(recording)} samples hold {len(recording) * recording.dt * cutoff:.0f} periods of the {cutoff:.3g} Hz that "
-            "are compared", "at least 20", "record longer",
-        )  # fmt: skip
+    periods = len(recording) * recording.dt * cutoff
+    if periods < LEAST_PERIODS:
+        found = f"{len(recording)} samples hold {periods:.0f} periods of the {cutoff:.3g} Hz that are compared"
+        raise InputError(recording.source, found, f"at least {LEAST_PERIODS}", "record longer")
     z = sosfiltfilt(first, recording.positions(robot), axis=0)[::coarse]
     dt = recording.dt * coarse
     sos = np.asarray(butter(ORDER, min(2 * cutoff * dt, 0.9), output="sos"))

@@ -11,11 +11,14 @@ __all__ = ["RobotOptions"]
 class RobotOptions:
     """Options of a diagnosis of a robot.
 
-    joints: names of the joints to diagnose, all that move when empty; effects: identifiers to consider, all when empty; cutoff_hz:
+    joints: names of the joints to diagnose, all that move when empty; effects: identifiers to consider, all when empty;
+    cutoff_hz:
     of the low-pass on both sides, from the encoder's noise when None; most: largest number of effects; p_enter: level of the
     one-sided held-out test times the number of (joint, effect) hypotheses; material: least relative gain of the held-out squared
-    error of a joint, 1 % of its rms error; remains: part of a joint's held-out squared error that a black-box model may predict: above it
-    structure remains (where none does, a black-box model predicts less than nothing of samples that it was not fitted to); seed: kept for
+    error of a joint, 1 % of its rms error; remains: part of a joint's held-out squared error that a black-box model may
+    predict: above it
+    structure remains (where none does, a black-box model predicts less than nothing of samples that it was not fitted to);
+    seed: kept for
     the record.
     """
 

@@ -172,13 +172,11 @@ def _figure(r: JointResult) -> str:
         traces = [t for t in r.traces if t.role == role and len(t.time) > 1]
         if traces:
             chosen.append(max(traces, key=lambda t: len(t.time)))
-    out = []
-    for t in chosen:
-        out.append(
-            f'<figure><div class="picture">{_svg(t, r.unit)}</div><figcaption>{escape(t.source)}, {t.role.replace("_", " ")}: measured torque '
-            "(grey), what the refitted file leaves (orange) and what the corrected model leaves (blue).</figcaption></figure>"
-        )
-    return "\n".join(out)
+    return "\n".join(
+        f'<figure><div class="picture">{_svg(t, r.unit)}</div><figcaption>{escape(t.source)}, {t.role.replace("_", " ")}: measured torque '
+        "(grey), what the refitted file leaves (orange) and what the corrected model leaves (blue).</figcaption></figure>"
+        for t in chosen
+    )
 
 
 def _svg(t: Trace, channel: str) -> str:

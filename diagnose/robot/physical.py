@@ -2,7 +2,8 @@
 
     minimise  f(x) - mu ( sum over links log det J_l + sum log of armatures, dampings, dry frictions )
 
-f: the regression with its prior, its least over the effects' coefficients; J_l: pseudo-inertia of link l less what is fixed to it, whose positive definiteness is
+f: the regression with its prior, its least over the effects' coefficients; J_l: pseudo-inertia of link l less what is fixed
+to it, whose positive definiteness is
 mass > 0, inertia > 0 and the triangle inequality. A convex problem; Newton steps along a path of mu that ends where the barrier
 is worth less than a tenth of a unit of chi-square (a barrier of nu terms is nu mu from the optimum).
 Sources: Wensing, Kim, Slotine, IEEE RA-L 3 (2018) 60; S. Boyd, L. Vandenberghe, Convex Optimization (2004), ch. 11.

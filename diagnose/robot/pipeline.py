@@ -20,8 +20,9 @@ from diagnose.robot.physical import consistent
 from diagnose.robot.problem import Problem, build
 from diagnose.robot.remains import black_box
 from diagnose.robot.result import JointResult, RobotDiagnosis, Trace
-from diagnose.robot.select import Selection, select
+from diagnose.robot.select import select
 from diagnose.robot.solve import Solution
+from diagnose.robot.state import Selection
 from mjsim.errors import InputError
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
@@ -198,9 +199,7 @@ def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapp
         if {"coulomb_friction", "torque_offset"} <= both:
             notes.append(f"At {joint}, dry friction with an offset is the same torque as asymmetric friction.")
     if not consistent(p, search.solution.theta) or search.solution.stiffness is not None:
-        notes.append(
-            "Without the demand for physical links the fit would take inertial parameters that no body has; they are held physical."
-        )
+        notes.append("Without the demand for physical links the fit would take inertial parameters that no body has.")
     return tuple(notes)
 
 

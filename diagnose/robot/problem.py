@@ -2,7 +2,8 @@
 
     y_j(t) = A_j(t) theta + sum over terms at j of C(t; shape) c + e_j(t)
 
-theta: inertial parameters of all links, and of each joint armature, damping, and the dry friction and stiffness that the file has.
+theta: inertial parameters of all links, and of each joint armature, damping, and the dry friction and stiffness that the
+file has.
 """
 
 from __future__ import annotations
@@ -141,7 +142,8 @@ def build(robot: Robot, motions: Sequence[RobotMotion], joints: Sequence[int], o
         offset += 2 * len(index)
     parts = [{j: _joined(parts[j]) for j in joints} for parts in (fitted, held)]
     problem = Problem(
-        robot, tuple(motions), tuple(joints), names, nominal, _scales(robot, joints, parts[0], names, nominal), parts[0], parts[1],
+        robot, tuple(motions), tuple(joints), names, nominal,
+        _scales(robot, joints, parts[0], names, nominal), parts[0], parts[1],
         {}, links, motions[0].dt * motions[0].every,
     )  # fmt: skip
     estimation = [r for r, m in zip(problem.rows(nominal), motions, strict=True) if m.role == "estimation"]

@@ -1,7 +1,8 @@
 """What is still predictable of a joint's torque: a black-box regression of the residual, judged on held-out samples.
 
 The noise of a torque is not known beforehand. The yardstick is a dictionary of functions of the joint's own position, velocity,
-acceleration and load and of the other joints' velocities, fitted to the residual by ridge regression: what it predicts of the held-out residual is
+acceleration and load and of the other joints' velocities, fitted to the residual by ridge regression: what it predicts of
+the held-out residual is
 structure that the model does not have.
 """
 
@@ -29,7 +30,8 @@ def _dictionary(row: Row) -> np.ndarray:
     load = row.load / (np.sqrt(np.mean(row.load**2)) + 1e-300)
     a = np.gradient(v)
     s = np.tanh(v / 0.05)
-    columns = [np.ones_like(v), s, v, np.abs(v), v * np.abs(v), v**3, s * np.exp(-((v / 0.2) ** 2)), q, q**2, q**3, s * q, s * q**2,
+    columns = [np.ones_like(v), s, v, np.abs(v), v * np.abs(v), v**3,
+               s * np.exp(-((v / 0.2) ** 2)), q, q**2, q**3, s * q, s * q**2,
                load, s * np.abs(load), load * np.abs(load), a, a * np.abs(a), a * q, v * q, s * row.t]  # fmt: skip
     for velocity, _ in row.others.values():
         w = velocity / (np.sqrt(np.mean(velocity**2)) + 1e-300)

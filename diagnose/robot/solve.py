@@ -1,6 +1,7 @@
 """Solving the regression: weighted least squares with a prior at the nominal robot, intervals for coloured residuals.
 
-Parameters are scaled to x = (theta - nominal) / scale, so that the prior is |x|^2 and the normal equations are never worse than their
+Parameters are scaled to x = (theta - nominal) / scale, so that the prior is |x|^2 and the normal equations are never worse
+than their
 data. Rows are weighted by the rms of their own residual (iteratively reweighted), times the share of independent samples.
 """
 
@@ -50,7 +51,8 @@ class Solution:
 class Normal:
     """Normal equations H x = g in scaled parameters and scaled coefficients: the first P are the robot's own.
 
-    free (P,): which of these are free; fixed (P,): the values of the others; starts: first coefficient of each term; norms: rms of
+    free (P,): which of these are free; fixed (P,): the values of the others; starts: first coefficient of each term; norms:
+    rms of
     the columns of each term, by which its coefficients are scaled; columns: of each term.
     """
 
@@ -190,7 +192,8 @@ def held_out(
 ) -> HeldOut:
     """Held-out errors over the rms of each row's residual, in blocks three times as long as it remembers.
 
-    share: of independent samples, by default that of each row's own residual; of two solutions that are compared, that of `worth`.
+    share: of independent samples, by default that of each row's own residual; of two solutions that are compared, that of
+    `worth`.
     """
     errors, sse, count, squares, spread = [], [], [], 0.0, 0.0
     for j in problem.joints if joint is None else (joint,):

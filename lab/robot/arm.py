@@ -1,6 +1,8 @@
-"""A robot's inverse dynamics for the concealed plant: recursive Newton-Euler in link frames, one sample at a time for all samples.
+"""A robot's inverse dynamics for the concealed plant: recursive Newton-Euler in link frames, one sample at a time for all
+samples.
 
-Written from the textbook (J. J. Craig, Introduction to Robotics (2005), ch. 6), with its own description of an arm: it shares no code with
+Written from the textbook (J. J. Craig, Introduction to Robotics (2005), ch. 6), with its own description of an arm: it
+shares no code with
 `mjsim`, which it is there to test. The arm is a serial chain of hinges; a link's frame has its origin on its joint's axis.
 """
 
@@ -93,9 +95,11 @@ class Arm:
     def mjcf(self, name: str) -> str:
         """The arm as MJCF, with geoms for the eye."""
         lines = [
-            f'<mujoco model="{name}">', '  <compiler angle="radian" autolimits="true"/>', '  <option timestep="0.001" integrator="implicitfast"/>',
+            f'<mujoco model="{name}">', '  <compiler angle="radian" autolimits="true"/>',
+            '  <option timestep="0.001" integrator="implicitfast"/>',
             "  <default>", '    <geom contype="0" conaffinity="0" mass="0" group="1"/>', "  </default>",
-            "  <asset>", '    <material name="shell" rgba="0.90 0.91 0.93 1"/>', '    <material name="joint" rgba="0.16 0.42 0.62 1"/>',
+            "  <asset>", '    <material name="shell" rgba="0.90 0.91 0.93 1"/>',
+            '    <material name="joint" rgba="0.16 0.42 0.62 1"/>',
             "  </asset>", "  <worldbody>", '    <light pos="1 -2 3" dir="-0.3 0.5 -1" diffuse="0.8 0.8 0.8"/>',
             '    <camera name="overview" pos="0.9 -1.9 1.1" xyaxes="0.9 0.43 0 -0.15 0.32 0.93"/>',
             '    <geom name="floor" type="plane" size="1.5 1.5 0.1" rgba="0.80 0.82 0.84 1"/>',
@@ -107,7 +111,8 @@ class Arm:
             axis = 0.055 * np.array(link.axis)
             lines += [
                 f'{pad}<body name="{link.name}" pos="{_text(link.place)}">',
-                f'{pad}  <joint name="joint{i + 1}" axis="{_text(link.axis)}" range="-{link.limit} {link.limit}" armature="{link.rotor}" '
+                f'{pad}  <joint name="joint{i + 1}" axis="{_text(link.axis)}" range="-{link.limit} {link.limit}" '
+                f'armature="{link.rotor}" '
                 f'damping="{link.viscous}"/>',
                 f'{pad}  <inertial mass="{link.mass}" pos="{_text(link.centre)}" diaginertia="{_text(link.inertia)}"/>',
                 f'{pad}  <geom type="cylinder" fromto="{_text(-axis)} {_text(axis)}" size="0.05" material="joint"/>',

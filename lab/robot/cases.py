@@ -1,7 +1,9 @@
 """Concealed robots: cases drawn from a seed, and their logs by the plant of `lab.robot.arm` with laws of its own.
 
-Motion is a band-limited Fourier series within the joints' limits (J. Swevers et al., IEEE Trans. Robotics and Automation 13 (1997) 730), the best of
-a few for the condition of the inertial regressor. The log is what a robot's controller gives: angles of an encoder and the torque of
+Motion is a band-limited Fourier series within the joints' limits (J. Swevers et al., IEEE Trans. Robotics and Automation 13
+(1997) 730), the best of
+a few for the condition of the inertial regressor. The log is what a robot's controller gives: angles of an encoder and the
+torque of
 the drives, both with noise, at 250 Hz.
 """
 

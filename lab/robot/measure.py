@@ -22,7 +22,8 @@ PHASES = ("phase_rad",)
 
 
 def score(case: Case, d: RobotDiagnosis) -> dict[str, Any]:
-    """What was right: names (joint and effect, all and no other), values (relative errors), and how many intervals hold the truth."""
+    """What was right: names (joint and effect, all and no other), values (relative errors), and how many intervals hold the
+    truth."""
     true = {(law.id, f"joint{law.joint + 1}"): law.values for law in case.laws}
     found = {(f.effect, f.joint): f for f in d.findings}
     errors, held = [], []

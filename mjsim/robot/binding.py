@@ -40,7 +40,8 @@ class RobotBinding:
 
     @classmethod
     def from_toml(cls, path: Path) -> RobotBinding | None:
-        """The binding that a file states; None when it says nothing of a robot (joints, hold, payload). Raises InputError for a key that is not known."""
+        """The binding that a file states; None when it says nothing of a robot (joints, hold, payload). Raises InputError
+        for a key that is not known."""
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -1,7 +1,8 @@
 """The user's MJCF as a robot: which joints move, what drives them, which bodies are links; what is outside is refused.
 
 A robot is a fixed-base tree of hinges and slides. Joints that an equality makes proportional to another one (a gear, a mimic
-joint) follow it: q = T z + q0, z the independent joints. Bodies without a joint of their own belong to the link that they are fixed to.
+joint) follow it: q = T z + q0, z the independent joints. Bodies without a joint of their own belong to the link that they
+are fixed to.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE
 class Robot:
     """A fixed-base tree with n degrees of freedom, m of them independent, and L links.
 
-    dofs: names of all n joints in MuJoCo's order; joints: names of the m independent ones; tie (n, m), rest (n,): q = tie z + rest;
+    dofs: names of all n joints in MuJoCo's order; joints: names of the m independent ones; tie (n, m), rest (n,): q = tie z
+    + rest;
     gear (m,): joint torque over recorded torque; driven (m,): whether an actuator drives it; links: body ids (L,);
     nominal (L, 10): inertial parameters of a link with all that is fixed to it; fixed (L, 10): of what is fixed to it alone.
     armature, damping, frictionloss, stiffness (n,): as in the file; spring (n,): springref; ranges (n, 2): joint limits, infinite
@@ -153,7 +155,8 @@ def _ties(model: mujoco.MjModel, source: str, dofs: tuple[str, ...]) -> tuple[np
         c = model.eq_data[e][:5]
         if other < 0 or np.any(c[2:] != 0) or one in follows or other in follows:
             raise InputError(
-                source, f"the equality at joint {dofs[one]!r} is not a fixed ratio to an independent joint", "polycoef=\"a r 0 0 0\"",
+                source, f"the equality at joint {dofs[one]!r} is not a fixed ratio to an independent joint",
+                "polycoef=\"a r 0 0 0\"",
                 "remove it in a copy of the model",
             )  # fmt: skip
         q0 = model.qpos0

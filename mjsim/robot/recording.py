@@ -1,6 +1,7 @@
 """A recording of a robot: channels of several joints on one time grid, in SI.
 
-Columns are named after the MJCF joints: ``JOINT.command_rad``, ``JOINT.torque_Nm``, ``JOINT.angle_rad``, ``JOINT.velocity_rad_s``,
+Columns are named after the MJCF joints: ``JOINT.command_rad``, ``JOINT.torque_Nm``, ``JOINT.angle_rad``,
+``JOINT.velocity_rad_s``,
 ``JOINT.current_A``, ``JOINT.second_angle_rad``; ``_m``, ``_N``, ``_m_s`` on slides. Other names are bound by ``[joints.NAME]`` in
 a TOML file beside the recording, else beside the model (`mjsim.robot.binding`).
 """
@@ -38,7 +39,8 @@ BEYOND = 0.01  # of a joint's range: how far a position may lie outside, for an 
 class RobotRecording:
     """One experiment on a robot, sampled uniformly; arrays are read-only and in SI.
 
-    time (N,) [s]; joints: names of the J recorded joints in the order of the model; command, angle, second_angle (N, J) [rad | m],
+    time (N,) [s]; joints: names of the J recorded joints in the order of the model; command, angle, second_angle (N, J) [rad
+    | m],
     torque (N, J) as the actuator gives it, before its gear [N m | N], velocity (N, J) [rad/s | m/s], current (N, J) [A]: None
     where no joint has the channel, a column of NaN where one joint lacks it. hold: how the input goes between samples (held,
     linear, mean); payload: a known point mass; held_at: joints of the model that are not in the log, with their position.
@@ -218,7 +220,8 @@ def _within_limits(path: Path, r: RobotRecording, robot: Robot) -> None:
         out = np.flatnonzero((r.angle[:, k] < low - slack) | (r.angle[:, k] > high + slack))
         if len(out):
             raise InputError(
-                path, f"{name} is at {r.angle[out[0], k]:.4g} in {_row(path, int(out[0]))}", f"{low:.4g} to {high:.4g}, the joint's range",
+                path, f"{name} is at {r.angle[out[0], k]:.4g} in {_row(path, int(out[0]))}",
+                f"{low:.4g} to {high:.4g}, the joint's range",
                 "check its zero and unit, or correct the range in the model",
             )  # fmt: skip
 

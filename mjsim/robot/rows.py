@@ -3,7 +3,8 @@
 tau = sum over links Y_l(q, q', q'') phi_l + armature q'' + damping q' + stiffness (q - springref)
 
 Recursive Newton-Euler over all samples at once, in the frame of each link. Velocities and accelerations go from the base to the
-tips, with gravity as an acceleration of the base; the wrench of a link is linear in phi_l and is projected on every joint before it.
+tips, with gravity as an acceleration of the base; the wrench of a link is linear in phi_l and is projected on every joint
+before it.
 Source: C. G. Atkeson, C. H. An, J. M. Hollerbach, Int. J. Robotics Research 5 (1986) 101. `check_rows` compares with mj_inverse.
 """
 
@@ -126,7 +127,8 @@ def _wrench(w: np.ndarray, dw: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, n
 def link_rows(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray) -> np.ndarray:
     """Regressor (N, m, L, 10) of the independent joints' torques in the links' inertial parameters.
 
-    z, dz, ddz (N, m): position, velocity and acceleration of the independent joints [rad | m]. Gravity is in it; armature, damping
+    z, dz, ddz (N, m): position, velocity and acceleration of the independent joints [rad | m]. Gravity is in it; armature,
+    damping
     and springs are not.
     """
     m = robot.model

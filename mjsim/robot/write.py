@@ -41,7 +41,8 @@ def write_robot(
     """Write a corrected copy of an MJCF.
 
     links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
-    damping, frictionloss, stiffness, springref and quadratic damping [SI] to write; effects: what MJCF has no element for, as JSON values, read back by
+    damping, frictionloss, stiffness, springref and quadratic damping [SI] to write; effects: what MJCF has no element for,
+    as JSON values, read back by
     `carried_effects`. Raises InputError where the file cannot be written, or holds a link or joint in an included file.
     """
     xml = XmlText(source.read_text(encoding="utf-8"))

@@ -1,0 +1,214 @@
+"""Diagnosis of robots from logs of a plant that shares no code with it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.result import Verdict
+from diagnose.robot.motion import derivative, prepare
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.physical import consistent, physical
+from diagnose.robot.pipeline import diagnose_robot
+from diagnose.robot.problem import Term, build
+from diagnose.robot.solve import held_out, solve, weigh
+from lab.robot import cases
+from lab.robot.arm import three_axes
+from lab.robot.cases import Case, draw, write_log
+from mjsim.errors import InputError
+from mjsim.robot.model import load_robot, robot_from
+from mjsim.robot.recording import load_robot_recording
+from mjsim.robot.write import carried_effects
+from simgap.robot import diagnose_robot_files, is_robot
+
+LAWS = ("coulomb_friction", "torque_offset", "quadratic_friction", "load_dependent_friction")
+
+
+def friction(level, joint):
+    return cases.Law("coulomb_friction", joint, {"torque_Nm": level}, lambda q, v, T, t: level * np.sign(v))
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    """``case(*laws, true=arm)``: a folder with the nominal three-joint arm and two logs of the true one."""
+
+    def make(*laws, true=None, seed=77):
+        folder = tmp_path_factory.mktemp("case")
+        arm = three_axes()
+        concealed = Case("single", seed, arm, true or arm, laws, ())
+        (folder / "arm.xml").write_text(arm.mjcf("arm"))
+        for index, name in enumerate(("a.csv", "b.csv")):
+            write_log(concealed, folder / name, index)
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def rubbing(case):
+    """Dry friction at the second joint, and its diagnosis among a few laws."""
+    folder = case(friction(0.8, 1))
+    options = RobotOptions(effects=LAWS)
+    return folder, diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "out", [folder / "b.csv"], options)
+
+
+def test_dry_friction_is_named_at_its_joint_and_nowhere_else(rubbing):
+    _, d = rubbing
+    assert d.verdict is Verdict.MISSING_PHYSICS
+    assert [(f.effect, f.joint) for f in d.findings] == [("coulomb_friction", "joint2")]
+    e = d.findings[0].parameters["torque_Nm"]
+    assert e.ci95[0] < 0.8 < e.ci95[1]
+    assert e.ci95[1] - e.ci95[0] < 0.02
+    assert d.joints["joint1"].verdict is Verdict.NO_MISMATCH
+
+
+def test_the_corrected_file_does_it_in_plain_mujoco(rubbing):
+    folder, d = rubbing
+    model = mujoco.MjModel.from_xml_path(str(folder / "out" / "corrected.xml"))
+    assert model.dof_frictionloss[1] == pytest.approx(0.8, rel=0.01)
+    assert model.dof_frictionloss[0] == 0
+    fit = d.joints["joint2"].fit
+    assert fit["corrected"].held_out_rms < 0.2 * fit["nominal"].held_out_rms
+    assert fit["surrogate"].held_out_rms < 0.2 * fit["nominal"].held_out_rms
+    assert carried_effects(folder / "out" / "corrected.xml") == []
+
+
+def test_the_folder_holds_what_the_contract_says(rubbing):
+    folder, _ = rubbing
+    told = json.loads((folder / "out" / "diagnosis.json").read_text())
+    assert told["verdict"] == "missing_physics"
+    (finding,) = told["findings"]
+    assert finding["joint"] == "joint2"
+    assert finding["element"] == "joint2"
+    assert set(finding["parameters"]["torque_Nm"]) == {"value", "ci95", "unit"}
+    assert finding["evidence"]["p_value"] < 0.01
+    assert set(told["joints"]) == {"joint1", "joint2", "joint3"}
+    for joint in told["joints"].values():
+        assert {"verdict", "findings", "fit", "linear_parameters"} <= set(joint)
+        assert {"nominal", "refitted", "corrected", "surrogate"} == set(joint["fit"])
+    assert [r["role"] for r in told["recordings"]] == ["estimation", "held_out"]
+    page = (folder / "out" / "report.html").read_text()
+    assert "Coulomb friction" in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_a_payload_is_a_number_and_no_physics(case, tmp_path):
+    folder = case(true=three_axes().with_payload(0.8, (0.2, 0.01, 0.02)))
+    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS))
+    assert d.verdict is Verdict.PARAMETERS_ONLY
+    assert not d.findings
+    assert any("forearm" in line for line in d.changed)
+    mass = mujoco.MjModel.from_xml_path(str(tmp_path / "corrected.xml")).body_mass
+    assert mass[3] == pytest.approx(2.4, rel=0.2)
+
+
+def test_what_mjcf_has_no_element_for_is_carried(case, tmp_path):
+    offset = cases.Law("torque_offset", 2, {}, lambda q, v, T, t: np.full(len(q), -0.4))
+    folder = case(offset)
+    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS))
+    assert [(f.effect, f.joint) for f in d.findings] == [("torque_offset", "joint3")]
+    (kept,) = carried_effects(tmp_path / "corrected.xml")
+    assert kept["joint"] == "joint3"
+    assert kept["parameters"]["torque_Nm"] == pytest.approx(0.4, rel=0.01)
+
+
+def test_blocks_are_held_out_where_there_is_no_other_recording(case):
+    folder = case()
+    robot = load_robot(folder / "arm.xml")
+    r = load_robot_recording(folder / "a.csv", robot)
+    m = prepare(robot, r, r.joints, 15.0, split=True)
+    assert m.held.mean() == pytest.approx(0.3, abs=0.02)
+    d = diagnose_robot(robot, [r], options=RobotOptions(effects=LAWS)).diagnosis
+    assert d.verdict is Verdict.NO_MISMATCH
+
+
+def test_joints_are_chosen_by_name(case):
+    folder = case()
+    robot = load_robot(folder / "arm.xml")
+    r = load_robot_recording(folder / "a.csv", robot)
+    with pytest.raises(InputError, match="'elbow' is not in the model"):
+        diagnose_robot(robot, [r], options=RobotOptions(joints=("elbow",)))
+    still = dataclasses.replace(r, angle=np.column_stack([r.angle[:, 0], np.zeros((len(r), 2))]))
+    with pytest.raises(InputError, match="'joint2' does not move"):
+        diagnose_robot(robot, [still], options=RobotOptions(joints=("joint2",)))
+    with pytest.raises(InputError, match="no joint has a torque"):
+        diagnose_robot(robot, [dataclasses.replace(r, torque=None)])
+
+
+def test_links_are_kept_physical(case):
+    """Of a log whose torques no robot gives, the least-squares links are no bodies; the nearest ones that are, are found."""
+    folder = case()
+    robot = load_robot(folder / "arm.xml")
+    r = load_robot_recording(folder / "a.csv", robot)
+    turned = dataclasses.replace(r, torque=-0.5 * r.torque)
+    p = build(robot, [prepare(robot, turned, r.joints, 15.0, split=True)], [0, 1, 2], LAWS)
+    weights, free = weigh(p, (), p.rows(p.nominal))
+    assert not consistent(p, free.theta)
+    held = physical(p, free, weights)
+    assert consistent(p, held.theta)
+    # it is the least: no step towards the free solution or the nominal that stays physical costs less
+    cost = [_cost(p, weights, held.theta)]
+    for towards in (free.theta, p.nominal):
+        step = held.theta + 1e-3 * (towards - held.theta)
+        if consistent(p, step):
+            cost.append(_cost(p, weights, step))
+    assert min(cost) >= cost[0] - 0.2
+
+
+def _cost(p, weights, theta):
+    x = (theta - p.nominal) / p.scale
+    return float(x @ x) + sum(weights[j] ** 2 * float(np.sum((p.fitted[j].y - p.grams[j][0] @ x) ** 2)) for j in p.joints)
+
+
+def test_columns_are_filtered_as_the_torque_is(case):
+    """Without noise and with the true laws the residual is that of the filter alone."""
+    folder = case(friction(0.8, 1))
+    robot = load_robot(folder / "arm.xml")
+    r = load_robot_recording(folder / "a.csv", robot)
+    p = build(robot, [prepare(robot, r, r.joints, 12.0, split=True)], [0, 1, 2], LAWS)
+    rows = p.rows(p.nominal)
+    term = Term(1, next(law for law in p.laws[1] if law.id == "coulomb_friction"), 0.0)
+    weights, s = weigh(p, (term,), rows)
+    assert s.coefficients[0][0] == pytest.approx(0.8, rel=5e-3)
+    assert held_out(p, s, weights, 1).nrmse < 0.01
+    without = solve(p, (), weights, rows)
+    assert held_out(p, without, weights, 1).nrmse > 5 * held_out(p, s, weights, 1).nrmse
+
+
+def test_derivatives_are_those_of_a_sine():
+    t = 0.01 * np.arange(400)
+    x = np.sin(2 * np.pi * 5 * t)[:, None]
+    inner = slice(10, -10)
+    w = 2 * np.pi * 5
+    np.testing.assert_allclose(derivative(x, 0.01)[inner, 0], w * np.cos(w * t)[inner], rtol=1e-5, atol=1e-4 * w)
+    np.testing.assert_allclose(derivative(x, 0.01, second=True)[inner], -(w**2) * x[inner], rtol=1e-5, atol=1e-4 * w**2)
+
+
+def test_several_driven_joints_make_a_robot(case, tmp_path):
+    folder = case()
+    assert is_robot([folder / "a.csv"], folder / "arm.xml")
+    one = tmp_path / "one.csv"
+    one.write_text("time_s,torque_Nm,velocity_rad_s\n0,0,0\n")
+    axis = tmp_path / "axis.xml"
+    axis.write_text(
+        '<mujoco><worldbody><body><joint name="a"/><geom size=".1"/></body></worldbody>'
+        '<actuator><motor joint="a"/></actuator></mujoco>'
+    )
+    assert not is_robot([one], axis)
+    assert is_robot([one], axis, ["a"])
+
+
+def test_the_cases_are_the_same_for_a_seed(tmp_path):
+    logs = []
+    for name in ("x.csv", "y.csv"):
+        write_log(draw(5, "single", 3), tmp_path / name, 0)
+        logs.append((tmp_path / name).read_bytes())
+    assert logs[0] == logs[1]
+    robot = robot_from(mujoco.MjModel.from_xml_string(three_axes().mjcf("arm")))
+    r = load_robot_recording(tmp_path / "x.csv", robot)
+    assert np.all(np.abs(r.angle) <= [link.limit for link in three_axes().links])
+    assert r.hold == "linear"
