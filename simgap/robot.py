@@ -24,14 +24,7 @@ from mjsim.robot.recording import joints_named, load_robot_recording
 from mjsim.robot.rows import mujoco_torque
 from mjsim.robot.write import write_robot
 
-__all__ = ["ROBOT_EFFECTS", "diagnose_robot_files", "is_robot"]
-
-ROBOT_EFFECTS = (
-    "coulomb_friction", "asymmetric_friction", "stribeck_friction", "sublinear_viscous_friction", "quadratic_friction",
-    "load_dependent_friction", "presliding_friction", "friction_drift", "position_dependent_friction", "torque_offset",
-    "torque_ripple",
-    "gravity_load", "gravity_compensation_spring", "cable_torque", "coupled_transmission", "torque_gain_droop", "time_delay",
-)  # fmt: skip
+__all__ = ["diagnose_robot_files", "is_robot"]
 
 
 def is_robot(recordings: Sequence[Path], model: Path, joints: Sequence[str] = ()) -> bool:
@@ -89,12 +82,9 @@ def _write_corrected(model: Path, robot: Robot, outcome: Outcome, path: Path) ->
     carried: list[Mapping[str, Any]] = []
     for term, c in zip(search.solution.terms, search.solution.coefficients, strict=True):
         joint = robot.joints[term.joint]
-        if term.law.id == "coulomb_friction":
-            joints[joint]["frictionloss"] = float(c[0])
-        elif term.law.id == "quadratic_friction":
-            joints[joint]["quadratic"] = float(c[0])
-        elif term.law.id == "gravity_compensation_spring" and "stiffness" not in joints[joint]:
-            joints[joint] |= {"stiffness": float(c[0]), "springref": float(-c[1] / c[0])}
+        native = term.law.native(c) if term.law.native is not None else {}
+        if native and not any(k in joints[joint] for k in native if k != "frictionloss"):
+            joints[joint] |= native
         else:
             values = {k: v[0] for k, v in term.law.values(c, term.shape).items()}
             effect = {"effect": term.law.id, "form": term.law.form, "joint": joint, "parameters": values}

@@ -200,7 +200,7 @@ def test_the_pinned_hashes_are_those_of_a_local_copy(local_copy, name):
         (("render", "robot_axis", "--out", "x.png"), "'robot_axis1'"),
         (("crosscheck", "robot_axis"), "'robot_axis1'"),
         (("replay", "emp", "log.csv", "--out", "x.csv"), "'emps'"),
-        (("identify", "log.csv", "--model", "kuka", "--out", "x"), "'kuka_kr300_axis1'"),
+        (("identify", "log.csv", "--model", "kuka_axis1", "--out", "x"), "'kuka_kr300_axis1'"),
         (("diagnose", "log.csv", "--model", "robotaxis1", "--out", "x"), "'robot_axis1'"),
         (("diagnose", "log.csv", "--model", "emps", "--out", "x", "--effects", "coulomb"), "'coulomb_friction'"),
         (("effects", "backlach"), "'backlash'"),

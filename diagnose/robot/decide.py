@@ -94,7 +94,8 @@ def findings(search: Selection, V: np.ndarray, slices: Sequence[slice]) -> dict[
 def _equivalents(search: Selection, without: Solution, term: Term) -> tuple[str, ...]:
     """Laws that could stand in the place of a term: within `ALIKE` of it on fitted and held-out samples, less the price."""
     s = search.solution
-    out = ["torque_offset"] if term.law.id == "asymmetric_friction" else []  # beside dry friction, the same torque
+    commons = {law.id for law in search.problem.laws[term.joint] if law.common}
+    out = [x for x in term.law.holds if x not in commons] if term.law.is_sum else []  # beside the common one, the same torque
     for _, other in screen(search, without, term.joint)[:6]:
         if other.law.id == term.law.id or any(t.joint == term.joint and t.law.id == other.law.id for t in without.terms):
             continue

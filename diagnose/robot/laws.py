@@ -16,7 +16,7 @@ import numpy as np
 
 from mjsim.quantity import Motion, Quantity
 
-__all__ = ["Law", "Row", "law_parameters", "laws_for"]
+__all__ = ["Law", "Row", "identifiers", "law_parameters", "laws_for"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,7 @@ class Row:
 MOST_PERIODS = 40.0  # over the travel: of shorter ones only those of the motor's turn are tried
 Columns = Callable[[Row, float], list[np.ndarray]]
 Values = dict[str, tuple[float, Quantity]]
+Native = Callable[[np.ndarray], dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,9 @@ class Law:
 
     id: contract identifier; form: variant of it; columns: of a row and a shape; passes: how often the columns have yet to be
     filtered; values: parameters from (coefficients, shape); sane: whether these are physical; grid: shapes that are tried; holds:
-    laws that this one contains; sentence: plain words; source: the other joint, of a coupling.
+    laws that this one contains; sentence: plain words; source: the other joint, of a coupling; dry: holds dry friction, and takes the
+    place of the file's own; common: tested with a weight of its own; loaded: depends on the load, hence on the robot's own
+    parameters; is_sum: is no more than the laws that it holds together; native: MJCF attributes of the joint that hold it, in SI.
     """
 
     id: str
@@ -62,11 +65,11 @@ class Law:
     source: str = ""
     shape_name: str = ""
     limits: tuple[float, float] = field(default=(-math.inf, math.inf))
-
-    @property
-    def loaded(self) -> bool:
-        """Whether its columns depend on the load, hence on the robot's own parameters."""
-        return self.id == "load_dependent_friction"
+    dry: bool = False
+    common: bool = False
+    loaded: bool = False
+    is_sum: bool = False
+    native: Native | None = None
 
     @property
     def key(self) -> str:
@@ -92,21 +95,22 @@ def _plain() -> list[Law]:
     T, R = Quantity.TORQUE, Quantity.RATIO
     return [
         Law("coulomb_friction", lambda r, s: [np.sign(r.v)], 2, lambda c, s: {"torque_Nm": (c[0], T)}, _positive,
+            dry=True, common=True, native=lambda c: {"frictionloss": float(c[0])},
             sentence="Dry friction that opposes motion, of the same size at every speed."),
         Law("torque_offset", lambda r, s: [np.ones_like(r.q)], 0, lambda c, s: {"torque_Nm": (-c[0], T)}, _any,
             sentence="A constant torque beside the commanded one (amplifier offset, preload)."),
         Law("asymmetric_friction", lambda r, s: [np.sign(r.v), np.ones_like(r.q)], 2,
             lambda c, s: {"torque_Nm": (c[0], T), "asymmetry_Nm": (c[1], T)}, lambda c, s: abs(c[1]) < c[0],
-            holds=("coulomb_friction", "torque_offset"),
+            holds=("coulomb_friction", "torque_offset"), dry=True, is_sum=True,
             sentence="Dry friction that is larger in one direction than in the other."),
         Law("quadratic_friction", lambda r, s: [r.v * np.abs(r.v)], 1,
             lambda c, s: {"coefficient_Nm_s2_rad2": (c[0], Quantity.QUADRATIC_DAMPING)}, _positive,
-            sentence="Friction that grows with the square of the speed."),
+            native=lambda c: {"quadratic": float(c[0])}, sentence="Friction that grows with the square of the speed."),
         Law("load_dependent_friction", lambda r, s: [np.sign(r.v) * np.abs(r.load)], 2, lambda c, s: {"coefficient": (c[0], R)},
-            lambda c, s: 0 < c[0] < 1, sentence="Friction that grows with the load of the joint, as in a loaded gear mesh."),
+            lambda c, s: 0 < c[0] < 1, loaded=True, sentence="Friction that grows with the load of the joint, as in a loaded gear mesh."),
         Law("load_dependent_friction", lambda r, s: [np.sign(r.v) * np.abs(r.load) * d for d in (r.load * r.v > 0, r.load * r.v < 0)],
             2, lambda c, s: {"coefficient": (c[0], R), "coefficient_backdriven": (c[1], R)},
-            lambda c, s: bool(np.all(c > 0) and np.all(c < 1)), holds=("load_dependent_friction",), form="two_directions",
+            lambda c, s: bool(np.all(c > 0) and np.all(c < 1)), holds=("load_dependent_friction",), form="two_directions", loaded=True,
             sentence="Friction that grows with the load, by another share when the load drives the motor than when the motor drives it."),
         Law("torque_gain_droop", lambda r, s: [r.torque**3], 0,
             lambda c, s: {"coefficient_per_Nm2": (c[0], Quantity.PER_TORQUE_SQUARED)}, _positive,
@@ -125,7 +129,7 @@ def _shaped(row: Row, motion: Motion) -> list[Law]:
         Law("stribeck_friction", lambda r, s: [np.sign(r.v), np.sign(r.v) * np.exp(-((r.v / s) ** 2))], 2,
             lambda c, s: {"torque_Nm": (c[0], T), "extra_static_torque_Nm": (c[1], T),
                           "stribeck_velocity_rad_s": (s, Quantity.VELOCITY)},
-            _positive, tuple(rms * x for x in (0.05, 0.1, 0.2, 0.4, 0.8)), ("coulomb_friction",), shape_name="stribeck_velocity_rad_s",
+            _positive, tuple(rms * x for x in (0.05, 0.1, 0.2, 0.4, 0.8)), ("coulomb_friction",), dry=True, shape_name="stribeck_velocity_rad_s",
             limits=(0.02 * rms, fastest), sentence="Friction that is higher near standstill and falls with speed."),
         Law("sublinear_viscous_friction", lambda r, s: [np.sign(r.v) * np.abs(r.v) ** s], 2,
             lambda c, s: {"coefficient": (c[0], Quantity.DAMPING), "exponent": (s, Quantity.RATIO)}, _positive,
@@ -133,12 +137,12 @@ def _shaped(row: Row, motion: Motion) -> list[Law]:
             sentence="Friction that grows less than in proportion to the speed."),
         Law("friction_drift", lambda r, s: [np.sign(r.v), np.sign(r.v) * np.exp(-r.t / s)], 2,
             lambda c, s: {"torque_Nm": (c[0], T), "relative_change": (c[1] / c[0], Quantity.RATIO), "time_constant_s": (s, Quantity.TIME)},
-            lambda c, s: c[0] > 0 and -0.9 * c[0] < c[1] < 2 * c[0], tuple(span * x for x in (0.4, 1.0)), ("coulomb_friction",),
+            lambda c, s: c[0] > 0 and -0.9 * c[0] < c[1] < 2 * c[0], tuple(span * x for x in (0.4, 1.0)), ("coulomb_friction",), dry=True,
             shape_name="time_constant_s", limits=(0.3 * span, 3.0 * span),
             sentence="Dry friction that changes while the robot warms up."),
         Law("presliding_friction", lambda r, s: [_dahl(r.q, s)], 2,
             lambda c, s: {"torque_Nm": (c[0], T), "stiffness_Nm_rad": (c[0] / s, Quantity.STIFFNESS)}, _positive,
-            tuple(travel * x for x in (0.002, 0.005, 0.01, 0.03, 0.1)), ("coulomb_friction",), shape_name="deflection",
+            tuple(travel * x for x in (0.002, 0.005, 0.01, 0.03, 0.1)), ("coulomb_friction",), dry=True, shape_name="deflection",
             limits=(0.001 * travel, 0.3 * travel), sentence="Dry friction that builds up over a short way after each reversal."),
     ]  # fmt: skip
 
@@ -182,7 +186,8 @@ def _position(row: Row, motion: Motion, gear: float) -> list[Law]:
     laws = [
         Law("gravity_compensation_spring", lambda r, s: [r.q, np.ones_like(r.q)], 1,
             lambda c, s: {"stiffness_Nm_rad": (c[0], Quantity.STIFFNESS), "torque_Nm": (c[1], T)}, lambda c, s: c[0] > 0,
-            holds=("torque_offset",), sentence="A spring at the joint: stiffness, and its torque at zero."),
+            holds=("torque_offset",), native=lambda c: {"stiffness": float(c[0]), "springref": float(-c[1] / c[0])},
+            sentence="A spring at the joint: stiffness, and its torque at zero."),
         Law("cable_torque", lambda r, s: chebyshev(r.q), 1, lambda c, s: {f"coefficient_{k}": (c[k], T) for k in range(5)}, _any,
             holds=("torque_offset", "gravity_compensation_spring", "gravity_load"),
             sentence="A smooth torque of the angle (cables, hoses): coefficients of Chebyshev polynomials over the recorded travel."),
@@ -204,7 +209,7 @@ def _position(row: Row, motion: Motion, gear: float) -> list[Law]:
                 lambda r, s: [np.sign(r.v), np.sign(r.v) * np.sin(s * r.q), np.sign(r.v) * np.cos(s * r.q)], 2,
                 lambda c, s: {"torque_Nm": (c[0], T), "relative_amplitude": (_sine(c[1:])[0] / c[0], R),
                               "cycles_per_rev": (s / unit, Quantity.CYCLES), "phase_rad": (_sine(c[1:])[1], Quantity.PHASE)},
-                lambda c, s: 0 < _sine(c[1:])[0] < c[0], orders, ("coulomb_friction",), shape_name="order", limits=within,
+                lambda c, s: 0 < _sine(c[1:])[0] < c[0], orders, ("coulomb_friction",), dry=True, shape_name="order", limits=within,
                 sentence="Dry friction that varies over the turn."),
         ]  # fmt: skip
     return laws
@@ -228,6 +233,13 @@ def laws_for(row: Row, motion: Motion, gear: float, only: Sequence[str] = ()) ->
     """All laws of a joint; ``row``: its signals over all estimation recordings, from which the grids follow."""
     laws = (*_plain(), *_shaped(row, motion), *_position(row, motion, gear), *_coupled(row))
     return tuple(law for law in laws if not only or law.id in only)
+
+
+def identifiers() -> tuple[str, ...]:
+    """Identifiers of all laws that a force regression can express."""
+    x = np.linspace(-1.0, 1.0, 200)
+    row = Row(x, np.cos(x), 0.01 * np.arange(200.0), x, x, x, {"": (x, x)})
+    return tuple(dict.fromkeys(law.id for law in laws_for(row, Motion.HINGE, 10.0)))
 
 
 def law_parameters(law: Law, c: np.ndarray, shape: float, V: np.ndarray) -> dict[str, tuple[float, float, float, Quantity]]:

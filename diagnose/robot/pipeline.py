@@ -194,10 +194,6 @@ def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapp
     still = [n for n in recordings[0].joints if n not in joints]
     if still:
         notes.append(f"Not diagnosed, since they do not move, have no torque or are not named: {', '.join(still)}.")
-    for joint, result in joints.items():
-        both = {f.effect for f in result.findings}
-        if {"coulomb_friction", "torque_offset"} <= both:
-            notes.append(f"At {joint}, dry friction with an offset is the same torque as asymmetric friction.")
     if not consistent(p, search.solution.theta) or search.solution.stiffness is not None:
         notes.append("Without the demand for physical links the fit would take inertial parameters that no body has.")
     return tuple(notes)

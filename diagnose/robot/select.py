@@ -94,11 +94,13 @@ def _enter(s: Selection, simple: bool) -> bool:
 
 
 def _one_friction(s: Selection, now: Solution, joint: int) -> Solution:
-    """Dry friction and an offset at one joint as one asymmetric friction, the same torque, where the offset is the smaller
-    one."""
-    own = {t.law.id: t for t in now.terms if t.joint == joint}
-    law = next((x for x in s.problem.laws[joint] if x.id == "asymmetric_friction"), None)
-    if law is None or not {"coulomb_friction", "torque_offset"} <= set(own):
+    """Laws of one joint as the one law that is their sum, where that is physical.
+
+    Dry friction and a smaller offset are asymmetric friction.
+    """
+    own = {t.law.id for t in now.terms if t.joint == joint}
+    law = next((x for x in s.problem.laws[joint] if x.is_sum and set(x.holds) <= own), None)
+    if law is None:
         return now
     new = Term(joint, law, law.grid[0])
     merged = s.solve(replaced(now.terms, new))

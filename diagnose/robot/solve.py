@@ -98,11 +98,7 @@ def normal(
 
 def _given_way(problem: Problem, terms: Sequence[Term]) -> list[int]:
     """Indices of the file's own dry friction at joints that have a law of dry friction among the terms."""
-    return [
-        problem.own_friction[t.joint]
-        for t in terms
-        if t.joint in problem.own_friction and "coulomb_friction" in (t.law.id, *t.law.holds)
-    ]
+    return [problem.own_friction[t.joint] for t in terms if t.joint in problem.own_friction and t.law.dry]
 
 
 def solve(

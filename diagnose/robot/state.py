@@ -16,9 +16,7 @@ from diagnose.robot.physical import physical
 from diagnose.robot.problem import Problem, Term
 from diagnose.robot.solve import Solution, held_out, solve, told_apart, worth
 
-__all__ = ["COMMON", "Refusal", "Selection", "Step", "replaced", "screen", "size"]
-
-COMMON = "coulomb_friction"
+__all__ = ["Refusal", "Selection", "Step", "replaced", "screen", "size"]
 
 
 @dataclass(frozen=True)
@@ -74,10 +72,10 @@ class Selection:
         weights are
         fixed beforehand, so that the family-wise error stays (C. R. Genovese, K. Roeder, L. Wasserman, Biometrika 93 (2006) 509).
         """
-        common = sum(x.id == COMMON for laws in self.problem.laws.values() for x in laws)
+        common = sum(x.common for laws in self.problem.laws.values() for x in laws)
         if common in (0, self.hypotheses):
             return float(self.hypotheses)
-        return 2.0 * (common if law.id == COMMON else self.hypotheses - common)
+        return 2.0 * (common if law.common else self.hypotheses - common)
 
     @functools.cached_property
     def candidates(self) -> int:

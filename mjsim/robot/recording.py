@@ -128,7 +128,8 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
         raise InputError(path, f"joint {lacking[0]!r} has no position", "an angle of every joint that is recorded", "add it")
     held = tuple((j, _held_position(robot, k)) for k, j in enumerate(robot.joints) if j not in names)
     recording = RobotRecording(
-        time, names, _sample_time(path, time), source=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        time, names, _sample_time(path, time, uniform=True), source=path.name,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, **matrices,
     )  # fmt: skip
     _within_limits(path, recording, robot)

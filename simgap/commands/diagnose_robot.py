@@ -25,16 +25,17 @@ def run_robot(
     """Diagnose a robot and show the answer on the terminal."""
     import json
 
+    from diagnose.robot.laws import identifiers
     from diagnose.robot.options import RobotOptions
     from mjsim.effects import registered
     from mjsim.errors import InputError
-    from simgap.robot import ROBOT_EFFECTS, diagnose_robot_files
+    from simgap.robot import diagnose_robot_files
 
     only = tuple(e.strip() for e in effects.split(",") if e.strip())
     for name in only:
-        if name not in ROBOT_EFFECTS:
+        if name not in identifiers():
             why = "cannot be told by force" if name in registered() else "is not known"
-            raise InputError("--effects", f"effect {name!r} {why}", ", ".join(ROBOT_EFFECTS), "correct the name")
+            raise InputError("--effects", f"effect {name!r} {why}", ", ".join(identifiers()), "correct the name")
     say = (lambda line: None) if quiet else (lambda line: click.echo(line, err=True))
     result = diagnose_robot_files(recordings, model, out, held_out, RobotOptions(tuple(joints), only, seed=seed), say)
     if as_json:

@@ -85,7 +85,7 @@ def test_kuka_is_one_inertia_at_the_link_behind_its_gear():
 
 def test_an_unknown_shipped_model_lists_the_choices():
     assert set(shipped_models()) >= {"robot_axis1", "emps", "kuka_kr300_axis1"}
-    with pytest.raises(InputError, match="one of: emps"):
+    with pytest.raises(InputError, match="one of: arm3, arm6, emps"):
         shipped_model("robot_axis9")
 
 

@@ -212,3 +212,15 @@ def test_the_cases_are_the_same_for_a_seed(tmp_path):
     r = load_robot_recording(tmp_path / "x.csv", robot)
     assert np.all(np.abs(r.angle) <= [link.limit for link in three_axes().links])
     assert r.hold == "linear"
+
+
+def test_native_laws_and_identifiers_are_those_of_the_contract(case, tmp_path):
+    from diagnose.robot.laws import identifiers
+
+    assert {"coulomb_friction", "load_dependent_friction", "coupled_transmission", "cable_torque"} <= set(identifiers())
+    drag = cases.Law("quadratic_friction", 0, {}, lambda q, v, T, t: 0.2 * v * np.abs(v))
+    folder = case(drag)
+    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS))
+    assert [(f.effect, f.joint) for f in d.findings] == [("quadratic_friction", "joint1")]
+    assert d.joints["joint1"].fit["corrected"].held_out_rms < 1.1 * d.joints["joint1"].fit["surrogate"].held_out_rms
+    assert carried_effects(tmp_path / "corrected.xml") == []
