@@ -183,9 +183,10 @@ NO_THRESHOLDS = {
 }
 
 
-# pages, checks of the log and the comparison with the simulator have numbers of their own
+# pages, robots, checks of the log and the comparison with the simulator have numbers of their own
 NOT_IN_THE_TABLE = (
     "diagnose/report/",
+    "diagnose/robot/",
     "diagnose/check/",
     "diagnose/verdict/reference",
     "diagnose/verdict/numerics",

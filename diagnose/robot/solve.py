@@ -20,6 +20,7 @@ from diagnose.robot.problem import Problem, Term
 __all__ = ["Solution", "autocorrelation", "covariance", "held_out", "normal", "solve", "told_apart", "unpacked", "weigh", "worth"]
 
 LAGS = 2.0  # [s] over which residuals may be correlated
+BAND = (0.5, 0.99)
 RIDGE = 1e-10  # of an effect's coefficient, whose column has unit rms: for columns that depend on each other
 
 
@@ -261,6 +262,23 @@ def covariance(
     return V * np.outer(scale, scale), slices
 
 
+def _band_limited(problem: Problem, left: np.ndarray, n: int, size: int) -> np.ndarray:
+    """Power of white noise behind the filter, at the frequencies of a transform of ``size``, that the residual bears out.
+
+    The columns lie at the frequencies of the motion. There, least squares takes the noise out of the residual, whose own
+    power says too little. Its level is taken between the frequencies at which the filter leaves `BAND` of an amplitude.
+    """
+    from scipy.signal import sosfreqz
+
+    motion = problem.motions[0]
+    angles = 2 * np.pi * np.arange(size // 2 + 1) / size / motion.every
+    passed = np.abs(sosfreqz(motion.sos, angles)[1]) ** 2  # of an amplitude, forth and back
+    band = (passed > BAND[0]) & (passed < BAND[1])
+    periodogram = np.abs(np.fft.rfft(left, size)) ** 2 / n
+    level = float(np.mean(periodogram[band]) / np.mean(passed[band] ** 4)) if band.any() else 0.0
+    return np.asarray(level * passed**4)
+
+
 def _sandwich(problem: Problem, joint: int, D: np.ndarray, e: np.ndarray) -> np.ndarray:
     """D' R D (K, K) with the tapered autocovariance of the residual, by the Fourier transform."""
     full, left = _spread(problem, joint, D), _spread(problem, joint, e)
@@ -271,7 +289,7 @@ def _sandwich(problem: Problem, joint: int, D: np.ndarray, e: np.ndarray) -> np.
     kernel = np.zeros(size)
     kernel[: lags + 1] = r
     kernel[-lags:] = r[1:][::-1] if lags else 0.0
-    power = np.maximum(np.fft.rfft(kernel).real, 0.0)
+    power = np.maximum(np.fft.rfft(kernel).real, _band_limited(problem, left, len(e), size))
     F = np.fft.rfft(full, size, axis=0)
     twice = np.full(len(power), 2.0)
     twice[0] = twice[-1] = 1.0
