@@ -203,24 +203,23 @@ def _numbers(H: np.ndarray, own: np.ndarray) -> float:
 
 
 def _in_words(p: Problem, name: str, own: np.ndarray, x: np.ndarray, V: np.ndarray) -> str:
-    k = int(own[0])
-    change, error = float(x[k] * p.scale[k]), 1.96 * float(np.sqrt(V[k, k])) * float(p.scale[k])
+    """What changes of a group, with its 95 % interval."""
+
+    def told(k: int, unit: str) -> str:
+        value, half = float(p.nominal[k] + x[k] * p.scale[k]), 1.96 * math.sqrt(V[k, k]) * float(p.scale[k])
+        return f"{p.nominal[k]:.4g} -> {value:.4g} {unit} [{value - half:.4g}, {value + half:.4g}]"
+
+    first = int(own[0])
     if len(own) == 1:
         joint, _, kind = name.rpartition(".")
-        unit = KINDS[kind].unit(p.robot.motions[p.robot.joints.index(joint)])
-        return f"{kind} of {joint}: {p.nominal[k]:.4g} -> {p.nominal[k] + change:.4g} {unit} (+-{error:.2g})"
-    last = p.robot.link_names[-1] == name
-    if error < abs(change):
-        word = "payload or mass" if last and change > 0 else "mass"
-        return f"{word} of {name}: {p.nominal[k]:.4g} -> {p.nominal[k] + change:.4g} kg (+-{error:.2g})"
-    told = np.abs(x[own]) / (np.sqrt(np.diag(V)[own]) + 1e-300)
-    most = int(np.argmax(np.where(told > 1.96, np.abs(x[own]), 0.0)))
-    at = int(own[most])
-    change, error = float(x[at] * p.scale[at]), 1.96 * float(np.sqrt(V[at, at])) * float(p.scale[at])
-    return (
-        f"inertial parameters of {name}, of which mass and centre are not told apart, most in "
-        f"{NAMES[most]}: {p.nominal[at]:.4g} -> {p.nominal[at] + change:.4g} {UNITS[NAMES[most]]} (+-{error:.2g})"
-    )
+        return f"{kind} of {joint}: {told(first, KINDS[kind].unit(p.robot.motions[p.robot.joints.index(joint)]))}"
+    if 1.96 * math.sqrt(V[first, first]) < abs(x[first]):
+        word = "payload or mass" if p.robot.link_names[-1] == name and x[first] > 0 else "mass"
+        return f"{word} of {name}: {told(first, 'kg')}"
+    sure = np.abs(x[own]) > 1.96 * np.sqrt(np.diag(V)[own])
+    most = int(np.argmax(np.where(sure, np.abs(x[own]), 0.0)))
+    numbers = told(int(own[most]), UNITS[NAMES[most]])
+    return f"inertial parameters of {name}, of which mass and centre are not told apart, most in {NAMES[most]}: {numbers}"
 
 
 def refit(search: Selection) -> Solution:

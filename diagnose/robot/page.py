@@ -155,7 +155,7 @@ def _finding(f: RobotFinding, channel: str) -> str:
     told = (
         f"Held out, the torque is missed by {number(e['held_out_error_before'])} {u} rms without it and by "
         f"{number(e['held_out_error_after'])} {u} with it. Probability of such a gain by chance: {p_value(e['p_value'])}, corrected for "
-        f"{e['hypotheses']:.0f} hypotheses over all joints."
+        "all joints and laws."
     )
     alike = f"<p>Cannot be told from: {escape(', '.join(effect_name(x) for x in f.equivalents))}.</p>" if f.equivalents else ""
     origin = f" (from {escape(f.source)})" if f.source else ""

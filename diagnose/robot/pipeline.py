@@ -30,6 +30,7 @@ from mjsim.robot.rows import check_rows
 
 __all__ = ["Outcome", "diagnose_robot"]
 
+SHOWN = 2  # changed numbers in the summary
 DRAWN = 1500  # points of a trace at most
 ORDER = (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY, Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED)
 
@@ -171,7 +172,8 @@ def _summary(worst: Verdict, joints: Mapping[str, JointResult], changed: Sequenc
     if open_:
         parts.append(f"Structure remains at {', '.join(open_)}.")
     if changed and worst is not Verdict.NO_MISMATCH:
-        parts.append(f"Numbers that differ from the file: {'; '.join(changed)}.")
+        more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+        parts.append(f"Numbers that differ from the file: {'; '.join(changed[:SHOWN])}{more}.")
     return " ".join(parts) or "The model as given agrees with the log as well as one with its numbers refitted."
 
 
