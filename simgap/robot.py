@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from diagnose.result import FitFigures
@@ -17,7 +18,7 @@ from diagnose.robot.problem import Problem
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import compile_file
-from mjsim.robot.binding import RobotBinding
+from mjsim.robot.binding import find_robot_binding
 from mjsim.robot.inertia import SIZE
 from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import joints_named, load_robot_recording
@@ -27,20 +28,16 @@ from mjsim.robot.write import write_robot
 __all__ = ["diagnose_robot_files", "is_robot"]
 
 
-def is_robot(recordings: Sequence[Path], model: Path, joints: Sequence[str] = ()) -> bool:
-    """Whether a diagnosis is one of a robot: joints are named, the model has several driven joints, or the log's columns
-    name several."""
-    if joints:
-        return True
-    if len(joints_named(recordings[0])) > 1:
-        return True
-    for toml in (recordings[0].with_suffix(".toml"), model.with_suffix(".toml")):
-        binding = RobotBinding.from_toml(toml) if toml.is_file() else None
-        if binding is not None and len(binding.joints) > 1:
-            return True
+def is_robot(recordings: Sequence[Path], model: Path) -> bool:
+    """Whether it is a robot: the model has several driven joints, or none that is driven and the log names several."""
     compiled = compile_file(model)
-    driven = {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) <= 1}
-    return len(driven) > 1
+    joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    driven = {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) in joint}
+    if compiled.nu:
+        return len(driven) > 1
+    binding = find_robot_binding(recordings[0], model)
+    bound = binding.joints if binding is not None else {}
+    return len(bound or joints_named(recordings[0])) > 1
 
 
 def diagnose_robot_files(

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mjsim.binding import Channel
 from mjsim.errors import InputError
-from mjsim.recording import Channel
+from mjsim.hold import HOLDS
 
-__all__ = ["CHANNELS", "HOLDS", "MEASURES", "Payload", "RobotBinding", "find_robot_binding"]
+__all__ = ["CHANNELS", "MEASURES", "Payload", "RobotBinding", "find_robot_binding"]
 
 CHANNELS = ("command", "torque", "angle", "velocity", "current", "second_angle")
 MEASURES = dict(zip(CHANNELS, ("angle", "torque", "angle", "velocity", "current", "angle"), strict=True))
-HOLDS = ("held", "linear", "mean")
 
 
 @dataclass(frozen=True)

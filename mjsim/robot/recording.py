@@ -20,9 +20,9 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.quantity import Motion
 from mjsim.readers import read_table
-from mjsim.recording import _row, _sample_time
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
 from mjsim.robot.model import Robot
+from mjsim.timebase import sample_time, where_in
 
 __all__ = ["RobotRecording", "joints_named", "load_robot_recording"]
 
@@ -128,7 +128,7 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
         raise InputError(path, f"joint {lacking[0]!r} has no position", "an angle of every joint that is recorded", "add it")
     held = tuple((j, _held_position(robot, k)) for k, j in enumerate(robot.joints) if j not in names)
     recording = RobotRecording(
-        time, names, _sample_time(path, time, uniform=True), source=path.name,
+        time, names, sample_time(path, time), source=path.name,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, **matrices,
     )  # fmt: skip
@@ -190,7 +190,7 @@ def _arrays(
             bad = np.flatnonzero(~np.isfinite(array))
             if len(bad):
                 raise InputError(
-                    path, f"{name}.{channel} is not finite in {_row(path, int(bad[0]))}", "a number", "remove these samples"
+                    path, f"{name}.{channel} is not finite in {where_in(path, int(bad[0]))}", "a number", "remove these samples"
                 )
             out[name, channel] = array * factor
     lengths = {key: len(a) for key, a in out.items()}
@@ -221,7 +221,7 @@ def _within_limits(path: Path, r: RobotRecording, robot: Robot) -> None:
         out = np.flatnonzero((r.angle[:, k] < low - slack) | (r.angle[:, k] > high + slack))
         if len(out):
             raise InputError(
-                path, f"{name} is at {r.angle[out[0], k]:.4g} in {_row(path, int(out[0]))}",
+                path, f"{name} is at {r.angle[out[0], k]:.4g} in {where_in(path, int(out[0]))}",
                 f"{low:.4g} to {high:.4g}, the joint's range",
                 "check its zero and unit, or correct the range in the model",
             )  # fmt: skip

@@ -29,9 +29,6 @@ __all__ = ["command"]
     type=click.Choice(["motion", "force"]),
     help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says.",
 )
-@click.option(
-    "--joint", default=None, help="The joint to diagnose, of a log that holds several; default: the model's driven one."
-)
 @click.option("--effects", default="", help="Consider only these effects: identifiers with commas (simgap effects lists them).")
 @click.option(
     "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
@@ -47,7 +44,12 @@ __all__ = ["command"]
     "Unlike --budget, it gives the same answer on every machine.",
 )
 @click.option("--accept-log", is_flag=True, help="Search even where the check of the log says that it has to be fixed first.")
-@click.option("--joint", "joints", multiple=True, help="Of a robot: this joint only (repeatable).")
+@click.option(
+    "--joint",
+    "joints",
+    multiple=True,
+    help="The joint to diagnose, of a log that holds several; of a robot repeatable; default: the driven one, or all that move.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def command(
@@ -56,7 +58,6 @@ def command(
     out: Path,
     held_out: tuple[Path, ...],
     judge: str | None,
-    joint: str | None,
     effects: str,
     jobs: int,
     seed: int,
@@ -76,7 +77,7 @@ def command(
     spare_inputs([out / name for name in written], [*recordings, *held_out, model])
     from simgap.robot import is_robot
 
-    if is_robot(recordings, model, joints):
+    if is_robot(recordings, model):
         from simgap.commands.diagnose_robot import run_robot
 
         run_robot(recordings, model, out, held_out, joints, effects, seed, as_json=as_json, quiet=quiet)
@@ -95,10 +96,20 @@ def command(
             if name not in registered():
                 advice = nearest(name, registered(), "simgap effects lists them")
                 raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), advice)
+        if len(joints) > 1:
+            raise InputError("--joint", f"{len(joints)} joints", "one, since the model drives one", "give the robot's model")
         options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf)
         try:
             result = diagnose_files(
-                recordings, model, out, held_out, options, progress=not quiet, draw=draw, accept_log=accept_log, joint=joint
+                recordings,
+                model,
+                out,
+                held_out,
+                options,
+                progress=not quiet,
+                draw=draw,
+                accept_log=accept_log,
+                joint=joints[0] if joints else None,
             )
         except KeyboardInterrupt:
             kept = out / STATE
