@@ -17,7 +17,7 @@ class Options:
     structure_p: least part of the held-out squared error that must be predictable, and its p-value, for structure to remain;
     missed: least mean square of missed motion over that of the noise; left: least part of the mismatch that must be left where
     the noise is not known, closed: of the rms error above the noise, the part that must be closed where it is
-    (docs/decisions/false-alarms.md).
+    (docs/decisions/evidence.md).
     """
 
     judge: str | None = None

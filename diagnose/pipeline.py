@@ -25,6 +25,7 @@ from diagnose.structure.passes import searched
 from diagnose.thresholds import HELD_OUT_SHOWS, RUNS, SECOND_SPLIT, UNEXPLAINED
 from diagnose.verdict.assemble import diagnosis, unit_of
 from diagnose.verdict.decide import decide
+from diagnose.verdict.determined import determined
 from diagnose.verdict.findings import findings, merged
 from diagnose.verdict.notes import DERIVED, SHARED, Outcome
 from diagnose.verdict.witnesses import remaining_error, repeated_rows
@@ -91,16 +92,15 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     base = search.nominal()
     progress.stage("validate", "what is left, intervals, rivals")
     best = search.polish(merged(search, best))
+    best, undetermined = determined(search, fitter.refined(best))
     structure = remaining_structure(fitter, best)
-    best = fitter.refined(best)
     mismatches = locate(fitter, base)
     found = findings(search, best)
     remaining = remaining_error(search, base, best, structure, options)
     verdict = decide(search, base, best, remaining)
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     rows = repeated_rows(fitter, best)
-    unit = unit_of(fitter)
-    outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit)
+    outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined)
     return diagnosis(outcome, base, mapped, mismatches, options, began)
 
 

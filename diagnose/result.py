@@ -273,6 +273,7 @@ class Diagnosis:
     false_alarm: Mapping[str, float] = field(default_factory=dict)
     map: MapResult | None = None
     hypotheses: int = 0
+    simulations: int = 0
     mismatches: tuple[Mismatch, ...] = ()
     nominal_effects: tuple[NominalEffect, ...] = ()
     log: LogCheck | None = None
@@ -331,6 +332,7 @@ class Diagnosis:
             "notes": list(self.notes),
             "next_experiment": self.next_experiment,
             "hypotheses": self.hypotheses,
+            "simulations": self.simulations,
             "false_alarm": dict(self.false_alarm),
             "seed": self.seed,
             "versions": dict(self.versions),

@@ -189,6 +189,7 @@ SECOND_MATERIAL = _number(
 )
 SECOND_P = _number("SECOND_P", LEVEL, 0.01, "p-value", "times the number of terms", "second_encoder")
 FURTHER = _number("FURTHER", LEVEL, 3.0, "times the travel", "an experiment that goes further is not asked for", "flow")
+TWO_SIDED = _number("TWO_SIDED", LEVEL, 1.96, "standard errors", "half a 95 % interval of a normal distribution", "intervals")
 HIGHEST_TRIAL = _number(
     "HIGHEST_TRIAL", COST, 60.0, "Hz", "top of a proposed chirp, at most a tenth of the sampling rate", "flow"
 )

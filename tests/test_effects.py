@@ -106,6 +106,7 @@ def test_it_says_what_it_is(cls):
     assert set(cls.refines) <= set(registered())
     assert cls.id not in cls.refines
     assert set(cls.amplitudes) <= {s.name for s in cls.specs()}
+    assert set(cls.sizes or ()) <= {s.name for s in cls.specs()}
     assert 0 < cls.tolerance <= 1e-2
     assert inspect.getmodule(cls).__all__ == [cls.__name__]
 

@@ -2,7 +2,7 @@
 
 Under known noise chi-square over n is compared with one, samples are independent once the error is whitened, and a held-out error
 is compared with the noise. Judged by force the error is the model's own: it is coloured, its level is not known, and evidence is
-relative (docs/decisions/false-alarms.md).
+relative (docs/decisions/evidence.md).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ noise is
 in the sensor, also under feedback, since the torque that acted is recorded.
 Force (inverse dynamics): the model is moved as recorded and the torque that this needs is compared. For recordings under a tight
 position loop, whose motion says nothing and whose free run drifts on any disturbance of the torque.
-Both are low-passed alike where they are filtered, so that a comparison is of like with like (docs/decisions/feedback.md).
+Both are low-passed alike where they are filtered, so that a comparison is of like with like (docs/decisions/motion-and-force.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The first look at rivals of a structure: which promise most, and where each is to begin.
 
 Most of a search goes into looking at what is then left aside. Where a structure leaves much, every second or third sample tells
-as well which rival takes up most of that; what goes on is fitted to all of them. docs/decisions/search.md.
+as well which rival takes up most of that; what goes on is fitted to all of them. docs/method.md.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     repeat: expand the beam; current = best by the evidence; refine, exchange, continue it
     until nothing is significant; then drop what is not
 
-What is significant is for `diagnose.structure.significance` to say. Thresholds: docs/decisions/false-alarms.md.
+What is significant is for `diagnose.structure.significance` to say. Thresholds: docs/decisions/evidence.md.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def diagnosis(
         nominal_parameters={p.name: p.value for p in fitter.nominal.chain.linear_parameters()},
         nominal_effects=tuple(nominal_effect(fitter, best, e) for e in best.hypothesis.carried),
         fit=fits,
-        noise_floor=fitter.noise.floor(noise_rms(fitter, fitter.experiments[0])),
+        noise_floor=fitter.noise.floor(_noise_level(outcome)),
         gap_closed=gap,
         rivals=rivals(search, best),
         refusals=refusals(search, best),
@@ -69,12 +69,23 @@ def diagnosis(
             for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)) for e in group
         ),
         hypotheses=search.tested,
+        simulations=fitter.runs,
         false_alarm=false_alarm_rate(),
         seed=options.seed,
         seconds=time.monotonic() - began,
         versions=_versions(),
         map=mapped.result if mapped is not None else None,
     )  # fmt: skip
+
+
+def _noise_level(outcome: Outcome) -> float:
+    """Noise rms of the first recording: what the recording shows where an unexplained error may only look like coloured noise."""
+    fitter = outcome.search.fitter
+    shown = fitter.view.noise(fitter.experiments[0])
+    one_channel = outcome.remaining.motion[1] is None
+    if outcome.remaining.unexplained and one_channel and shown is not None:
+        return shown
+    return noise_rms(fitter, fitter.experiments[0])
 
 
 def _figures(outcome: Outcome, base: Fitted, mapped: Mapped | None) -> tuple[Mapping[str, FitFigures], float]:

@@ -9,6 +9,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
 from diagnose.result import Estimate, Verdict
 from diagnose.structure.search import ALIKE_C, Search
+from diagnose.thresholds import TWO_SIDED
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.effects import Effect
 
@@ -52,7 +53,7 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
         value = e.si(float(x))
         if e.name == "phase_rad":
             value = math.remainder(value, 2 * math.pi)
-        out[e.name] = Estimate(value, (value - 1.96 * float(s), value + 1.96 * float(s)), e.quantity.unit(motion))
+        out[e.name] = Estimate(value, (value - TWO_SIDED * float(s), value + TWO_SIDED * float(s)), e.quantity.unit(motion))
     return out
 
 

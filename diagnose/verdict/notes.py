@@ -43,11 +43,17 @@ class Outcome:
     whitened: bool
     mapped: bool
     unit: str
+    undetermined: tuple[str, ...] = ()
 
 
 def notes(outcome: Outcome, options: Options) -> tuple[str, ...]:
     """Sentences, in the order in which they are printed."""
-    said = [*_of_the_model(outcome), *_of_the_residual(outcome, options), *_of_the_search(outcome, options)]
+    said = [
+        *outcome.undetermined,
+        *_of_the_model(outcome),
+        *_of_the_residual(outcome, options),
+        *_of_the_search(outcome, options),
+    ]
     if outcome.search.fitter.nominal.chain.servo is None and "gain" not in " ".join(said):
         said.append(
             "A pure error of the torque gain cannot be told from a common scale of all inertias, stiffnesses and dampings; "

@@ -5,7 +5,7 @@ of the best structure, the part of the rms error that is closed is
 
     1 - (sqrt(1 + l) - 1) / (sqrt(1 + m) - 1)
 
-Thresholds: docs/decisions/false-alarms.md.
+Thresholds: docs/decisions/evidence.md.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from diagnose.fit.validation import error_on, observed_error, pooled, predicted_
 from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.structure.search import Search
-from diagnose.thresholds import EVENTS, POWER
+from diagnose.thresholds import EVENTS, POWER, TAKEN
 
 __all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
 
@@ -77,7 +77,10 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
     now = Remaining(structure, motion, _is_unexplained(search, base, search.held_out(best), structure, motion, options))
     now = dataclasses.replace(now, unexplained=now.unexplained or _is_left_behind(fitter, base, best, options))
     if not now.unexplained:
-        return now
+        if not _far_from_noise(fitter, best, search.held_out(best), motion[1]):
+            return now
+        diverges = _only_diverges(fitter, base, best, options)
+        return dataclasses.replace(now, unexplained=not diverges, diverges=diverges)
     if _only_diverges(fitter, base, best, options):
         return dataclasses.replace(now, unexplained=False, diverges=True)
     # what the estimation recordings leave open is no missing physics: every recording may settle the parameters
@@ -138,6 +141,21 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
         return False
     before, after = motion_errors(fitter, base, best, fitter.experiments)
     return before is not None and after is not None and after > options.missed and closed(before, after) < options.closed
+
+
+def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: float | None) -> bool:
+    """Whether the error is more than noise of any colour: over `TAKEN` times the mean square that the recording shows.
+
+    Asked where one channel alone shows the motion, so that no second one can tell noise from it (``missed`` is None).
+    """
+    if not fitter.noise.absolute or missed is not None:
+        return False
+    for i, experiment in enumerate(fitter.experiments):
+        e, level = fitter.error_of(best, i), fitter.view.noise(experiment)
+        if e is not None and level and float(np.mean(e[fitter.counted(experiment)] ** 2)) > TAKEN * level**2:
+            return True
+    levels = [level for e in fitter.held_out if (level := fitter.view.noise(e))]
+    return held is not None and bool(levels) and held.rms**2 > TAKEN * float(np.mean(np.square(levels)))
 
 
 def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:

@@ -42,6 +42,7 @@ class BacklashWithImpact(Effect):
     citation: ClassVar[str] = "K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440"
     tolerance: ClassVar[float] = 1e-3
     amplitudes: ClassVar[tuple[str, ...]] = ("gap_rad", "impact_s_rad")
+    sizes: ClassVar[tuple[str, ...] | None] = ("gap_rad",)
     rough: ClassVar[bool] = True
     family: ClassVar[str] = "coupling"
     multistart: ClassVar[int] = 3

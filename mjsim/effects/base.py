@@ -166,7 +166,8 @@ class Effect(abc.ABC):
     (identifiers of the simpler effects that this one contains), ``multistart`` (from how many of its best starts a fit is
     begun; more than one where the error has several minima), ``rough`` (whether bodies stick or strike by it, so that the error
     jumps as a parameter moves), ``rounds`` (whether it rounds what is measured, so that a small step of a parameter turns single
-    samples), ``amplitudes`` (parameters that scale its response together, while small), ``angle_of`` (place
+    samples), ``amplitudes`` (parameters that scale its response together, while small), ``sizes`` (parameters without which it
+    is another effect or none, the amplitudes unless given), ``angle_of`` (place
     whose angle a periodic law follows, its own when empty), ``form_of`` (the contract identifier that it is named by, where it is
     another law for the same effect), ``once`` (whether its places cannot be told apart, so that a model has it at one of them
     only), ``shown_by_angle`` (whether a measured velocity contradicts the measured angle by it), ``taken_for`` (identifiers of
@@ -184,6 +185,7 @@ class Effect(abc.ABC):
     rounds: ClassVar[bool] = False
     refines: ClassVar[tuple[str, ...]] = ()
     amplitudes: ClassVar[tuple[str, ...]] = ()
+    sizes: ClassVar[tuple[str, ...] | None] = None
     angle_of: ClassVar[str] = ""
     form_of: ClassVar[str] = ""
     once: ClassVar[bool] = False

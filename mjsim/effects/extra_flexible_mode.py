@@ -41,6 +41,7 @@ class ExtraFlexibleMode(Effect):
     citation: ClassVar[str] = "Moberg, Modeling and Control of Flexible Manipulators, Linkoping (2010)"
     tolerance: ClassVar[float] = 1e-5
     amplitudes: ClassVar[tuple[str, ...]] = ("inertia_kgm2", "stiffness_Nm_rad", "damping_Nms_rad")
+    sizes: ClassVar[tuple[str, ...] | None] = ("inertia_kgm2", "stiffness_Nm_rad")
     family: ClassVar[str] = "structure"
     multistart: ClassVar[int] = 8
 

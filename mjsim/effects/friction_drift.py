@@ -43,6 +43,7 @@ class FrictionDrift(Effect):
     citation: ClassVar[str] = "Simoni, Beschi, Legnani, Visioli, IROS (2015) 3624"
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
+    sizes: ClassVar[tuple[str, ...] | None] = ("torque_Nm", "relative_change")
     family: ClassVar[str] = "friction"
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 

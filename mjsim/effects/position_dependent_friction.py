@@ -43,6 +43,7 @@ class PositionDependentFriction(Effect):
     citation: ClassVar[str] = "Armstrong-Helouvry, Control of Machines with Friction (1991) ch. 4"
     tolerance: ClassVar[float] = 2e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm",)
+    sizes: ClassVar[tuple[str, ...] | None] = ("torque_Nm", "relative_amplitude")
     family: ClassVar[str] = "friction"
     multistart: ClassVar[int] = 3
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)

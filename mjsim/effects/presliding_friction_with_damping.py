@@ -45,6 +45,7 @@ class PreslidingFrictionWithDamping(Effect):
     citation: ClassVar[str] = "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40 (1995) 419"
     tolerance: ClassVar[float] = 1e-3
     amplitudes: ClassVar[tuple[str, ...]] = ("torque_Nm", "stiffness_Nm_rad", "damping_Nms_rad")
+    sizes: ClassVar[tuple[str, ...] | None] = ("torque_Nm", "stiffness_Nm_rad")
     family: ClassVar[str] = "friction"
     multistart: ClassVar[int] = 2
     refines: ClassVar[tuple[str, ...]] = ("presliding_friction", "coulomb_friction")

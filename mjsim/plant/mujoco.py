@@ -33,7 +33,7 @@ __all__ = ["MujocoPlant", "run_together"]
 
 CHUNK = 200_000  # steps whose states are kept in memory at once
 STEP_US, STAGES = 2.0, {mujoco.mjtIntegrator.mjINT_RK4: 4}  # nominal time of an evaluation [us], evaluations of a step
-FLOOR = 1e-5  # error of ties, which MuJoCo holds by soft constraints (docs/decisions/mjcf-native.md)
+FLOOR = 1e-5  # error of ties, which MuJoCo holds by soft constraints (docs/decisions/mjcf.md)
 EXACT = 1e-6  # of a step, by which a sample may be off it
 
 

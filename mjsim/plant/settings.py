@@ -17,7 +17,7 @@ from mjsim.mjcf.custom import Edit
 
 __all__ = ["SETTINGS", "Setting", "mended"]
 
-FRICTION_STEP = 1e-4  # largest timestep at which stiff friction meets the law to 1e-3 (docs/decisions/mjcf-native.md)
+FRICTION_STEP = 1e-4  # largest timestep at which stiff friction meets the law to 1e-3 (docs/decisions/mjcf.md)
 LIMIT_STEP = 5e-5  # the same for stiff limits
 FINER = 2.0  # times the timestep, with RK4: an error of fourth order is a sixteenth, of first order gone
 IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from diagnose.evidence.context import Context
+from diagnose.evidence.intervals import open_sizes
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
 from diagnose.fit.fitted import Fitted
 from diagnose.thresholds import ANSWERED
@@ -34,9 +35,4 @@ def no_answer_of_a_servo(context: Context, pair: Pair) -> Outcome:
 
 def size_is_open(context: Context, f: Fitted, sizes: Mapping[str, tuple[str, ...]]) -> bool:
     """Whether the 95 % interval of one of the sizes of effects, by key, holds zero."""
-    errors = f.standard_errors(context.fitter.noise)
-    return any(
-        abs(e.si(float(x))) < 1.96 * float(s)
-        for e, x, s in zip(f.hypothesis.entries, f.fit.x, errors, strict=True)
-        if e.name in sizes.get(e.owner, ())
-    )
+    return bool(open_sizes(f, context.fitter.noise, sizes))

@@ -1,0 +1,44 @@
+"""Which sizes of the effects of a structure the data leave open: their 95 % interval contains zero."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+from diagnose.fit.fitted import Fitted
+from diagnose.problem.noise_model import NoiseModel
+from diagnose.thresholds import TWO_SIDED
+from mjsim.effects import Effect
+
+__all__ = ["Open", "open_sizes", "sizes_of"]
+
+
+@final
+@dataclass(frozen=True)
+class Open:
+    """A size of an effect whose interval contains zero; value and 95 % interval in SI units."""
+
+    effect: Effect
+    name: str
+    value: float
+    ci95: tuple[float, float]
+
+
+def sizes_of(effect: Effect) -> tuple[str, ...]:
+    """The parameters without which an effect is another one, or none."""
+    return effect.amplitudes if effect.sizes is None else effect.sizes
+
+
+def open_sizes(f: Fitted, noise: NoiseModel, sizes: Mapping[str, tuple[str, ...]] | None = None) -> tuple[Open, ...]:
+    """The sizes of the supposed effects of a structure that are not told from zero; ``sizes``: others to ask about, by key."""
+    asked = {e.key: sizes_of(e) for e in f.effects} if sizes is None else sizes
+    effects = {e.key: e for e in f.effects}
+    out = []
+    for entry, x, error in zip(f.hypothesis.entries, f.fit.x, f.standard_errors(noise), strict=True):
+        if entry.owner not in effects or entry.name not in asked.get(entry.owner, ()):
+            continue
+        value, half = entry.si(float(x)), TWO_SIDED * float(error)
+        if not abs(value) >= half:
+            out.append(Open(effects[entry.owner], entry.name, value, (value - half, value + half)))
+    return tuple(out)
