@@ -13,7 +13,7 @@ import numpy as np
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, run_files, run_surrogate
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged, run_files, run_surrogate
 from diagnose.verdict.reference_fit import refit_in_simulator
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
@@ -37,10 +37,12 @@ SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 def before_search(
     path: Path, axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options
 ) -> Nominal | None:
-    """The nominal file in MuJoCo beside the engine; None for servos and where recordings are judged by force."""
-    if axis.chain.servo is not None:
-        return None
+    """The nominal file in MuJoCo beside the engine; None where recordings are judged by force, or know a torque."""
     r = recordings[0]
+    if any(x.known_torque is not None for x in (*recordings, *held_out)):
+        return None
+    if axis.chain.servo is not None:
+        return compare_nominal(path, axis, recordings, held_out, options.jobs)
     judge = options.judge or r.judge or ("motion" if r.velocity is not None else "force")
     return None if judge == "force" else compare_nominal(path, axis, recordings, held_out, options.jobs)
 
@@ -52,7 +54,7 @@ def write_judged(
 
     Returns the diagnosis, by MuJoCo's figures where it was judged by motion.
     """
-    if nominal is None or result.channel != "velocity" or not result.noise_floor > 0:
+    if nominal is None or result.channel == "torque" or not result.noise_floor > 0:
         write_corrected(model, axis, out)
         return result
     cause = numerics.cause_of(nominal, threads)
@@ -129,7 +131,7 @@ def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -
         for case, run, ideal, shift in zip(nominal.cases, runs, wanted, shifts, strict=True):
             if run is None or ideal is None:
                 return math.inf
-            most = max(most, float(np.sqrt(np.mean((run.velocity - ideal.velocity + shift) ** 2))) / case.sigma)
+            most = max(most, float(np.sqrt(np.mean((judged(case, run) - judged(case, ideal) + shift) ** 2))) / case.sigma)
         return most
 
     tolerance = max([0.0, *(e.tolerance for e in axis.effects)])
@@ -234,6 +236,6 @@ def _sensitive(plant: MujocoPlant, cases: Sequence[Case], runs: Sequence[Run | N
         starts.append(dataclasses.replace(run.start, angle=run.start.angle + angle))
     others = run_files([plant], cases, 1, starts)[0]
     return any(
-        a is None or b is None or float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) > APART * c.sigma
+        a is None or b is None or float(np.sqrt(np.mean((judged(c, a) - judged(c, b)) ** 2))) > APART * c.sigma
         for a, b, c in zip(runs, others, cases, strict=True)
     )

@@ -143,7 +143,7 @@ def _written(
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, corrected, threads)
-    if result.channel == "angle":
+    if result.channel == "angle" and given is None:
         result = judge_servo(result, model, corrected, *logs)
     mapped, with_map = out / "mapped.xml", mapped_axis(nominal, result)
     if with_map is None:

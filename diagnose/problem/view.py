@@ -185,6 +185,8 @@ class MotionView:
         run = free_run(axis, experiment, initial, most_substeps=self.most_substeps, step=self.step)
         measured = experiment.recording.angle
         assert measured is not None
+        if experiment.correction is not None:
+            measured = measured + experiment.correction
         return Signals(experiment.recording.time, measured, run.angle)
 
     def _drawn(self, system: System, experiment: Experiment, axis: Axis) -> np.ndarray:

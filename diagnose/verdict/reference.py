@@ -1,7 +1,8 @@
 """The user's simulator as the judge: a model file, stepped by plain MuJoCo with its own options, beside the recordings.
 
 A free run starts where the recording does: at its first angle, corrected by what its noise allows, and at rest or at the speed
-that the first samples tell. Errors are those of the measured velocity (the rate of the angle where no velocity was recorded).
+that the first samples tell. Errors are those of the measured velocity (the rate of the angle where no velocity was recorded), or
+of the measured angle where a servo follows a command.
 """
 
 from __future__ import annotations
@@ -19,10 +20,22 @@ from diagnose.data.noise import white_noise_level
 from diagnose.result import FitFigures
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, simulate
-from mjsim.plant import MujocoPlant, Start
+from mjsim.plant import Hold, MujocoPlant, Start
 from mjsim.recording import Recording
 
-__all__ = ["Case", "Run", "at_noise", "cases_of", "chi_square", "error", "figures", "run_file", "run_files", "run_surrogate"]
+__all__ = [
+    "Case",
+    "Run",
+    "at_noise",
+    "cases_of",
+    "chi_square",
+    "error",
+    "figures",
+    "judged",
+    "run_file",
+    "run_files",
+    "run_surrogate",
+]
 
 KNOWN = 0.05  # relative error of a noise variance that is taken from the fastest part of a signal
 CLEAR = 3.0  # standard deviations of a mean square of white noise, which are sqrt(2 / n)
@@ -34,7 +47,8 @@ FELT = 0.05  # of the noise, rms: least response to a start one standard deviati
 class Case:
     """A recording to be judged: which of its N samples belong to the estimation and to the held-out data, and its noise.
 
-    measured (N,): the judged velocity; sigma: its noise rms; moving: whether the axis moves at the first sample.
+    measured (N,): the judged velocity, or the angle of a servo; sigma: its noise rms; moving: whether the axis moves at the
+    first sample.
     """
 
     recording: Recording
@@ -48,17 +62,31 @@ class Case:
         """Where the recording starts, by its first samples."""
         r = self.recording
         angle = float(r.angle[0]) if r.angle is not None else 0.0
+        if self.servo:
+            return Start(angle, 0.0, float(r.input[0]))
         if not self.moving:
             return Start(angle)
         few = max(2, min(len(r), round(FIRST / r.dt)))
         speed = float(np.polynomial.Polynomial.fit(np.arange(few), self.measured[:few], 1)(0.0))
-        return Start(angle, speed, float(r.torque[0]))
+        return Start(angle, speed, float(r.input[0]))
 
     def spread(self) -> tuple[float, float]:
         """Standard deviations of the starting angle and velocity; 0 of one that is known."""
         q = self.recording.angle
         angle = 0.0 if q is None else max(white_noise_level(q), plain_step(q) / math.sqrt(12.0))
-        return angle, self.sigma if self.moving else 0.0
+        return angle, self.sigma if self.moving and not self.servo else 0.0
+
+    @property
+    def servo(self) -> bool:
+        """Whether the input is the command of a servo."""
+        return self.recording.command is not None
+
+    def drive(self) -> tuple[np.ndarray, Hold]:
+        """Input (N, 1) of a plant, and how it goes between samples."""
+        u, hold = self.recording.input, Hold(self.recording.hold)
+        if hold is Hold.MEAN:  # of the sample that begins with the row; a plant takes that of the sample that ends with it
+            u = np.concatenate([u[:1], u[:-1]])
+        return u[:, None], hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +110,30 @@ def cases_of(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> 
                 mine, other = (e.counts & part for part in hold_out_blocks(r))
             elif role == "held-out":
                 mine, other = other, mine
-            out.append(Case(r, measured_velocity(r), e.sigma, e.moving, mine, other))
+            measured = measured_velocity(r) if r.command is None or r.angle is None else r.angle
+            out.append(Case(r, measured, e.sigma, e.moving, mine, other))
     return tuple(out)
 
 
-def _judged(case: Case, velocity: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """What of a run is compared with the measured velocity."""
-    return velocity if case.recording.velocity is not None else np.gradient(angle, case.recording.dt)
+def _run(y: np.ndarray, start: Start) -> Run:
+    """Of the outputs (N, 2) of a plant: velocity and angle."""
+    return Run(y[:, 0], y[:, 1], start)
+
+
+def judged(case: Case, run: Run) -> np.ndarray:
+    """What of a run (N,) is compared with what was measured."""
+    if case.servo:
+        return run.angle
+    return run.velocity if case.recording.velocity is not None else np.gradient(run.angle, case.recording.dt)
 
 
 def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run | None:
     """A free run of a file on a recording, from a given start or from that which suits both; None where it diverges."""
     r = case.recording
-    u = r.torque[:, None]
+    u, hold = case.drive()
     if start is not None:
         try:
-            y = plant.run(u, r.dt, start=start)
+            y = plant.run(u, r.dt, start=start, hold=hold)
             return Run(y[:, 0], y[:, 1], start)
         except DivergedError:
             return None
@@ -105,12 +141,12 @@ def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run 
     shifts = [s for s in zip(("angle", "velocity"), case.spread(), strict=True) if s[1] > 0]
     starts = [start, *(dataclasses.replace(start, **{n: getattr(start, n) + s}) for n, s in shifts)]
     try:
-        runs = [_judged(case, *y.T) if i else y for i, y in enumerate(plant.run_many([u] * len(starts), r.dt, starts))]
+        outputs = plant.run_many([u] * len(starts), r.dt, starts, hold=hold)
     except DivergedError:
         return None
-    y = runs[0]
-    first = _judged(case, *y.T)
-    responses = np.column_stack([x - first for x in runs[1:]]) if shifts else np.zeros((len(r), 0))
+    y = outputs[0]
+    first = judged(case, _run(y, start))
+    responses = np.column_stack([judged(case, _run(x, start)) - first for x in outputs[1:]]) if shifts else np.zeros((len(r), 0))
     counts = case.estimation | case.held_out
     felt = np.sqrt(np.mean(responses[counts] ** 2, axis=0)) > FELT * case.sigma
     if felt.any():
@@ -130,10 +166,11 @@ def _refined(
     shift = np.linalg.solve(x.T @ x + np.eye(x.shape[1]), x.T @ e)
     moved = dataclasses.replace(start, **{n: getattr(start, n) + s * float(g) for (n, s), g in zip(shifts, shift, strict=True)})
     try:
-        y = plant.run(case.recording.torque[:, None], case.recording.dt, start=moved)
+        u, hold = case.drive()
+        y = plant.run(u, case.recording.dt, start=moved, hold=hold)
     except DivergedError:
         return None
-    after = (case.measured - _judged(case, *y.T))[counts] / case.sigma
+    after = (case.measured - judged(case, _run(y, start)))[counts] / case.sigma
     return Run(y[:, 0], y[:, 1], moved) if after @ after + shift @ shift < e @ e else None
 
 
@@ -157,15 +194,16 @@ def run_surrogate(axis: Axis, case: Case, start: Start, *, locked: bool = True) 
     ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
     initial = np.array([start.angle * ratios, start.velocity * ratios])
     try:
-        y = simulate(axis, r.torque, r.dt, initial=initial, angle=r.angle if locked else None, before=start.input)
+        angle = r.angle if locked and not case.servo else None
+        y = simulate(axis, r.input, r.dt, initial=initial, angle=angle, before=start.input, hold=r.hold)
     except (DivergedError, ValueError):
         return None
     return Run(np.array(y.velocity), np.array(y.angle), start)
 
 
 def error(case: Case, run: Run) -> np.ndarray:
-    """Measured less predicted velocity (N,)."""
-    return np.asarray(case.measured - _judged(case, run.velocity, run.angle))
+    """Measured less predicted signal (N,)."""
+    return np.asarray(case.measured - judged(case, run))
 
 
 def chi_square(cases: Sequence[Case], runs: Sequence[Run | None], part: str = "estimation") -> tuple[float, int]:

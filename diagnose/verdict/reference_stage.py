@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnose.data.servo import as_servo
 from diagnose.result import Diagnosis, Traces
-from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, run_files, run_surrogate
+from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged, run_files, run_surrogate
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from mjsim.axis import Axis
 from mjsim.mjcf.faithful import write_as_author
@@ -64,6 +65,7 @@ def compare_nominal(
     path: Path, axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], threads: int
 ) -> Nominal:
     """Run the nominal file in MuJoCo and in the engine, and settle whose numerics the recordings have. Raises InputError."""
+    axis, recordings, held_out, _ = as_servo(axis, recordings, held_out)
     cases = cases_of(recordings, held_out)
     plant = MujocoPlant.load(path)
     runs = run_files([plant], cases, threads)[0]
@@ -88,12 +90,12 @@ def compare_nominal(
 
 
 def apart(cases: Sequence[Case], runs: Sequence[Run | None], others: Sequence[Run | None]) -> float:
-    """Largest rms difference of two models' velocities over the noise; infinite where one diverged."""
+    """Largest rms difference of two models over the noise; infinite where one diverged."""
     out = 0.0
     for case, a, b in zip(cases, runs, others, strict=True):
         if a is None or b is None:
             return math.inf
-        out = max(out, float(np.sqrt(np.mean((a.velocity - b.velocity) ** 2))) / case.sigma)
+        out = max(out, float(np.sqrt(np.mean((judged(case, a) - judged(case, b)) ** 2))) / case.sigma)
     return out
 
 

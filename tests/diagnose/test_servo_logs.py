@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import mujoco
 import numpy as np
 import pytest
 from servo_logs import GEARED, PENDULUM, model, record, write
@@ -25,6 +26,31 @@ from simgap.pipeline import diagnose_files
 
 FEW = ("coulomb_friction", "servo_deadband")
 SHORT = {"rate": 100.0, "seconds": 12.0}
+
+
+NOISE = 5e-4  # rad
+
+
+def default_pendulum(friction: float) -> str:
+    """A pendulum under a position servo, all options MuJoCo's defaults."""
+    loss = f'frictionloss="{friction}"' if friction else ""
+    return f"""<mujoco><worldbody><body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0" damping="0.02" {loss}/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02" mass=".3"/><geom type="sphere" pos="0 0 -.5" size=".06" mass=".7"/>
+        </body></worldbody><actuator><position name="servo" joint="hinge" kp="20" kv="1.5"/></actuator></mujoco>"""
+
+
+def default_log(text: str, seed: int, seconds: float = 12.0, dt: float = 0.01) -> np.ndarray:
+    """Time, command and noisy angle (N, 3) of a run in plain MuJoCo, the command held over each sample."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, dt)
+    tones = [np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) for f in np.linspace(0.1, 2.5, 12)]
+    command, rows = 0.16 * np.minimum(1.0, t) * np.sum(tones, axis=0), []
+    for u in command:
+        rows.append(data.qpos[0])
+        data.ctrl[0] = u
+        mujoco.mj_step(model, data, round(dt / model.opt.timestep))
+    return np.column_stack([t, command, np.array(rows) + NOISE * rng.standard_normal(len(t))])
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +180,23 @@ def test_the_files_are_judged_by_plain_mujoco(tmp_path):
     written = json.loads((out / "diagnosis.json").read_text())["fit"]
     recorded = [load(p, model=out / "corrected.xml") for p in paths]
     judged = servo_figures(load_model(out / "corrected.xml"), recorded[:1], recorded[1:])
-    assert written["corrected"]["held_out_rms"] == pytest.approx(judged.held_out_rms, rel=1e-6)
+    assert written["corrected"]["held_out_rms"] == pytest.approx(judged.held_out_rms, rel=5e-3), "the start is refined there"
     assert judged.held_out_rms < 1.1 * result.surrogate["corrected"].held_out_rms
     assert written["nominal"]["held_out_rms"] > 3 * judged.held_out_rms
+
+
+@pytest.mark.parametrize(("friction", "verdict"), [(0.0, Verdict.NO_MISMATCH), (0.08, Verdict.MISSING_PHYSICS)])
+def test_a_default_timestep_is_no_physics(tmp_path, friction, verdict):
+    """MuJoCo's default options (2 ms, Euler, soft friction): the engine differs from the file by many times the noise."""
+    nominal = tmp_path / "pendulum.xml"
+    nominal.write_text(default_pendulum(0.0))
+    paths = [tmp_path / f"log{i}.csv" for i in range(2)]
+    for i, path in enumerate(paths):
+        log = default_log(default_pendulum(friction), seed=i + 1)
+        np.savetxt(path, log, delimiter=",", header="time_s,command_rad,angle_rad", comments="", fmt="%.9g")
+    result = diagnose_files(paths[:1], nominal, tmp_path / "out", paths[1:], Options(jobs=1, effects=FEW), progress=False)
+    assert result.verdict is verdict
+    assert result.fit["corrected"].held_out_rms < 1.1 * NOISE
+    if friction:
+        assert [f.effect for f in result.findings] == ["coulomb_friction"]
+        assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(friction, rel=0.05)
