@@ -26,6 +26,7 @@ from mjsim.mjcf.faithful import AUTHOR, Faithful, has_dry_friction, write_as_aut
 from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
+from simgap.plain_friction import plainer_friction
 
 __all__ = ["before_search", "write_judged"]
 
@@ -63,6 +64,8 @@ def write_judged(
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal)))
     found: tuple[Finding, ...] = ()
     fewer = _without_creep(model, given, result, nominal, cause, out, threads)
+    if fewer is None:
+        fewer = plainer_friction(model, given, result, nominal, out, threads)
     if fewer is not None:
         result, form, runs = fewer
     elif cause is not None and not nominal.simulator:
@@ -71,7 +74,14 @@ def write_judged(
         form = _write(model, axis, nominal, out, threads)
         runs = _polished(axis, form, result, nominal, out, threads)
     if fewer is None and not found and not at_noise(nominal.cases, runs):
-        form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
+        trial = out.with_name(f".{out.stem}.plain.part.xml")
+        fewer = plainer_friction(model, given, result, nominal, trial, threads, itself=True)
+        if fewer is None:
+            form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
+        else:
+            trial.replace(out)
+            result, form, runs = fewer
+        trial.unlink(missing_ok=True)
     files = Files(
         runs, form.lacks, form.form, found, (*(() if found else _told(cause, nominal)), *_refitted(axis, out)),
         _sensitive(MujocoPlant.load(out), nominal.cases, runs), fewer is not None,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +21,9 @@ from mjsim.plant import MujocoPlant, Start
 
 __all__ = ["Refit", "refit_in_engine", "refit_in_simulator"]
 
-ROUNDS = 6  # Gauss-Newton steps
+ROUNDS = 8  # Gauss-Newton steps
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
-DAMPING = 1e-3  # of the diagonal of the normal equations
+DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls
 LARGEST = 0.3  # relative change of a number in a step
 ENOUGH = 1.0  # fall of chi-square below which a step is the last: one number is known to one standard error anyway
 
@@ -32,12 +32,16 @@ Runs = Sequence[Run | None]
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Numbers by name, the axis that has them, its runs and their chi-square on the estimation data."""
+    """Numbers by name, the axis that has them, its runs and their chi-square on the estimation data.
+
+    errors: relative standard errors by name, from the last Jacobian; empty where none was needed.
+    """
 
     values: Mapping[str, float]
     axis: Axis
     runs: Runs
     chi2: float
+    errors: Mapping[str, float] = field(default_factory=dict)
 
 
 def _free(axis: Axis) -> dict[str, float]:
@@ -55,48 +59,68 @@ def _residual(cases: Sequence[Case], runs: Runs | None) -> np.ndarray | None:
     return np.concatenate([error(c, r)[c.estimation] / c.sigma for c, r in zip(cases, runs, strict=True) if r is not None])
 
 
-def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], engine: Callable[[Axis], Runs]) -> np.ndarray | None:
-    """Slope of the engine's prediction per relative change of each number (n, p); None where it diverges."""
-    at = _residual(cases, engine(axis))
+def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Callable[[Axis], Runs | None]) -> np.ndarray | None:
+    """Slope of a prediction per relative change of each number (n, p); None where it diverges."""
+    at = _residual(cases, run(axis))
     if at is None:
         return None
     now = _free(axis)
     columns = []
     for name in names:
-        moved = _residual(cases, engine(axis.with_values({name: now[name] * (1.0 + STEP)})))
+        moved = _residual(cases, run(axis.with_values({name: now[name] * (1.0 + STEP)})))
         columns.append(np.zeros(len(at)) if moved is None else (at - moved) / STEP)
     return np.column_stack(columns)
 
 
 def _refit(axis: Axis, cases: Sequence[Case], run: Callable[[Axis], Runs | None], engine: Callable[[Axis], Runs]) -> Refit | None:
-    """Least squares from the numbers of an axis; None where its run diverges or cannot be had."""
+    """Least squares from the numbers of an axis; None where its run diverges or cannot be had.
+
+    The Jacobian is the engine's while its steps lower the cost, and then that of ``run`` itself.
+    """
     names, runs = list(_free(axis)), run(axis)
     e = _residual(cases, runs)
     if e is None or runs is None:
         return None
     best = Refit(_free(axis), axis, runs, chi_square(cases, runs)[0])
-    damping = DAMPING
+    slopes: list[Callable[[Axis], Runs | None]] = [engine, run]
+    errors: dict[str, float] = {}
     for _ in range(ROUNDS):
-        J = _jacobian(best.axis, names, cases, engine)
+        J = _jacobian(best.axis, names, cases, slopes[0])
         if J is None:
             break
+        errors = _errors(names, J.T @ J)
+        better = _step(best, e, J, cases, run)
+        gained = 0.0 if better is None else best.chi2 - better.chi2
+        if better is not None:
+            best, e = better, _residual(cases, better.runs)
+            assert e is not None
+        if gained < ENOUGH:
+            if len(slopes) == 1 or engine is run:
+                break
+            slopes = slopes[1:]
+    return replace(best, errors=errors)
+
+
+def _step(best: Refit, e: np.ndarray, J: np.ndarray, cases: Sequence[Case], run: Callable[[Axis], Runs | None]) -> Refit | None:
+    """The first step that lowers the cost, of a few ever more damped ones; None where none does."""
+    for damping in DAMPINGS:
         gram = J.T @ J
-        gram[np.diag_indices(len(names))] += damping * np.diag(gram) + 1e-12
+        gram[np.diag_indices(len(gram))] += damping * np.diag(gram) + 1e-12
         step = np.clip(np.linalg.solve(gram, J.T @ e), -LARGEST, LARGEST)
         values = {n: v * (1.0 + float(s)) for (n, v), s in zip(best.values.items(), step, strict=True)}
         moved = best.axis.with_values(values)
         runs = run(moved)
         r = _residual(cases, runs)
-        if r is None or runs is None or float(r @ r) >= best.chi2:
-            damping *= 100.0
-            if damping > 1.0:
-                break
-            continue
-        gained, e = best.chi2 - float(r @ r), r
-        best = Refit(values, moved, runs, float(r @ r))
-        if gained < ENOUGH:
-            break
-    return best
+        if r is not None and runs is not None and float(r @ r) < best.chi2:
+            return Refit(values, moved, runs, float(r @ r))
+    return None
+
+
+def _errors(names: Sequence[str], gram: np.ndarray) -> dict[str, float]:
+    """Relative standard errors from the normal equations (p, p) of whitened residuals."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12)
+    return {n: float(np.sqrt(inverse[i, i]) / scale[i]) for i, n in enumerate(names)}
 
 
 def refit_in_simulator(

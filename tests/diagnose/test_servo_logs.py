@@ -31,26 +31,36 @@ SHORT = {"rate": 100.0, "seconds": 12.0}
 NOISE = 5e-4  # rad
 
 
-def default_pendulum(friction: float) -> str:
-    """A pendulum under a position servo, all options MuJoCo's defaults."""
+SERVO = '<position name="servo" joint="hinge" kp="20" kv="1.5"/>'
+
+
+def default_pendulum(friction: float, drive: str = SERVO) -> str:
+    """A pendulum, all options MuJoCo's defaults."""
     loss = f'frictionloss="{friction}"' if friction else ""
     return f"""<mujoco><worldbody><body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0" damping="0.02" {loss}/>
         <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02" mass=".3"/><geom type="sphere" pos="0 0 -.5" size=".06" mass=".7"/>
-        </body></worldbody><actuator><position name="servo" joint="hinge" kp="20" kv="1.5"/></actuator></mujoco>"""
+        </body></worldbody><actuator>{drive}</actuator></mujoco>"""
 
 
-def default_log(text: str, seed: int, seconds: float = 12.0, dt: float = 0.01) -> np.ndarray:
-    """Time, command and noisy angle (N, 3) of a run in plain MuJoCo, the command held over each sample."""
+def default_log(
+    text: str, seed: int, seconds: float = 12.0, dt: float = 0.01, scale: float = 0.16, velocity: float | None = None
+) -> np.ndarray:
+    """Time, input, noisy angle and, if its noise is given, velocity (N, 3 or 4) of a run in plain MuJoCo.
+
+    The input is held over each sample.
+    """
     model = mujoco.MjModel.from_xml_string(text)
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     t = np.arange(0.0, seconds, dt)
     tones = [np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) for f in np.linspace(0.1, 2.5, 12)]
-    command, rows = 0.16 * np.minimum(1.0, t) * np.sum(tones, axis=0), []
+    command, rows = scale * np.minimum(1.0, t) * np.sum(tones, axis=0), []
     for u in command:
-        rows.append(data.qpos[0])
+        rows.append((data.qpos[0], data.qvel[0]))
         data.ctrl[0] = u
         mujoco.mj_step(model, data, round(dt / model.opt.timestep))
-    return np.column_stack([t, command, np.array(rows) + NOISE * rng.standard_normal(len(t))])
+    angle, speed = np.array(rows).T
+    columns = [t, command, angle + (NOISE if velocity is None else 1e-4) * rng.standard_normal(len(t))]
+    return np.column_stack(columns if velocity is None else [*columns, speed + velocity * rng.standard_normal(len(t))])
 
 
 @pytest.fixture(scope="module")
@@ -200,3 +210,21 @@ def test_a_default_timestep_is_no_physics(tmp_path, friction, verdict):
     if friction:
         assert [f.effect for f in result.findings] == ["coulomb_friction"]
         assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(friction, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [(), ("position_dependent_friction",)])
+def test_soft_friction_of_the_simulator_is_coulomb_friction(tmp_path, others):
+    """A log of MuJoCo's default soft friction, and a file without friction: Coulomb friction by MuJoCo's own numerics."""
+    nominal, drive = tmp_path / "pendulum.xml", '<motor name="m" joint="hinge"/>'
+    nominal.write_text(default_pendulum(0.0, drive))
+    paths = [tmp_path / f"log{i}.csv" for i in range(2)]
+    for i, path in enumerate(paths):
+        log = default_log(default_pendulum(0.2, drive), seed=i + 11, seconds=6.0, dt=0.002, scale=0.5, velocity=0.02)
+        np.savetxt(path, log, delimiter=",", header="time_s,torque_Nm,angle_rad,velocity_rad_s", comments="", fmt="%.9g")
+    options = Options(jobs=1, effects=("coulomb_friction", *others))
+    result = diagnose_files(paths[:1], nominal, tmp_path / "out", paths[1:], options, progress=False)
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    assert [f.effect for f in result.findings] == ["coulomb_friction"]
+    assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(0.2, rel=0.01)
+    assert result.fit["corrected"].held_out_rms < 1.1 * 0.02

@@ -1,0 +1,110 @@
+"""Dry friction as the simulator has it, in place of a richer law that imitates it in the equations of motion.
+
+MuJoCo's dry friction is soft: it creeps at rest. A recording of MuJoCo, or of a machine that creeps alike, is then followed by
+plain Coulomb friction in MuJoCo, where the equations with ideal friction ask for a law of more parameters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from diagnose.result import Diagnosis, Estimate, Finding
+from diagnose.thresholds import TWO_SIDED
+from diagnose.verdict.reference import Run, at_noise, figures, run_files
+from diagnose.verdict.reference_fit import Refit, refit_in_simulator
+from diagnose.verdict.reference_stage import Nominal
+from mjsim.axis import Axis
+from mjsim.effects import Effect, effect_class
+from mjsim.errors import InputError
+from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
+from mjsim.plant import MujocoPlant
+
+__all__ = ["plainer_friction"]
+
+
+def plainer_friction(
+    model: Path, given: Axis, result: Diagnosis, nominal: Nominal, out: Path, threads: int, *, itself: bool = False
+) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
+    """The diagnosis with the simplest friction in place of richer laws, refitted in MuJoCo with the author's settings.
+
+    ``itself``: the simplest law too is refitted with those settings. None where there is no such law, or where the simplest one
+    is not at the noise on both kinds of data. Writes ``out``.
+    """
+    richer = {f.law: _simplest(f, itself) for f in result.findings if f.kind == "physics"}
+    if not any(richer.values()):
+        return None
+    effects = [richer[f.law] or _as_found(f) for f in result.findings]
+    write = partial(write_as_author, model)
+    fitted = given.with_values({k: v.value for k, v in result.linear_parameters.items()})
+    try:
+        lacks: tuple[str, ...] = ()
+        fits = []
+        for start in (fitted, given):  # the numbers fitted beside a richer law may lead to another minimum
+            axis = start.with_effects(effects)
+            lacks = write(axis, out)
+            runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+            starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
+            fits.append(refit_in_simulator(axis, write, out.name, nominal.cases, starts, threads))
+        better = min((f for f in fits if f is not None), key=lambda f: f.chi2, default=None)
+        if better is None:
+            return None
+        write(better.axis, out)
+    except (InputError, ValueError):
+        return None
+    runs = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+    if not at_noise(nominal.cases, runs):
+        return None
+    held = figures(nominal.cases, runs).held_out_rms
+    found = tuple(
+        f if richer[f.law] is None else _finding(f, better, richer[f.law], given, held) for f in result.findings
+    )  # fmt: skip
+    names = " and ".join(f.effect.replace("_", " ") for f in result.findings if effect_class(f.law).refines and richer[f.law])
+    if names:
+        note = (
+            f"The equations of motion with ideal friction ask for {names}. In MuJoCo with the file's own settings the simpler "
+            "law leaves noise alone: the rest is the creep of its soft friction."
+        )
+        result = dataclasses.replace(result, notes=(note, *result.notes))
+    return dataclasses.replace(result, findings=found), Faithful(AUTHOR, math.nan, lacks, write), runs
+
+
+def _as_found(f: Finding) -> Effect:
+    return effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
+
+
+def _simplest(f: Finding, itself: bool) -> Effect | None:
+    """The simplest law of friction that a found one refines, at the numbers that they share; None where there is none.
+
+    ``itself``: a law that refines none counts as its own simplest form.
+    """
+    cls = effect_class(f.law)
+    simpler = [effect_class(name) for name in cls.refines if effect_class(name).family == "friction"]
+    if cls.family == "friction" and not cls.refines and itself:
+        return _as_found(f)
+    if cls.family != "friction" or not simpler:
+        return None
+    simplest = simpler[-1]
+    names = [spec.name for spec in simplest.specs()]
+    if not set(names) <= set(f.parameters) or f.place not in simplest.places:
+        return None
+    return simplest(place=f.place, **{name: f.parameters[name].value for name in names})
+
+
+def _finding(f: Finding, better: Refit, simplest: Effect | None, given: Axis, held: float) -> Finding:
+    """The finding of the simpler law at the numbers that were refitted in MuJoCo, with their intervals."""
+    assert simplest is not None
+    motion = given.chain.motion
+    numbers, values = {}, {}
+    for spec in simplest.specs():
+        name = f"{simplest.key}.{spec.name}"
+        value = values[spec.name] = better.values.get(name, simplest.values[spec.name])
+        half = TWO_SIDED * abs(value) * better.errors.get(name, math.nan)
+        numbers[spec.name] = Estimate(value, (value - half, value + half), spec.unit(motion))
+    return dataclasses.replace(
+        f, effect=simplest.name(), form="", sentence=simplest.with_values(values).describe(motion), parameters=numbers,
+        evidence={**f.evidence, "held_out_error_after": held}, equivalents=(),
+    )  # fmt: skip
