@@ -16,6 +16,9 @@ from typing import Any
 
 from diagnose.check import LogVerdict, Machine, check_log
 from diagnose.check.answer import wrong_log
+from diagnose.data.experiment import without_derived_velocity
+from diagnose.data.servo import as_servo
+from diagnose.data.split import split
 from diagnose.fit.fit_cache import Memory, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
@@ -111,6 +114,7 @@ def diagnose_files(
         _need_place(name, nominal, model)
     prefer = nominal.chain.bodies[0].joint
     loaded, held = ([load(p, model=model, joint=joint, prefer=prefer) for p in group] for group in (recordings, held_out))
+    split(*_usable(nominal, loaded, held))  # one line for what cannot be used at all, before anything is told
     log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*loaded, *held])
     if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
         return _written(wrong_log(nominal, log, loaded, held, options.seed), nominal, model, out, truth, draw)
@@ -133,6 +137,14 @@ def diagnose_files(
     result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw, given, options.jobs, (loaded, held))
     memory.discard()
     return result
+
+
+def _usable(
+    nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording]
+) -> tuple[list[Recording], list[Recording]]:
+    """The recordings as they are fitted; raises InputError for a log without the channels that the model's drive needs."""
+    _, fitted, held, _ = as_servo(nominal, recordings, held_out)
+    return [without_derived_velocity(r) for r in fitted], [without_derived_velocity(r) for r in held]
 
 
 def _written(

@@ -70,7 +70,7 @@ def test_a_miss_is_named_and_ends_with_check_error(monkeypatch: pytest.MonkeyPat
     result = CliRunner().invoke(face.command, ["--out", str(tmp_path), "--duration", "1"])
     assert isinstance(result.exception, CheckError)
     assert "accurate" in str(result.exception)
-    assert "left out: nothing@arm" in result.output
+    assert "not compared: nothing@arm" in result.output
     assert (tmp_path / "crosscheck.png").stat().st_size > 5000
     assert (tmp_path / "crosscheck.json").is_file()
 

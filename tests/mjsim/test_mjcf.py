@@ -216,7 +216,6 @@ def spring(name: str, one: str, two: str, extra: str = "") -> str:
             "the chain branches",
         ),
         (bodies('<joint name="a" stiffness="3"/>', actuator=MOTOR), "holds 'a' to the ground"),
-        (bodies(ONE, actuator='<position name="m" joint="a" kp="3"/>'), "is a servo"),
         (bodies(ONE, TWO, actuator=MOTOR, tendon=spring("s", "a", "b", 'frictionloss="1"')), "acts between two bodies"),
         (
             bodies(ONE, TWO, actuator=MOTOR, equality='<joint joint1="a" joint2="b" polycoef="0 2 1 0 0"/>'),
