@@ -126,12 +126,12 @@ def _tiles(d: Diagnosis) -> list[tuple[str, str, str]]:
     out: list[tuple[str, str, str]] = []
     if d.findings and before and after:
         detail = f"{number(before.held_out_rms, 3)} → {number(after.held_out_rms, 3)} {u} rms on held-out data"
-        what = "of the gap closed" if d.noise_floor > 0 else "of the error removed"
+        what = "of the error above the noise removed" if d.noise_floor > 0 else "of the error removed"
         out.append((percent(d.gap_closed), what, detail))
     best = after or before
     if best and d.noise_floor > 0 and math.isfinite(best.held_out_rms):
         detail = f"{number(best.held_out_rms, 3)} against {number(d.noise_floor, 3)} {u} rms on held-out data"
-        out.append((f"{number(best.held_out_rms / d.noise_floor, 3)} ×", "the noise floor is left", detail))
+        out.append((f"{number(best.held_out_rms / d.noise_floor, 3)} ×", "the noise: remaining error", detail))
     worst = max((f.evidence["p_value"] for f in d.findings if "p_value" in f.evidence), default=None)
     if worst is not None:
         tested = max((f.evidence.get("hypotheses", 0) for f in d.findings), default=0)

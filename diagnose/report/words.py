@@ -127,13 +127,25 @@ def where(d: Diagnosis, other: Mismatch | None = None) -> list[str]:
         )
     elif m.state:
         out.append("Over the state: no single state explains the torque that would close the gap.")
-    if m.place and m.place[0].explained >= _SMALL:
-        p = m.place[0]
-        size = f"{number(p.rms, 3)} {unit(p.unit)} rms, " if p.unit != "as the channel" else ""
-        out.append(
-            f"In the mechanism: at the {p.place} the gap takes the simplest form ({size}{percent(p.explained)} of it by {p.by})."
-        )
-    return out
+    return [*out, *_mechanism(d, m)]
+
+
+def _mechanism(d: Diagnosis, m: Mismatch) -> list[str]:
+    """The place in the mechanism: that of what is named, else the place where one state explains most."""
+    signals = m.place[0] if m.place and m.place[0].explained >= _SMALL else None
+    size = ""
+    if signals is not None:
+        rms = f"{number(signals.rms, 3)} {unit(signals.unit)} rms, " if signals.unit != "as the channel" else ""
+        size = f"({rms}{percent(signals.explained)} explained by {signals.by})"
+    named = list(dict.fromkeys(f.place for f in d.findings))
+    if named:
+        told = f"In the mechanism: at the {' and the '.join(named)}, the place of what is named."
+        if signals is not None and signals.place not in named:
+            told += (
+                f" By signals alone one variable explains most at the {signals.place} {size}: they do not tell the places apart."
+            )
+        return [told]
+    return [] if signals is None else [f"In the mechanism: one variable explains most at the {signals.place} {size}."]
 
 
 def _merged(shares: Sequence[Share]) -> list[Share]:

@@ -143,7 +143,7 @@ _UNMADE = ("Structure remains", "No torque map", "Motion that the model misses",
 def _explained(result: Diagnosis, form: str) -> Diagnosis:
     """What the equations leave unexplained, the corrected file in MuJoCo does not: its numerics are in the recordings."""
     physics = [f for f in result.findings if f.kind == "physics"]
-    names = " and ".join(f"{f.effect.replace('_', ' ')} at the {f.place}" for f in physics)
+    names = " and ".join(f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at the {f.place}" for f in physics)
     what = f"The simulation left out {names}" if names else "No physics is missing: the numbers of the model were off"
     fit, engine = result.fit["corrected"], result.surrogate["corrected"]
     return dataclasses.replace(

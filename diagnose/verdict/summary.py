@@ -33,9 +33,10 @@ def summary(
             return "No physics is missing: the nominal structure fits once its parameters are adjusted."
         case Verdict.MISSING_PHYSICS:
             share = min(100.0, 100 * gap)
-            closed = f", by {share:.1f} % of what {'exceeded the noise' if known else 'it was'}" if math.isfinite(gap) else ""
+            part = "the error above the noise" if known else "the error"
+            closed = f", removing {share:.1f} % of {part}" if math.isfinite(gap) else ""
             return (
-                f"The simulation left out {names}: putting it back lowers the held-out error "
+                f"The simulation left out {names}: adding it lowers the held-out error "
                 f"from {before:.4g} to {after:.4g} {unit}{closed}."
             )
         case Verdict.UNEXPLAINED:
