@@ -13,8 +13,8 @@ import numpy as np
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged, run_files, run_surrogate
-from diagnose.verdict.reference_fit import refit_in_simulator
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged, run_files, run_surrogate, steps_of
+from diagnose.verdict.reference_fit import MOST_STEPS, refit_in_simulator
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
 from mjsim.axis import Axis
@@ -32,6 +32,7 @@ __all__ = ["before_search", "write_judged"]
 
 POLISHED = 1.02  # times the error that the engine reports, beyond which the numbers of a file are refitted in MuJoCo
 NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
+MOST_FORM = 1e6  # steps of MuJoCo for one run of all recordings, some 5 s: forms that need more are not tried
 SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 
 
@@ -113,7 +114,7 @@ def _misses(result: Diagnosis, cases: Sequence[Case], runs: Sequence[Run | None]
 
 def _polished(axis: Axis, form: Faithful, result: Diagnosis, nominal: Nominal, out: Path, threads: int) -> Sequence[Run | None]:
     """Runs of the file; its numbers are refitted in MuJoCo where it misses the engine's error: a free run asks more of them."""
-    runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+    runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads, _starts(nominal))[0]
     if not _misses(result, nominal.cases, runs, POLISHED):
         return runs
     starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
@@ -136,7 +137,10 @@ def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -
     shifts = list(nominal.shifts) or [np.zeros(1)] * len(wanted)
 
     def differs(path: Path) -> float:
-        runs = run_files([MujocoPlant.load(path)], nominal.cases, threads, starts)[0]
+        plant = MujocoPlant.load(path)
+        if steps_of(plant, nominal.cases) > MOST_FORM:
+            return math.inf
+        runs = run_files([plant], nominal.cases, threads, starts)[0]
         most = 0.0
         for case, run, ideal, shift in zip(nominal.cases, runs, wanted, shifts, strict=True):
             if run is None or ideal is None:
@@ -237,7 +241,12 @@ def _author_or_mended(
 
 
 def _sensitive(plant: MujocoPlant, cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
-    """Whether a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away."""
+    """Whether a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away.
+
+    Not asked of files that take more than `MOST_STEPS` steps.
+    """
+    if steps_of(plant, cases) > MOST_STEPS:
+        return False
     starts = []
     for case, run in zip(cases, runs, strict=True):
         if run is None:

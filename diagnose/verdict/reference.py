@@ -35,6 +35,7 @@ __all__ = [
     "run_file",
     "run_files",
     "run_surrogate",
+    "steps_of",
 ]
 
 KNOWN = 0.05  # relative error of a noise variance that is taken from the fastest part of a signal
@@ -125,6 +126,11 @@ def judged(case: Case, run: Run) -> np.ndarray:
     if case.servo:
         return run.angle
     return run.velocity if case.recording.velocity is not None else np.gradient(run.angle, case.recording.dt)
+
+
+def steps_of(plant: MujocoPlant, cases: Sequence[Case]) -> float:
+    """Steps that MuJoCo takes to run a file once on every recording."""
+    return sum(len(c.recording) * c.recording.dt for c in cases) / float(plant.model.opt.timestep)
 
 
 def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run | None:

@@ -6,6 +6,7 @@ engine's, at the same numbers: they differ by numerics, which bend the response 
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,18 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.verdict.reference import Case, Run, chi_square, error, run_files, run_surrogate
+from diagnose.verdict.reference import Case, Run, chi_square, error, run_files, run_surrogate, steps_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
 from mjsim.plant import MujocoPlant, Start
 
-__all__ = ["Refit", "refit_in_engine", "refit_in_simulator"]
+__all__ = ["MOST_STEPS", "Refit", "refit_in_engine", "refit_in_simulator"]
 
 ROUNDS = 8  # Gauss-Newton steps
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls
 LARGEST = 0.3  # relative change of a number in a step
+MOST_STEPS = 2e5  # steps of MuJoCo for one run of all recordings, about 1 s: files that need more are not refitted
+MOST_SLOPES = 5e4  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
 ENOUGH = 1.0  # fall of chi-square below which a step is the last: one number is known to one standard error anyway
 
 Runs = Sequence[Run | None]
@@ -72,17 +75,24 @@ def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Call
     return np.column_stack(columns)
 
 
-def _refit(axis: Axis, cases: Sequence[Case], run: Callable[[Axis], Runs | None], engine: Callable[[Axis], Runs]) -> Refit | None:
+def _refit(
+    axis: Axis,
+    cases: Sequence[Case],
+    run: Callable[[Axis], Runs | None],
+    engine: Callable[[Axis], Runs],
+    *,
+    own_slopes: bool = False,
+) -> Refit | None:
     """Least squares from the numbers of an axis; None where its run diverges or cannot be had.
 
-    The Jacobian is the engine's while its steps lower the cost, and then that of ``run`` itself.
+    The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself.
     """
     names, runs = list(_free(axis)), run(axis)
     e = _residual(cases, runs)
     if e is None or runs is None:
         return None
     best = Refit(_free(axis), axis, runs, chi_square(cases, runs)[0])
-    slopes: list[Callable[[Axis], Runs | None]] = [engine, run]
+    slopes: list[Callable[[Axis], Runs | None]] = [engine, run] if own_slopes else [engine]
     errors: dict[str, float] = {}
     for _ in range(ROUNDS):
         J = _jacobian(best.axis, names, cases, slopes[0])
@@ -95,7 +105,7 @@ def _refit(axis: Axis, cases: Sequence[Case], run: Callable[[Axis], Runs | None]
             best, e = better, _residual(cases, better.runs)
             assert e is not None
         if gained < ENOUGH:
-            if len(slopes) == 1 or engine is run:
+            if len(slopes) == 1:
                 break
             slopes = slopes[1:]
     return replace(best, errors=errors)
@@ -126,18 +136,30 @@ def _errors(names: Sequence[str], gram: np.ndarray) -> dict[str, float]:
 def refit_in_simulator(
     axis: Axis, write: Writer, name: str, cases: Sequence[Case], starts: Sequence[Start], threads: int
 ) -> Refit | None:
-    """Refit by plain MuJoCo, the file written by ``write``; None where it diverges or cannot be written with other numbers."""
+    """Refit by plain MuJoCo, the file written by ``write``.
 
-    def run(some: Axis) -> Runs | None:
-        with tempfile.TemporaryDirectory() as work:
-            out = Path(work) / name
+    None where it diverges, takes too long or cannot be written with other numbers.
+    """
+
+    with tempfile.TemporaryDirectory() as work:
+        out = Path(work) / name
+
+        def load(some: Axis) -> MujocoPlant | None:
             try:
                 write(some, out)
-                return run_files([MujocoPlant.load(out)], cases, threads, starts)[0]
+                return MujocoPlant.load(out)
             except InputError:
                 return None
 
-    return _refit(axis, cases, run, lambda some: _engine(some, cases, starts, locked=False))
+        def run(some: Axis) -> Runs | None:
+            plant = load(some)
+            return None if plant is None else run_files([plant], cases, threads, starts)[0]
+
+        first = load(axis)
+        steps = math.inf if first is None else steps_of(first, cases)
+        if steps > MOST_STEPS:
+            return None
+        return _refit(axis, cases, run, lambda some: _engine(some, cases, starts, locked=False), own_slopes=steps <= MOST_SLOPES)
 
 
 def refit_in_engine(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> Refit | None:

@@ -1,6 +1,8 @@
 """Viscous friction that grows less than in proportion to speed, as greased gears have it.
 
-tau_f = c v (v^2 + V^2)^((n - 1) / 2),    0 < n < 1; V = 1e-3 rad/s (m/s) takes the infinite slope off the origin
+tau_f = c v (v^2 + V^2)^((n - 1) / 2),    0.3 <= n <= 0.8; V = 1e-3 rad/s (m/s) takes the infinite slope off the origin
+
+Below that range the law is that of Coulomb friction, above it that of viscous friction, as far as a recording tells.
 """
 
 from __future__ import annotations
@@ -43,9 +45,10 @@ class SublinearViscousFriction(Effect):
     tolerance: ClassVar[float] = 1e-3
     amplitudes: ClassVar[tuple[str, ...]] = ("coefficient",)
     family: ClassVar[str] = "speed"
+    refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
     coefficient: float = parameter(Quantity.TORQUE, "torque at a speed of 1", lower=0.0)
-    exponent: float = parameter(Quantity.RATIO, "power of the speed", lower=0.1, upper=0.95)
+    exponent: float = parameter(Quantity.RATIO, "power of the speed", lower=0.3, upper=0.8)
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
@@ -54,4 +57,4 @@ class SublinearViscousFriction(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit: a twentieth of the torque at the mean speed."""
-        return [{"coefficient": 0.05 * scales.torque / scales.velocity**n, "exponent": n} for n in (0.3, 0.6)]
+        return [{"coefficient": 0.05 * scales.torque / scales.velocity**n, "exponent": n} for n in (0.5, 0.7)]
