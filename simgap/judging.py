@@ -115,7 +115,7 @@ def _misses(result: Diagnosis, cases: Sequence[Case], runs: Sequence[Run | None]
 def _polished(axis: Axis, form: Faithful, result: Diagnosis, nominal: Nominal, out: Path, threads: int) -> Sequence[Run | None]:
     """Runs of the file; its numbers are refitted in MuJoCo where it misses the engine's error: a free run asks more of them."""
     runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads, _starts(nominal))[0]
-    if not _misses(result, nominal.cases, runs, POLISHED):
+    if form.lacks or not _misses(result, nominal.cases, runs, POLISHED):  # numbers would stand in for what the file lacks
         return runs
     starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
     better = refit_in_simulator(axis, form.write, out.name, nominal.cases, starts, threads)

@@ -63,7 +63,8 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
     elif files.bears or (out.verdict is Verdict.UNEXPLAINED and at_noise(nominal.cases, files.runs)):
         out = _explained(out, files.form)
-    told = files.lacks or files.sensitive or out.verdict is Verdict.UNEXPLAINED
+    # an effect that the equations explain keeps its name; the warning says that the file does not step it
+    told = files.lacks or files.sensitive or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
     if missed and not told and not at_noise(nominal.cases, files.runs):
         out = dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
     return out
