@@ -32,7 +32,7 @@ __all__ = ["before_search", "write_judged"]
 
 POLISHED = 1.02  # times the error that the engine reports, beyond which the numbers of a file are refitted in MuJoCo
 NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
-MOST_FORM = 1e6  # steps of MuJoCo for one run of all recordings, some 5 s: forms that need more are not tried
+MOST_FORM = 4e5  # steps of MuJoCo for one run of all recordings, some 3 s: forms that need more are not tried
 SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 
 

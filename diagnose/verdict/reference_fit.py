@@ -26,8 +26,8 @@ ROUNDS = 8  # Gauss-Newton steps
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls
 LARGEST = 0.3  # relative change of a number in a step
-MOST_STEPS = 2e5  # steps of MuJoCo for one run of all recordings, about 1 s: files that need more are not refitted
-MOST_SLOPES = 5e4  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
+MOST_STEPS = 5e4  # steps of MuJoCo for one run of all recordings, some .4 s: files that need more are not refitted
+MOST_SLOPES = 2e4  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
 ENOUGH = 1.0  # fall of chi-square below which a step is the last: one number is known to one standard error anyway
 
 Runs = Sequence[Run | None]
