@@ -13,8 +13,8 @@ import numpy as np
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged, run_files, run_surrogate, steps_of
-from diagnose.verdict.reference_fit import MOST_STEPS, refit_in_simulator
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged, run_files, run_surrogate, work_of
+from diagnose.verdict.reference_fit import MOST_WORK, refit_in_simulator
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
 from mjsim.axis import Axis
@@ -32,7 +32,7 @@ __all__ = ["before_search", "write_judged"]
 
 POLISHED = 1.02  # times the error that the engine reports, beyond which the numbers of a file are refitted in MuJoCo
 NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
-MOST_FORM = 4e5  # steps of MuJoCo for one run of all recordings, some 3 s: forms that need more are not tried
+MOST_FORM = 6e6  # of one run of all recordings (`work_of`), some 4 s: forms that need more are not tried
 SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 
 
@@ -138,7 +138,7 @@ def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -
 
     def differs(path: Path) -> float:
         plant = MujocoPlant.load(path)
-        if steps_of(plant, nominal.cases) > MOST_FORM:
+        if work_of(plant, nominal.cases) > MOST_FORM:
             return math.inf
         runs = run_files([plant], nominal.cases, threads, starts)[0]
         most = 0.0
@@ -243,9 +243,9 @@ def _author_or_mended(
 def _sensitive(plant: MujocoPlant, cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
     """Whether a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away.
 
-    Not asked of files that take more than `MOST_STEPS` steps.
+    Not asked of files that take more than `MOST_WORK`.
     """
-    if steps_of(plant, cases) > MOST_STEPS:
+    if work_of(plant, cases) > MOST_WORK:
         return False
     starts = []
     for case, run in zip(cases, runs, strict=True):

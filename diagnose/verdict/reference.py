@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare, without_derived_velocity
@@ -35,7 +36,7 @@ __all__ = [
     "run_file",
     "run_files",
     "run_surrogate",
-    "steps_of",
+    "work_of",
 ]
 
 KNOWN = 0.05  # relative error of a noise variance that is taken from the fastest part of a signal
@@ -128,9 +129,11 @@ def judged(case: Case, run: Run) -> np.ndarray:
     return run.velocity if case.recording.velocity is not None else np.gradient(run.angle, case.recording.dt)
 
 
-def steps_of(plant: MujocoPlant, cases: Sequence[Case]) -> float:
-    """Steps that MuJoCo takes to run a file once on every recording."""
-    return sum(len(c.recording) * c.recording.dt for c in cases) / float(plant.model.opt.timestep)
+def work_of(plant: MujocoPlant, cases: Sequence[Case]) -> float:
+    """What it takes to run a file once on every recording: steps times stages of the integrator times degrees of freedom."""
+    model = plant.model
+    stages = 4 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 1
+    return sum(len(c.recording) * c.recording.dt for c in cases) / float(model.opt.timestep) * stages * int(model.nv)
 
 
 def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run | None:

@@ -14,20 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.verdict.reference import Case, Run, chi_square, error, run_files, run_surrogate, steps_of
+from diagnose.verdict.reference import Case, Run, chi_square, error, run_files, run_surrogate, work_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
 from mjsim.plant import MujocoPlant, Start
 
-__all__ = ["MOST_STEPS", "Refit", "refit_in_engine", "refit_in_simulator"]
+__all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator"]
 
 ROUNDS = 8  # Gauss-Newton steps
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls
 LARGEST = 0.3  # relative change of a number in a step
-MOST_STEPS = 5e4  # steps of MuJoCo for one run of all recordings, some .4 s: files that need more are not refitted
-MOST_SLOPES = 2e4  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
+MOST_WORK = 1e6  # of one run of all recordings (`work_of`), some .5 s: files that need more are not refitted
+MOST_SLOPES = 1e5  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
 ENOUGH = 1.0  # fall of chi-square below which a step is the last: one number is known to one standard error anyway
 
 Runs = Sequence[Run | None]
@@ -156,10 +156,12 @@ def refit_in_simulator(
             return None if plant is None else run_files([plant], cases, threads, starts)[0]
 
         first = load(axis)
-        steps = math.inf if first is None else steps_of(first, cases)
-        if steps > MOST_STEPS:
+        work_needed = math.inf if first is None else work_of(first, cases)
+        if work_needed > MOST_WORK:
             return None
-        return _refit(axis, cases, run, lambda some: _engine(some, cases, starts, locked=False), own_slopes=steps <= MOST_SLOPES)
+        return _refit(
+            axis, cases, run, lambda some: _engine(some, cases, starts, locked=False), own_slopes=work_needed <= MOST_SLOPES
+        )
 
 
 def refit_in_engine(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> Refit | None:
