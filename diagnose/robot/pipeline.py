@@ -164,7 +164,8 @@ def _sentence(answer: Verdict, fit: FitFigures, remains: tuple[float, float]) ->
 
 
 def _summary(worst: Verdict, joints: Mapping[str, JointResult], changed: Sequence[str]) -> str:
-    named = [f"{f.effect.replace('_', ' ')} at {f.joint}" for r in joints.values() for f in r.findings]
+    found = [f for r in joints.values() for f in r.findings]
+    named = [f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at {f.joint}" for f in found]
     open_ = [r.joint for r in joints.values() if r.verdict is Verdict.UNEXPLAINED]
     parts = []
     if named:
