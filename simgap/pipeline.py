@@ -24,7 +24,6 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
-from diagnose.verdict.reference_servo import judge_servo
 from diagnose.verdict.reference_stage import Nominal, without_difference
 from mjsim.axis import Axis
 from mjsim.errors import InputError
@@ -134,7 +133,7 @@ def diagnose_files(
         raise
     finally:
         memory.close()
-    result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw, given, options.jobs, (loaded, held))
+    result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw, given, options.jobs)
     memory.discard()
     return result
 
@@ -149,14 +148,12 @@ def _usable(
 
 def _written(
     result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, draw: Draw,
-    given: Nominal | None = None, threads: int = 1, logs: tuple[Sequence[Recording], Sequence[Recording]] = ((), ()),
+    given: Nominal | None = None, threads: int = 1,
 ) -> Diagnosis:  # fmt: skip
     """Write the folder of a diagnosis, judged by plain MuJoCo where ``given`` says what the nominal file does there."""
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, corrected, threads)
-    if result.channel == "angle" and given is None:
-        result = judge_servo(result, model, corrected, *logs)
     mapped, with_map = out / "mapped.xml", mapped_axis(nominal, result)
     if with_map is None:
         mapped.unlink(missing_ok=True)

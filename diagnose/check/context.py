@@ -80,7 +80,7 @@ class Context:
 
     @cached_property
     def response(self) -> str:
-        """The response by which delays are told: the velocity where there is one."""
+        """The response from which delays are estimated: the velocity where there is one."""
         return "velocity" if self.recording.velocity is not None else "angle"
 
     @cached_property

@@ -19,7 +19,7 @@ __all__ = ["Motion", "excitation", "motion_of"]
 
 _REVERSALS = 4  # two there and back: a constant torque, an offset and their difference by direction are three numbers
 _PERIODS = 3  # of a position-locked effect: amplitude, phase and one more to test them
-_ANGLE = math.pi / 6  # [rad] range from which the sine of the angle is told from a straight line by 1 % or more
+_ANGLE = math.pi / 6  # [rad] range over which the sine of the angle differs from a straight line by 1 % or more
 _SLOW = 0.05  # of the rms speed: below it the axis is at rest
 
 

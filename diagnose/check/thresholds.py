@@ -12,7 +12,7 @@ __all__ = [
 ]  # fmt: skip
 
 FAMILY_LEVEL = 1e-3
-"""Chance that a sound log is told to have a fault by one of the tests on estimates, over all of them together."""
+"""Chance that one of the tests on estimates reports a fault of a sound log, over all of them together."""
 
 TESTS = 12
 """Tests on estimates for one recording: delay, hold, delay and ratio between the channels, three ratios of two responses,
@@ -82,7 +82,7 @@ CONTENT_DROP = 1e-2
 both."""
 
 FOLLOWED = 0.8
-"""Part of the input's variance that a relation must explain before its delay is told: four fifths is a signal-to-noise ratio
+"""Part of the input's variance that a relation must explain before its delay is reported: four fifths is a signal-to-noise ratio
 of 2."""
 
 HOLD_TOLERANCE = 0.25

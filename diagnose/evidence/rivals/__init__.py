@@ -1,1 +1,1 @@
-"""Tests of a structure against what may stand in for it, one file each."""
+"""Tests of a structure against its confounders, one file each."""

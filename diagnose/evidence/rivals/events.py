@@ -21,7 +21,7 @@ __all__ = ["no_moment_of_an_event"]
 
 
 def no_moment_of_an_event(context: Context, pair: Pair) -> Outcome:
-    """Refuse an effect that gains in the free run alone, or too little of what is left."""
+    """Refuse an effect that gains in the free run alone, or too little of the residual."""
     before, after = pair.before, pair.after
     if not before.rough or not context.fitter.noise.absolute or not pair.nested:
         return PASS
