@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from mjsim import excitation as ex
 from mjsim.axis import Axis
@@ -38,6 +38,7 @@ from mjsim.errors import InputError, nearest
 from mjsim.models import shipped_model
 from mjsim.ode import Trajectory
 from mjsim.quantity import Motion
+from mjsim.scenario_parts import Chirp, Multisine, Noise, Positive, Step, Strict, Trapezoids
 
 __all__ = [
     "Engine",
@@ -70,82 +71,7 @@ class Format(enum.Enum):
     PARQUET = "parquet"
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-_Positive = Annotated[float, Field(gt=0)]
-_NotNegative = Annotated[float, Field(ge=0)]
-
-
-class Chirp(_Strict):
-    """Linear chirp of constant amplitude [N m | N]."""
-
-    kind: Literal["chirp"]
-    amplitude: _Positive
-    low_hz: _Positive = 0.5
-    high_hz: _Positive = 30.0
-
-    def torque(self, duration: float, dt: float, rng: np.random.Generator) -> np.ndarray:
-        """Commanded torque (N,)."""
-        return ex.chirp(duration, dt, self.amplitude, self.low_hz, self.high_hz)
-
-
-class Multisine(_Strict):
-    """Random-phase multisine of this rms [N m | N], periodic."""
-
-    kind: Literal["multisine"]
-    rms: _Positive
-    low_hz: _Positive = 0.5
-    high_hz: _Positive = 45.0
-    period_s: _Positive = 5.0
-    grid: Literal["full", "odd"] = "full"
-
-    def torque(self, duration: float, dt: float, rng: np.random.Generator) -> np.ndarray:
-        """Commanded torque (N,)."""
-        return ex.multisine(rng, duration, dt, self.rms, self.low_hz, self.high_hz, period=self.period_s, grid=ex.Grid(self.grid))
-
-
-class Step(_Strict):
-    """A torque step."""
-
-    kind: Literal["step"]
-    amplitude: float
-    at_s: _NotNegative = 0.5
-
-    def torque(self, duration: float, dt: float, rng: np.random.Generator) -> np.ndarray:
-        """Commanded torque (N,)."""
-        return ex.step(duration, dt, self.amplitude, self.at_s)
-
-
-class Trapezoids(_Strict):
-    """A velocity loop (P-PI cascade) that follows trapezoids to and fro."""
-
-    kind: Literal["trapezoids"]
-    speed: _Positive
-    acceleration: _Positive
-    hold_s: _NotNegative = 1.0
-    rest_s: _NotNegative = 0.5
-    position_gain: _NotNegative
-    velocity_gain: _Positive
-    integral_gain: _NotNegative
-    limit: _Positive
-
-    @property
-    def cascade(self) -> ex.Cascade:
-        """The controller."""
-        return ex.Cascade(self.position_gain, self.velocity_gain, self.integral_gain, self.limit)
-
-
-class Noise(_Strict):
-    """Standard deviations of the white noise on the logged channels, in the log's units."""
-
-    velocity: _NotNegative = 0.0
-    angle: _NotNegative = 0.0
-    torque: _NotNegative = 0.0
-
-
-class Scenario(_Strict):
+class Scenario(Strict):
     """A validated scenario; ``name`` and ``folder`` come from its file."""
 
     name: str
@@ -154,13 +80,13 @@ class Scenario(_Strict):
     model: str = "robot_axis1"
     engine: Engine = Engine.ODE
     seed: Annotated[int, Field(ge=0)] = 0
-    duration_s: _Positive = 20.0
-    sample_time_s: _Positive = 5e-4
+    duration_s: Positive = 20.0
+    sample_time_s: Positive = 5e-4
     backlash_law: Literal["gated", "ungated", "no_pull"] = "gated"
     format: Format = Format.CSV
     excitation: Annotated[Chirp | Multisine | Step | Trapezoids, Field(discriminator="kind")]
     effects: tuple[dict[str, Any], ...] = ()
-    linear: dict[str, float] = {}
+    linear: dict[str, float] = Field(default_factory=dict)
     noise: Noise = Noise()
 
     @property

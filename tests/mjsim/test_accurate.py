@@ -52,8 +52,8 @@ def test_rests_are_exact() -> None:
     assert np.all(np.diff(run.q[:, 0])[still[:-1] & still[1:]] == 0.0)
 
 
-def test_twin_has_the_masses_of_the_chain() -> None:
-    mine = accurate.twin(assemble(axis()))
+def test_the_native_model_has_the_masses_of_the_chain() -> None:
+    mine = accurate.native_model(assemble(axis()))
     np.testing.assert_allclose(mine.model.dof_M0, [b.inertia for b in CHAIN.bodies], rtol=1e-14)
     mine.timestep[0] = 1.25e-4
     assert mine.model.opt.timestep == 1.25e-4
