@@ -121,7 +121,7 @@ def test_a_circle_is_found():
 
 # files outside mjsim/effects that hold an effect's identifier as text, and why
 NAMES_AN_EFFECT = {
-    "lab/real_use.py": "makes logs of models that lack known effects",
+    "lab/real_use/design.py": "makes logs of models that lack known effects",
     "diagnose/robot/laws.py": "the laws of a force regression, under the identifiers of the contract",
     "lab/robot/cases.py": "conceals known effects in robots",
     "diagnose/explain/second_encoder.py": "terms of its own model of a second encoder, which bear the names of the contract",

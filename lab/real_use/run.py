@@ -1,0 +1,119 @@
+"""One case: its files, its diagnosis, and what is recorded of both."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import resource
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from diagnose.options import Options
+from diagnose.verdict.numerics import IDS
+from lab.real_use.design import Case
+from lab.real_use.logs import Log, extent, follow, make
+from lab.real_use.machines import Numbers, nominal, text, true_numbers
+from mjsim.errors import InputError
+from simgap.pipeline import diagnose_files
+
+__all__ = ["read", "run_case", "run_missing", "write_files"]
+
+Record = dict[str, Any]
+
+
+def write_files(case: Case, folder: Path) -> tuple[Numbers, Numbers, list[Log]]:
+    """Write nominal.xml, true.xml, estimation.csv and held_out.csv; numbers of both files, and the two logs."""
+    given = nominal(case)
+    truth = true_numbers(case, given, extent(case, text(case, given), given))
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "nominal.xml").write_text(text(case, given), encoding="utf-8")
+    (folder / "true.xml").write_text(text(case, truth), encoding="utf-8")
+    logs = [make(case, text(case, truth), given, which) for which in (1, 2)]
+    for log, name in zip(logs, ("estimation", "held_out"), strict=True):
+        log.write(folder / f"{name}.csv")
+    return given, truth, logs
+
+
+def run_case(case: Case, folder: Path, jobs: int) -> Record:
+    """Make and diagnose one case in a folder. ``error`` is a message (exit code 2) or a traceback (exit code 1)."""
+    given, truth, (_, held) = write_files(case, folder)
+    changed = {
+        f.name: getattr(truth, f.name) for f in dataclasses.fields(truth) if getattr(truth, f.name) != getattr(given, f.name)
+    }
+    out: Record = {
+        **dataclasses.asdict(case), "truth": changed, "noise": held.noise,
+        "given_error": follow(folder / "nominal.xml", case.rate, held),
+        "true_error": follow(folder / "true.xml", case.rate, held),
+    }  # fmt: skip
+    with _measured(out):
+        try:
+            files = [folder / f"{name}.csv" for name in ("estimation", "held_out")]
+            diagnose_files(files[:1], folder / "nominal.xml", folder / "out", files[1:], Options(jobs=jobs), progress=False)
+            out["exit"] = 0
+        except InputError as error:
+            out |= {"exit": 2, "error": str(error)}
+        except Exception:
+            out |= {"exit": 1, "error": traceback.format_exc()}
+    if out["exit"] == 0:
+        out |= _said(json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8")))
+        out["own_error"] = follow(folder / "out" / "corrected.xml", case.rate, held)
+    return out
+
+
+def _said(d: dict[str, Any]) -> Record:
+    """What a diagnosis says; errors are held-out rms in the unit of what is compared."""
+    physics = [f for f in d["findings"] if f["effect"] not in IDS]
+    fit = d["fit"]
+    return {
+        "verdict": d["verdict"], "found": sorted(f["effect"] for f in physics), "places": [f["place"] for f in physics],
+        "values": [{k: v["value"] for k, v in f["parameters"].items()} for f in physics],
+        "numerics": [f["effect"] for f in d["findings"] if f["effect"] in IDS],
+        "equivalents": sorted({e.split("@")[0] for f in physics for e in f["equivalents"]}),
+        "reported": fit["corrected"]["held_out_rms"],
+        "engine": fit.get("surrogate", {}).get("corrected", fit["corrected"])["held_out_rms"], "notes": d["notes"],
+    }  # fmt: skip
+
+
+@contextmanager
+def _measured(out: Record) -> Iterator[None]:
+    """Add CPU seconds (of this process and its children) and wall seconds."""
+    began, cpu = time.monotonic(), _cpu()
+    yield
+    out["seconds"], out["cpu_seconds"] = round(time.monotonic() - began, 2), round(_cpu() - cpu, 2)
+
+
+def _cpu() -> float:
+    return sum(u.ru_utime + u.ru_stime for u in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
+
+
+def read(path: Path) -> dict[int, Record]:
+    """Records by the number of their case; a line that was broken off is skipped."""
+    out: dict[int, Record] = {}
+    if path.is_file():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            try:
+                record = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            out[record["number"]] = record
+    return out
+
+
+def run_missing(cases: Sequence[Case], path: Path, jobs: int, keep: Path | None = None) -> Iterator[Record]:
+    """Run the cases that a file of records lacks, in order, and append a line for each; ``keep``: folder of their files."""
+    done = read(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for case in cases:
+        before = done.get(case.number)
+        if before is not None and dataclasses.asdict(case).items() <= before.items():
+            continue
+        with TemporaryDirectory() as work:
+            record = run_case(case, Path(work) if keep is None else keep / f"{case.number:03d}", jobs)
+        with path.open("a", encoding="utf-8") as handle:
+            handle.write(json.dumps(record) + "\n")
+        yield record
