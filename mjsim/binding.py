@@ -21,7 +21,7 @@ from typing import Any
 from mjsim.errors import InputError
 from mjsim.hold import HOLDS
 
-__all__ = ["DEFAULT_COLUMNS", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
+__all__ = ["DEFAULT_COLUMNS", "NAMES", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
 
 DEFAULT_COLUMNS = {"time": "time_s", "torque": "torque_Nm", "velocity": "velocity_rad_s", "angle": "angle_rad"}
 DEFAULT_SOURCE = "default column names"
@@ -130,6 +130,11 @@ class Binding:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        return cls.from_tables(table, path)
+
+    @classmethod
+    def from_tables(cls, table: Mapping[str, Any], path: Path) -> Binding | None:
+        """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
         if not {"recording", "experiment", "joints"} & set(table):
             return None
         given, experiment = _table(table, "recording", path), _table(table, "experiment", path)

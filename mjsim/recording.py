@@ -20,6 +20,7 @@ import numpy as np
 from mjsim.binding import (
     DEFAULT_COLUMNS,
     DEFAULT_UNITS,
+    NAMES,
     SI_UNITS,
     UNITS,
     Binding,
@@ -33,7 +34,7 @@ from mjsim.hold import HOLDS
 from mjsim.readers import Table, read_table
 from mjsim.timebase import onto_stamps, resample, sample_time, where_in
 
-__all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "load"]
+__all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "from_table", "load"]
 
 
 def find_binding(recording: Path, model: Path | None = None) -> Binding:
@@ -61,6 +62,16 @@ class Recording:
     the input goes between samples (`mjsim.hold`); joint: its name in a robot's log; known: values of this experiment;
     columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...) where the binding
     tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes: what reading changed.
+
+    >>> import numpy as np
+    >>> t = np.arange(5) * 0.01
+    >>> recording = Recording(t, torque=np.ones(5), velocity=2 * t, angle=None, dt=0.01)
+    >>> len(recording), recording.duration
+    (5, 0.04)
+    >>> list(recording.signals())
+    ['time_s', 'torque_Nm', 'velocity_rad_s']
+    >>> recording.slice(1, 3).velocity
+    array([0.02, 0.04])
     """
 
     time: np.ndarray
@@ -132,6 +143,31 @@ class Recording:
         columns = {k: v[cut] for k, v in self.columns.items()}
         return dataclasses.replace(self, **arrays, columns=columns)
 
+    def signals(self) -> dict[str, np.ndarray]:
+        """Time, input and outputs by their default column names, SI unit included: what `load` reads without a binding."""
+        slide = self.units.get("angle") == "m" or self.units.get("velocity") == "m/s"
+        roles = ("command", "torque", "velocity", "angle", "second_angle", "current", "supply")
+        out = {"time_s": self.time}
+        for role in roles:
+            array = getattr(self, role)
+            if array is not None and not np.isnan(array).all():
+                out[NAMES[role][1 if slide and len(NAMES[role]) > 1 else 0]] = array
+        return out
+
+    def save(self, path: str | Path) -> None:
+        """Write `signals` to a .csv, .mcap, .npz or .parquet file, in one move. Raises InputError."""
+        from mjsim.writers import write_table
+
+        write_table(Path(path), self.signals())
+
+    def to_frame(self) -> Any:
+        """`signals` as a pandas DataFrame. Raises InputError where pandas is not installed."""
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("to_frame", "the Python package 'pandas' is not installed", "it", "pip install pandas") from None
+        return pandas.DataFrame(self.signals())
+
 
 def load(
     path: str | Path, *, model: str | Path | None = None, binding: Binding | None = None, joint: str | None = None,
@@ -147,14 +183,22 @@ def load(
     if not path.is_file():
         raise InputError(path, "no such file", "a recording (.csv, .mat, .npz, .parquet, .mcap)", "check the path")
     binding = binding or find_binding(path, Path(model) if model else None)
-    table = read_table(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=digest)
+
+
+def from_table(
+    path: Path, table: Table, binding: Binding, *, joint: str | None = None, prefer: str | None = None, uniform: bool = True,
+    sha256: str = "",
+) -> Recording:  # fmt: skip
+    """The recording that a table of columns holds, as `load` reads it; ``path``: how messages name the source."""
     binding, joint = _bound(path, binding, table, joint, prefer)
     if not {"torque", "command"} & set(binding.channels):
         raise InputError(binding.source, "no torque channel bound", "torque = ... or command = ...", "add it to [recording]")
     arrays = {role: _values(path, table, role, channel, binding) for role, channel in binding.channels.items()}
     if "velocity" not in arrays and "angle" not in arrays:
         raise InputError(path, "neither velocity nor angle", f"one of {DEFAULT_COLUMNS['velocity']}, {DEFAULT_COLUMNS['angle']}",
-                         f"add a column or bind one in {path.with_suffix('.toml').name}")  # fmt: skip
+                         f"add a column or bind one {_in_binding(path)}")  # fmt: skip
     role = "torque" if "torque" in arrays else "command"
     count = len(arrays[role])
     if "time" not in arrays:
@@ -184,12 +228,17 @@ def load(
     if not binding.named:
         units = dict(DEFAULT_UNITS)
     return Recording(
-        dt=dt, source=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest(), columns=flat,
+        dt=dt, source=path.name, sha256=sha256, columns=flat,
         loop=binding.loop, judge=binding.judge, varies=binding.varies, units=units, hold=binding.hold, joint=joint or "",
         known=binding.known, notes=tuple(notes),
         **{name: arrays.get(name) for name in ARRAYS if name != "torque"},  # type: ignore[arg-type]
         torque=arrays.get("torque", np.full(len(arrays["time"]), np.nan)),
     )  # fmt: skip
+
+
+def _in_binding(path: Path) -> str:
+    """Where a column is bound: the sidecar of a file; ``binding`` for data in memory, whose name has no ending."""
+    return f"in {path.with_suffix('.toml').name}" if path.suffix else "by binding"
 
 
 def _bound(path: Path, binding: Binding, table: Table, joint: str | None, prefer: str | None) -> tuple[Binding, str | None]:
@@ -219,7 +268,7 @@ def _values(path: Path, table: Table, role: str, channel: Channel, binding: Bind
     if channel.column not in table:
         raise InputError(
             path, f"no column {channel.column!r} for {role}", f"columns found: {', '.join(table) or 'none'}",
-            f"rename it, or bind it in {path.with_suffix('.toml').name}",
+            f"rename it, or bind it {_in_binding(path)}",
         )  # fmt: skip
     array = table[channel.column]
     if channel.row is not None:

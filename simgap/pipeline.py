@@ -33,7 +33,7 @@ from mjsim.recording import Recording, load
 from simgap.following import following
 from simgap.judging import before_search, write_judged
 
-__all__ = ["corrected_axis", "diagnose_files", "mapped_axis", "model_diff"]
+__all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
 STATE = "state.jsonl"  # in the folder while a diagnosis runs, and after one that was broken off
 MAP_COMMENT = "This file holds a torque map: fitted, not derived. It predicts better and explains nothing."
@@ -108,24 +108,44 @@ def diagnose_files(
             )
     _need_folder(out)
     nominal = load_axis(model)
+    prefer = nominal.chain.bodies[0].joint
+    loaded, held = ([load(p, model=model, joint=joint, prefer=prefer) for p in group] for group in (recordings, held_out))
+    return diagnose_recordings(
+        loaded, model, out, held, options, progress=progress, truth=truth, draw=draw, accept_log=accept_log
+    )
+
+
+def diagnose_recordings(
+    recordings: Sequence[Recording],
+    model: Path,
+    out: Path,
+    held_out: Sequence[Recording] = (),
+    options: Options | None = None,
+    *,
+    progress: bool = True,
+    truth: Mapping[str, Any] | None = None,
+    draw: Draw | None = None,
+    accept_log: bool = False,
+) -> Diagnosis:
+    """As `diagnose_files`, of recordings that are loaded; the report is written where ``draw`` says who draws it."""
+    options = options or Options()
+    nominal = load_axis(model)
     check_writable(model, nominal)
     for name in options.effects:
         _need_place(name, nominal, model)
-    prefer = nominal.chain.bodies[0].joint
-    loaded, held = ([load(p, model=model, joint=joint, prefer=prefer) for p in group] for group in (recordings, held_out))
-    split(*_usable(nominal, loaded, held))  # one line for what cannot be used at all, before anything is told
-    log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*loaded, *held])
+    split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
+    log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*recordings, *held_out])
     if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
-        return _written(wrong_log(nominal, log, loaded, held, options.seed), nominal, model, out, truth, draw)
-    memory = Memory(out / STATE, _follows(nominal, loaded, held, options, model.read_bytes()))
+        return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, draw)
+    memory = Memory(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
-            by_motion = loaded[0].velocity is not None or loaded[0].command is not None
-            if "force" not in (options.judge, loaded[0].judge) and by_motion and options.jobs > 1:
+            by_motion = recordings[0].velocity is not None or recordings[0].command is not None
+            if "force" not in (options.judge, recordings[0].judge) and by_motion and options.jobs > 1:
                 _load_kernels(len(nominal.chain.bodies))
             say(Step("reference", "the nominal file in plain MuJoCo"))
-            given = before_search(model, nominal, loaded, held, options)
-            result = diagnose(nominal, loaded, held, options, say, memory, given.corrections() if given else None)
+            given = before_search(model, nominal, recordings, held_out, options)
+            result = diagnose(nominal, recordings, held_out, options, say, memory, given.corrections() if given else None)
             if given is not None:
                 result = without_difference(result, given)
     except InputError:
@@ -147,7 +167,7 @@ def _usable(
 
 
 def _written(
-    result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, draw: Draw,
+    result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, draw: Draw | None,
     given: Nominal | None = None, threads: int = 1,
 ) -> Diagnosis:  # fmt: skip
     """Write the folder of a diagnosis, judged by plain MuJoCo where ``given`` says what the nominal file does there."""
@@ -159,9 +179,10 @@ def _written(
         mapped.unlink(missing_ok=True)
     else:
         write_corrected(model, with_map, mapped, MAP_COMMENT)
-    from diagnose.report import write_report
+    if draw is not None:
+        from diagnose.report import write_report
 
-    write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth, draw=draw)
+        write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth, draw=draw)
     result.write_json(out / "diagnosis.json")
     return result
 

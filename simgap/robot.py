@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +18,41 @@ from diagnose.robot.problem import Problem
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import compile_file
+from mjsim.recording import Recording
 from mjsim.robot.binding import find_robot_binding
 from mjsim.robot.inertia import SIZE
 from mjsim.robot.model import Robot, load_robot
-from mjsim.robot.recording import joints_named, load_robot_recording
+from mjsim.robot.recording import RobotRecording, joints_in_table, joints_named, load_robot_recording
 from mjsim.robot.rows import mujoco_torque
 from mjsim.robot.write import write_robot
 
-__all__ = ["diagnose_robot_files", "is_robot"]
+__all__ = ["diagnose_robot_files", "diagnose_robot_recordings", "driven_joints", "is_robot"]
 
 
-def is_robot(recordings: Sequence[Path], model: Path) -> bool:
-    """Whether it is a robot: the model has several driven joints, or none that is driven and the log names several."""
-    compiled = compile_file(model)
+def driven_joints(compiled: mujoco.MjModel) -> set[int]:
+    """Joints that an actuator of the model drives, by their index."""
     joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    driven = {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) in joint}
+    return {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) in joint}
+
+
+def is_robot(recordings: Sequence[object], model: Path) -> bool:
+    """Whether it is a robot: the model has several driven joints, or none that is driven and the log names several.
+
+    ``recordings``: paths, tables of columns by name, or recordings that are loaded.
+    """
+    if any(isinstance(r, RobotRecording) for r in recordings):
+        return True
+    compiled = compile_file(model)
     if compiled.nu:
-        return len(driven) > 1
-    binding = find_robot_binding(recordings[0], model)
+        return len(driven_joints(compiled)) > 1
+    first = recordings[0]
+    if isinstance(first, Recording):
+        return False
+    if not isinstance(first, Path):
+        return isinstance(first, Iterable) and len(joints_in_table(map(str, first))) > 1
+    binding = find_robot_binding(first, model)
     bound = binding.joints if binding is not None else {}
-    return len(bound or joints_named(recordings[0])) > 1
+    return len(bound or joints_named(first)) > 1
 
 
 def diagnose_robot_files(
@@ -50,19 +65,34 @@ def diagnose_robot_files(
 ) -> RobotDiagnosis:
     """Diagnose a robot from files and write the folder ``out``. Raises InputError for what is outside."""
     robot = load_robot(model)
-    loaded = [load_robot_recording(p, robot, model=model) for p in recordings]
-    held = [load_robot_recording(p, robot, model=model) for p in held_out]
+    loaded, held = ([load_robot_recording(p, robot, model=model) for p in group] for group in (recordings, held_out))
+    return diagnose_robot_recordings(loaded, model, out, held, options, say)
+
+
+def diagnose_robot_recordings(
+    recordings: Sequence[RobotRecording],
+    model: Path,
+    out: Path,
+    held_out: Sequence[RobotRecording] = (),
+    options: RobotOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    *,
+    page: bool = True,
+) -> RobotDiagnosis:
+    """As `diagnose_robot_files`, of recordings that are loaded; ``page``: whether report.html is written too."""
+    robot = load_robot(model)
     there = next(p for p in (out, *out.resolve().parents) if p.exists())
     if not there.is_dir():
         raise InputError(out, f"{there.name!r} is a file", "a folder", "choose another --out")
-    outcome = diagnose_robot(robot, loaded, held, options, say)
+    outcome = diagnose_robot(robot, recordings, held_out, options, say)
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     _write_corrected(model, robot, outcome, corrected)
     result = _by_mujoco(outcome, robot, corrected)
-    from diagnose.robot.page import write_page
+    if page:
+        from diagnose.robot.page import write_page
 
-    write_page(result, out / "report.html")
+        write_page(result, out / "report.html")
     result.write_json(out / "diagnosis.json")
     return result
 

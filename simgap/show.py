@@ -6,8 +6,40 @@ from pathlib import Path
 
 from diagnose.check.types import LogCheck, Severity
 from diagnose.result import Diagnosis
+from diagnose.robot.result import RobotDiagnosis
+from simgap.api.diagnosing import Diagnosis as Found
 
-__all__ = ["show_check", "show_diagnosis"]
+__all__ = ["show_check", "show_diagnosis", "show_found", "show_robot"]
+
+
+def show_found(found: Found, out: Path) -> None:
+    """The outcome of `simgap.diagnose`, of an axis or of a robot."""
+    if isinstance(found.result, RobotDiagnosis):
+        show_robot(found.result, out)
+    else:
+        show_diagnosis(found.result, out)
+
+
+def show_robot(result: RobotDiagnosis, out: Path) -> None:
+    """Verdict, and a table of joints with what is missing there and the errors of the models."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    console.print(f"[bold]{result.verdict.value}[/bold]  {result.summary}", highlight=False)
+    table = Table("joint", "verdict", "missing", "held-out error of the file", "refitted", "corrected", "still predictable")
+    for name, r in result.joints.items():
+        missing = "\n".join(
+            f"{f.effect} "
+            + ", ".join(f"{k} {e.value:.4g} +- {(e.ci95[1] - e.ci95[0]) / 2:.2g} {e.unit}" for k, e in f.parameters.items())
+            for f in r.findings
+        )
+        errors = [f"{100 * r.fit[k].held_out_nrmse:.2f} %" for k in ("nominal", "refitted", "corrected")]
+        table.add_row(name, r.verdict.value, missing, *errors, f"{100 * max(r.remains[0], 0.0):.1f} %")
+    console.print(table)
+    for note in result.notes:
+        console.print(note, highlight=False)
+    console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)", highlight=False)
 
 
 def show_diagnosis(result: Diagnosis, out: Path) -> None:

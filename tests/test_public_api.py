@@ -31,7 +31,21 @@ PUBLIC = {
     "diagnose.result": ["Diagnosis", "Estimate", "Finding", "FitFigures", "Mismatch", "Verdict"],
     "diagnose.report": ["write_report"],
     "simgap.pipeline": ["corrected_axis", "diagnose_files"],
-    "simgap": ["__version__"],
+    "simgap": [
+        "Diagnosis",
+        "Identification",
+        "InputError",
+        "Model",
+        "Recording",
+        "RobotRecording",
+        "__version__",
+        "check",
+        "diagnose",
+        "effects",
+        "identify",
+        "load",
+        "simulate",
+    ],
 }
 
 

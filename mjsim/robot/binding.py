@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,11 @@ class RobotBinding:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        return cls.from_tables(table, path)
+
+    @classmethod
+    def from_tables(cls, table: Mapping[str, Any], path: Path) -> RobotBinding | None:
+        """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
         recording, experiment = table.get("recording", {}), table.get("experiment", {})
         if "joints" not in table and not {"hold"} & set(recording) and "payload" not in experiment:
             return None

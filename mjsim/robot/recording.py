@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,12 +19,12 @@ import numpy as np
 
 from mjsim.errors import InputError
 from mjsim.quantity import Motion
-from mjsim.readers import read_table
+from mjsim.readers import Table, read_table
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
 from mjsim.robot.model import Robot
 from mjsim.timebase import sample_time, where_in
 
-__all__ = ["RobotRecording", "joints_named", "load_robot_recording"]
+__all__ = ["RobotRecording", "joints_in_table", "joints_named", "load_robot_recording", "robot_from_table"]
 
 SUFFIXES = {
     Motion.HINGE: dict(zip(CHANNELS, ("rad", "Nm", "rad", "rad_s", "A", "rad"), strict=True)),
@@ -44,6 +44,12 @@ class RobotRecording:
     torque (N, J) as the actuator gives it, before its gear [N m | N], velocity (N, J) [rad/s | m/s], current (N, J) [A]: None
     where no joint has the channel, a column of NaN where one joint lacks it. hold: how the input goes between samples (held,
     linear, mean); payload: a known point mass; held_at: joints of the model that are not in the log, with their position.
+
+    >>> import numpy as np
+    >>> t = np.arange(4) * 0.01
+    >>> log = RobotRecording(t, ("shoulder", "elbow"), 0.01, angle=np.zeros((4, 2)), torque=np.ones((4, 2)))
+    >>> log.has("torque", "elbow"), log.has("command", "elbow")
+    (True, False)
     """
 
     time: np.ndarray
@@ -95,10 +101,14 @@ class RobotRecording:
 def joints_named(path: Path) -> tuple[str, ...]:
     """Joints of which a recording's columns speak by the default names; () for a file that is not there or not readable."""
     try:
-        table = read_table(path) if path.is_file() else {}
+        return joints_in_table(read_table(path)) if path.is_file() else ()
     except InputError:
         return ()
-    return tuple(dict.fromkeys(m["joint"] for m in map(_COLUMN.match, table) if m))
+
+
+def joints_in_table(columns: Iterable[str]) -> tuple[str, ...]:
+    """Joints of which columns speak by the default names."""
+    return tuple(dict.fromkeys(m["joint"] for m in map(_COLUMN.match, columns) if m))
 
 
 def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | None = None) -> RobotRecording:
@@ -111,7 +121,12 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
     if not path.is_file():
         raise InputError(path, "no such file", "a recording (.csv, .mat, .npz, .parquet, .mcap)", "check the path")
     binding = find_robot_binding(path, Path(model) if model else None)
-    table = read_table(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return robot_from_table(path, read_table(path), binding, robot, sha256=digest)
+
+
+def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, robot: Robot, *, sha256: str = "") -> RobotRecording:
+    """The recording that a table of columns holds, as `load_robot_recording` reads it; ``path``: how messages name the source."""
     given = binding.joints if binding is not None and binding.joints else _by_name(path, table, robot)
     _known(path if binding is None else binding.source, tuple(given), robot)
     names = tuple(j for j in robot.joints if j in given)
@@ -129,7 +144,7 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
     held = tuple((j, _held_position(robot, k)) for k, j in enumerate(robot.joints) if j not in names)
     recording = RobotRecording(
         time, names, sample_time(path, time), source=path.name,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        sha256=sha256,
         hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, **matrices,
     )  # fmt: skip
     _within_limits(path, recording, robot)

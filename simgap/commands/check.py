@@ -24,22 +24,10 @@ def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json
     """
     import json
 
-    from diagnose.check import LogVerdict, Machine, check_log
-    from diagnose.check.page import write_check
-    from mjsim.errors import InputError
-    from mjsim.mjcf import carried_binding, load_model
-    from mjsim.recording import load
+    from diagnose.check import LogVerdict
+    from simgap.api.checking import check
 
-    source = load_model(model)
-    if source.axis.chain.servo is not None:
-        raise InputError(
-            model, f"actuator {source.axis.chain.actuator!r} is a servo", "a model that is driven by a torque",
-            "simgap diagnose takes the log of a servo as it is",
-        )  # fmt: skip
-    loaded = [load(p, model=model, binding=carried_binding(source, p), uniform=False) for p in recordings]
-    result = check_log(Machine.of(source), loaded)
-    if out is not None:
-        write_check(result, loaded, model.name, out)
+    result = check(list(recordings), model, out=out)
     if as_json:
         click.echo(json.dumps({"model": model.name, **result.as_dict()}, indent=2))
     else:

@@ -70,47 +70,22 @@ def command(
 ) -> None:
     """Locate, name, model and prove the mismatch between RECORDINGS and a nominal model."""
     import json
-    import math
 
     need_folder(out)
     written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html")
     spare_inputs([out / name for name in written], [*recordings, *held_out, model])
-    from simgap.robot import is_robot
-
-    if is_robot(recordings, model):
-        from simgap.commands.diagnose_robot import run_robot
-
-        run_robot(recordings, model, out, held_out, joints, effects, seed, as_json=as_json, quiet=quiet)
-        return
-
     from diagnose.report.render_worker import Drawers
 
+    only = tuple(e.strip() for e in effects.split(",") if e.strip())
     with Drawers(jobs) as draw:  # its processes import the plotting library while this one imports the rest
-        from diagnose.pipeline import Options
-        from mjsim.effects import registered
-        from mjsim.errors import InputError, nearest
-        from simgap.pipeline import STATE, diagnose_files
+        from simgap.api.diagnosing import diagnose
+        from simgap.pipeline import STATE
 
-        only = tuple(e.strip() for e in effects.split(",") if e.strip())
-        for name in only:
-            if name not in registered():
-                advice = nearest(name, registered(), "simgap effects lists them")
-                raise InputError("--effects", f"unknown effect {name!r}", ", ".join(registered()), advice)
-        if len(joints) > 1:
-            raise InputError("--joint", f"{len(joints)} joints", "one, since the model drives one", "give the robot's model")
-        options = Options(judge=judge, effects=only, jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf)
         try:
-            result = diagnose_files(
-                recordings,
-                model,
-                out,
-                held_out,
-                options,
-                progress=not quiet,
-                draw=draw,
-                accept_log=accept_log,
-                joint=joints[0] if joints else None,
-            )
+            found = diagnose(
+                list(recordings), model, held_out=list(held_out), out=out, judge=judge, effects=only, joints=joints, jobs=jobs,
+                seed=seed, budget=budget, effort=effort, accept_log=accept_log, progress=not quiet, draw=draw,
+            )  # fmt: skip
         except KeyboardInterrupt:
             kept = out / STATE
             left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"
@@ -119,6 +94,6 @@ def command(
     if as_json:
         click.echo(json.dumps(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")), indent=2))
     else:
-        from simgap.show import show_diagnosis
+        from simgap.show import show_found
 
-        show_diagnosis(result, out)
+        show_found(found, out)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,13 +10,9 @@ from mjsim.errors import InputError
 from simgap.arguments import ModelFile, need_folder, spare_inputs
 from simgap.terminal import printable
 
-if TYPE_CHECKING:
-    from ident.data import IOData
-
 __all__ = ["command"]
 
 MOST_ORDERS = 20
-BODE_POINTS = 1200
 
 
 def _orders(text: str) -> tuple[int, int, int, int, int]:
@@ -55,21 +48,6 @@ def _scan(text: str) -> range:
     if not 1 <= low <= high <= MOST_ORDERS:
         raise InputError("--scan", repr(text), f"two whole numbers LOW:HIGH from 1 to {MOST_ORDERS}, such as 2:8")
     return range(low, high + 1)
-
-
-def _held(data: IOData) -> list[str]:
-    """A sentence for each channel that stands still as if samples had been lost."""
-    from ident.checks import held_stretch
-
-    out = []
-    for x, name in ((data.u, data.u_name), (data.y, data.y_name)):
-        if (found := held_stretch(x)) is not None:
-            first, count = found
-            out.append(
-                f"In {data.source} {name} keeps one value for {count} samples from sample {first + 1} on "
-                "and repeats no value elsewhere: if samples were lost there, cut the recording."
-            )
-    return out
 
 
 @click.command("identify", short_help="Filter, decimate and fit a Box-Jenkins model to a recording.")
@@ -138,137 +116,30 @@ def command(
     Example: simgap identify log.csv --out identified/
     """
     wanted, edge = _orders(orders), _cutoff(cutoff)
-    grid = _scan(scan) if scan else None
-    from ident.bode import bode, default_frequencies
-    from ident.checks import check_clipping, check_moving, check_recording
-    from ident.compare import compare
-    from ident.data import Detrend, IOData
-    from ident.estimate import bj
-    from ident.filter import Decimation, LowPass, Phase, shared_filter
-    from ident.nonlinearity import amplitude_test
-    from ident.options import Options
-    from ident.order import select_order
-    from ident.page import png, render_page
-    from ident.plot import plot_bode, plot_comparison, plot_orders, plot_pole_zero, plot_residuals
-    from ident.polezero import pole_zero
-    from ident.quality import quality
-    from ident.residuals import residual_tests
-    from ident.serial import to_dict, write_set
-    from ident.spectral import spectral
-    from ident.structure import Structure
-    from ident.verdict import Grade, alternative, excited_band, judge
-    from mjsim.recording import load
+    grid = _scan(scan) if scan else range(0)
+    from simgap.api.identifying import identify
 
-    decimation = Decimation(factor)
-    low = None if edge is None else LowPass(8, edge, Phase(phase))
-    structure = Structure.bj(*wanted)
-    accept = clipping == "accept"
-    options = Options(accept_clipping=accept)
     need_folder(out)
     names = ("identification.json", "identification.html", "bode.png", "residuals.png", "orders.png")
     spare_inputs([out / name for name in names], [recording, validate, level, model])
     if model is not None and not (model.is_file() or model.with_suffix(".toml").is_file()):
         raise InputError(model, "no such file", "a model, or the .toml beside it", "check the path")
-
-    def read(path: Path) -> IOData:
-        raw = IOData.from_recording(load(path, model=model), input_column, output_column)
-        raw = replace(raw, u_name=printable(raw.u_name), y_name=printable(raw.y_name), source=printable(raw.source))
-        if raw.u_name == raw.y_name:
-            raise InputError(raw.source, f"input and output are both {raw.u_name}", "two channels", "name another --output")
-        check_moving(raw)
-        if not accept:
-            check_clipping(raw)
-        return raw
-
-    def prepared(raw: IOData) -> IOData:
-        return shared_filter(raw.detrended(Detrend(detrend)), decimation, low, filtered=low is not None)
-
-    raw = read(recording)
-    check_recording(raw, structure, decimation.factor, clipping=not accept)
-    data = prepared(raw)
-    held_out = prepared(read(validate)) if validate else None
-    other = prepared(read(level)) if level else None
-    selection = None
-    if grid is not None:
-        selection = select_order(data, [Structure.bj(n, n, n, n, wanted[4]) for n in grid], options, held_out)
-        estimate = selection.best.estimate
-    else:
-        estimate = bj(data, wanted, options)
-    tests, figures = residual_tests(estimate), quality(estimate)
-    verdict = judge(estimate, tests, figures)
-    sentences = [*verdict.sentences, *_held(raw)]
-    if verdict.grade not in (Grade.GOOD, Grade.NO_EFFECT) and (hint := alternative(estimate, figures)):
-        sentences.append(hint)
-    nonlinear = None
-    if other is not None:
-        quiet, loud = sorted((data, other), key=lambda d: float(d.u.std()))
-        nonlinear = amplitude_test(quiet, loud)
-        sentences.append(f"Against {other.source}: {nonlinear.sentence}")
-    verdict = replace(verdict, sentences=tuple(sentences))
-    band = excited_band(estimate)
-    response = bode(estimate.model, default_frequencies(data.dt, BODE_POINTS, band[0]))
-    roots = pole_zero(estimate.model)
-    name = str(estimate.model.structure)
-    comparison = compare(held_out or data, {name: estimate.model})
-    steps = [f"decimated by {factor} (Chebyshev I, order 8, 0.05 dB, zero phase)" if factor > 1 else "not decimated"]
-    steps.append(
-        f"low-pass Butterworth order 8 at {edge:g} of Nyquist ({edge * data.nyquist_hz:.4g} Hz), {phase}"
-        if edge
-        else "no low-pass"
-    )
-    steps.append(f"detrend: {detrend}")
-    unit = f"{data.y_unit}/{data.u_unit}" if data.u_unit and data.y_unit else ""
-    check = spectral(data) if len(data) >= 64 else None
-    images = {
-        "bode": png(plot_bode({name: response}, check, band, unit)),
-        "residuals": png(plot_residuals(tests)),
-        "comparison": png(plot_comparison(comparison)),
-        "polezero": png(plot_pole_zero(roots)),
-    }
-    if selection is not None:
-        images["orders"] = png(plot_orders(selection))
-    values = to_dict(estimate, tests, response) | {
-        "verdict": {"grade": verdict.grade.name.lower(), "sentences": list(verdict.sentences)}
-    }
-    values["preprocessing"] = steps
-    if held_out is not None:
-        values["validation"] = {"source": held_out.source, "simulation_fit_percent": comparison.fit_percent[0]}
-    if nonlinear is not None and other is not None:
-        values["amplitude_test"] = {
-            "source": other.source,
-            "nonlinear": nonlinear.nonlinear,
-            "p_value": nonlinear.p_value,
-            "false_alarm_rate": nonlinear.false_alarm_rate,
-            "frequency_hz": nonlinear.frequency_hz.tolist(),
-            "change_db": nonlinear.change_db.tolist(),
-        }
-    if selection is not None:
-        values["orders_tried"] = [
-            {
-                "orders": list(c.structure.listed),
-                "loss": c.loss,
-                "aic": c.aic,
-                "bic": c.bic,
-                "held_out_percent": c.validation_percent,
-            }
-            for c in selection.choices
-        ]
-    text = json.dumps(values, indent=1) + "\n"
-    page = render_page(estimate, verdict, response, roots, figures, comparison, images, "; ".join(steps))
-    files: dict[Path, str | bytes] = {out / f"{n}.png": images[n] for n in ("bode", "residuals", "orders") if n in images}
-    files |= {out / "identification.html": page, out / "identification.json": text}
+    fitted = identify(
+        recording, orders=wanted, decimate=factor, cutoff=edge, input=input_column, output=output_column, phase=phase,
+        detrend=detrend, validate=validate, level=level, scan=grid, model=model, accept_clipping=clipping == "accept",
+    )  # fmt: skip
     try:
-        write_set(files)
+        fitted.save(out)
     except OSError as error:
         raise InputError(out, f"cannot be written ({error.strerror})", "a writable folder") from None
     if as_json:
-        click.echo(text, nl=False)
+        click.echo(fitted.text(), nl=False)
         return
-    for sentence in verdict.sentences:
+    for sentence in fitted.sentences:
         click.echo(printable(sentence))
-    if held_out is not None:
-        click.echo(f"On {printable(held_out.source)} its simulation fits {comparison.fit_percent[0]:.1f} %.")
-    for e in response.extrema():
-        note = "" if band[0] <= e.frequency_hz <= band[1] else "  (extrapolated)"
+    if fitted.held_out is not None:
+        click.echo(f"On {printable(fitted.held_out.source)} its simulation fits {fitted.comparison.fit_percent[0]:.1f} %.")
+    for e in fitted.response.extrema():
+        note = "" if fitted.band[0] <= e.frequency_hz <= fitted.band[1] else "  (extrapolated)"
         click.echo(f"  {e.kind:5s} {e.frequency_hz:8.2f} Hz  {e.magnitude_db:7.1f} dB{note}")
     click.echo(f"Written: {out / 'identification.html'}")

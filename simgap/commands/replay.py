@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import csv
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,22 +15,15 @@ if TYPE_CHECKING:
     import numpy as np
 
     from mjsim.mjcf import Model
-    from mjsim.ode import Trajectory
     from mjsim.recording import Recording
 
 __all__ = ["command"]
-
-_COLUMNS = {
-    "hinge": ("time_s", "torque_Nm", "velocity_rad_s", "angle_rad"),
-    "slide": ("time_s", "torque_N", "velocity_m_s", "angle_m"),
-}
-_COMMAND = {"hinge": "command_rad", "slide": "command_m"}
 
 
 @click.command("replay")
 @click.argument("model", type=ModelFile())
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Predicted motion, a CSV file.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Predicted motion: .csv, .mcap, .npz or .parquet.")
 @click.option(
     "--engine",
     type=click.Choice(["ode", "mujoco", "literal"]),
@@ -61,31 +51,28 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
     from mjsim.errors import InputError
-    from mjsim.mjcf import carried_binding, load_model
-    from mjsim.ode import DivergedError
-    from mjsim.recording import load
+    from mjsim.mjcf import load_model
+    from mjsim.recording import Recording
+    from mjsim.writers import WRITERS
+    from simgap.api.model import Model
+    from simgap.api.recording import loaded
+    from simgap.api.simulating import simulate
 
     need_file(out)
+    if out.suffix and out.suffix.lower() not in WRITERS:
+        raise InputError("--out", f"{out.name!r}", f"a name that ends in {', '.join(WRITERS)}", "correct it")
     spare_inputs([out], [recording, model])
-    source = load_model(model)
-    record = load(
-        recording, model=model, binding=carried_binding(source, recording), joint=joint, prefer=source.axis.chain.bodies[0].joint
-    )
+    source, subject = load_model(model), Model(model)
+    record = loaded(recording, subject, joint=joint)
+    assert isinstance(record, Recording)
     servo = source.axis.chain.servo is not None
-    try:
-        run = (
-            _servo_run(source, record, engine)
-            if servo
-            else _run(source, record.torque, record, engine, _initial(source, record, start))
-        )
-    except DivergedError as error:
-        raise InputError(recording, str(error)) from None
+    run = simulate(subject, record, engine=engine, start=start)
     channel = "velocity" if record.velocity is not None and not servo else "angle"
     measured, predicted = record.column(channel), getattr(run, channel)
     if channel == "angle" and not servo:
         predicted = predicted + (measured[0] - predicted[0])
     figures = _figures(measured, predicted, recording)
-    _write(out, source.axis.chain.motion.value, run, servo=servo)
+    run.save(out)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
     force = _force(source, record) if record.judge == "force" else None
     if force is not None:
@@ -114,66 +101,6 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
             f"torque that the recorded motion needs: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
         )
     click.echo(printable(f"wrote {out}"))
-
-
-def _servo_run(source: Model, record: Recording, engine: str) -> Trajectory:
-    """One run under the model's own servo on the recorded command, from the angle that was measured first."""
-    from diagnose.data.experiment import prepare
-    from diagnose.data.runs import free_run
-    from diagnose.data.servo import as_servo
-    from mjsim.errors import InputError
-
-    if engine == "mujoco":
-        raise InputError("--engine", "'mujoco', and the model is a servo", "'ode'", "leave the option out")
-    axis, (driven,), _, _ = as_servo(source.axis, [record], [])
-    if engine == "literal":
-        from mjsim.servo_run import literal_servo_run
-
-        return literal_servo_run(source, driven)
-    return free_run(axis, prepare(driven, minimum=2))
-
-
-def _run(source: Model, torque: np.ndarray, record: Recording, engine: str, initial: np.ndarray | None) -> Trajectory:
-    """One run on a commanded torque, the recording's or its beginning."""
-    if engine == "literal":
-        from mjsim.mujoco_run import run_signals
-
-        return run_signals(source, torque, record.dt, initial=initial)
-    if engine == "mujoco":
-        from mjsim import accurate
-
-        return accurate.simulate(source.axis, torque, record.dt, initial=initial)
-    from mjsim import ode
-
-    angle = None if record.angle is None else record.angle[: len(torque)]
-    return ode.simulate(source.axis, torque, record.dt, initial=initial, angle=angle)
-
-
-def _initial(source: Model, record: Recording, start: str) -> np.ndarray:
-    """Angles and velocities (2, n) of the undeflected chain at the first sample.
-
-    ``auto``: at rest or moving as recorded, whichever follows the recording better over its first half second.
-    """
-    import numpy as np
-
-    chain = source.axis.chain
-    ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
-    angle = float(record.angle[0]) if record.angle is not None else 0.0
-    rest = np.array([angle * ratios, 0.0 * ratios])
-    if start == "rest":
-        return rest
-    speed = record.velocity if record.velocity is not None else np.gradient(record.column("angle"), record.dt)
-    few = max(2, min(len(speed), round(0.005 / record.dt)))
-    first = float(np.polynomial.Polynomial.fit(np.arange(few), speed[:few], 1)(0.0))
-    moving = np.array([angle * ratios, first * ratios])
-    if start == "recorded":
-        return moving
-    count = max(2, min(len(speed), round(0.5 / record.dt)))
-    error = []
-    for initial in (rest, moving):
-        run = _run(source, record.torque[:count], record, "ode", initial)
-        error.append(float(np.linalg.norm(run.velocity - speed[:count])))
-    return rest if error[0] <= error[1] else moving
 
 
 def _figures(measured: np.ndarray, predicted: np.ndarray, where: Path) -> dict[str, float]:
@@ -210,25 +137,3 @@ def _force(source: Model, record: Recording) -> dict[str, float] | None:
         "relative": size / float(np.linalg.norm(measured)),
         "nrmse": size / float(np.linalg.norm(measured - np.mean(measured))),
     }
-
-
-def _write(out: Path, motion: str, run: Trajectory, *, servo: bool) -> None:
-    """Write the prediction beside its final name, then move it there."""
-    time, torque, *rest = _COLUMNS[motion]
-    columns = (time, _COMMAND[motion] if servo else torque, *rest)
-    from mjsim.errors import InputError
-
-    part = out.with_name(f".{out.name}.part")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", newline="", encoding="utf-8") as handle:
-            writer = csv.writer(handle)
-            writer.writerow(columns)
-            for row in zip(run.time, run.torque, run.velocity, run.angle, strict=True):
-                writer.writerow([f"{v:.12g}" for v in row])
-        os.replace(part, out)
-    except OSError as error:
-        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another --out") from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)

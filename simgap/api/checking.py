@@ -1,0 +1,62 @@
+"""`check`: what is wrong with recordings, and what they can show, before any physics is sought."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from diagnose.check import Machine, check_log
+from diagnose.check.types import LogCheck
+from mjsim.errors import InputError
+from mjsim.mjcf import load_model
+from mjsim.recording import Recording
+from simgap.api.model import Model
+from simgap.api.recording import loaded
+
+__all__ = ["check", "listed"]
+
+
+def listed(source: Any) -> list[Any]:
+    """Recordings as a list: one alone, or several in a list or tuple."""
+    return list(source) if isinstance(source, list | tuple) else [source]
+
+
+def check(
+    recordings: Any | Sequence[Any], model: Model | str | Path | mujoco.MjSpec, *, out: str | Path | None = None
+) -> LogCheck:
+    """Check recordings of one axis against its model.
+
+    ``recordings``: one, or several in a list; each a file, columns by name, a DataFrame or a `Recording`. ``out``: a folder for
+    check.json and check.html. Returns the verdict (``ready``, ``limits`` or ``fix``), the problems with what to do about each,
+    and which families of effects the excitation can show. Raises `InputError` for a model that is driven by a servo.
+
+    >>> import numpy as np
+    >>> import simgap
+    >>> t = np.arange(0, 3, 0.004)
+    >>> torque = 3 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t)
+    >>> run = simgap.simulate("pendulum", torque, dt=0.004)
+    >>> velocity = run.velocity + 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    >>> log = {"time_s": t, "torque_Nm": torque, "velocity_rad_s": velocity}
+    >>> simgap.check(log, "pendulum").verdict.value
+    'ready'
+    >>> wrong = log | {"velocity_rad_s": -velocity}
+    >>> [(p.channel, p.problem) for p in simgap.check(wrong, "pendulum").to_fix()]
+    [('torque', 'sign')]
+    """
+    subject = Model(model)
+    source = load_model(subject.path)
+    if source.axis.chain.servo is not None:
+        raise InputError(
+            subject.path, f"actuator {source.axis.chain.actuator!r} is a servo", "a model that is driven by a torque",
+            "simgap diagnose takes the log of a servo as it is",
+        )  # fmt: skip
+    group = [r for r in (loaded(x, subject, uniform=False) for x in listed(recordings)) if isinstance(r, Recording)]
+    result = check_log(Machine.of(source), group)
+    if out is not None:
+        from diagnose.check.page import write_check
+
+        write_check(result, group, subject.path.name, Path(out))
+    return result
