@@ -12,8 +12,8 @@ __all__ = ["model_path", "models_directory", "shipped_model", "shipped_models"]
 def models_directory() -> Path:
     """The directory that holds the shipped models and their bindings."""
     root = Path(__file__).resolve().parent.parent
-    # beside the packages in a checkout, inside the face package in a wheel
-    for candidate in (root / "models", root / "simgap" / "models"):
+    # beside the packages in a checkout; in a wheel this package is simgap/_src/mjsim (docs/decisions/one-package.md)
+    for candidate in (root / "models", root.parent / "models"):
         if (candidate / "robot_axis1.xml").is_file():
             return candidate
     raise InputError(root, "the shipped models are missing", "models/robot_axis1.xml", "install simgap anew")

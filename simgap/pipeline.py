@@ -216,7 +216,7 @@ def _when_compiling(do: Callable[[], None]) -> Iterator[None]:
         yield
 
 
-_COMPILE = "import sys; sys.path[:] = sys.argv[2:]; from mjsim.ode import load_kernel; load_kernel(int(sys.argv[1]))"
+_COMPILE = f"import sys; sys.path[:] = sys.argv[2:]; from {load_kernel.__module__} import load_kernel as k; k(int(sys.argv[1]))"
 
 
 def _load_kernels(bodies: int) -> None:

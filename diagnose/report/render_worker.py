@@ -20,7 +20,7 @@ Draw: TypeAlias = Callable[[Sequence[Picture]], list[str | None]]
 Answer: TypeAlias = tuple[bool, str | None]  # whether it was drawn, and its text
 
 MOST = 4  # pictures of a report are few
-_SERVE = "import sys; sys.path[:] = sys.argv[1:]; from diagnose.report.render_worker import serve; serve()"
+_SERVE = f"import sys; sys.path[:] = sys.argv[1:]; from {__name__} import serve; serve()"
 
 
 def draw_here(pictures: Sequence[Picture]) -> list[str | None]:
