@@ -279,6 +279,7 @@ class Diagnosis:
     log: LogCheck | None = None
     surrogate: Mapping[str, FitFigures] = field(default_factory=dict)
     refusals: tuple[Refused, ...] = ()
+    stretches: tuple[Mapping[str, Any], ...] = ()
 
     def shares(self) -> tuple[float, ...]:
         """Each recording's share of the residual energy above noise of all of them."""
@@ -328,6 +329,7 @@ class Diagnosis:
                  "criterion": r.criterion, "status": r.status} for r in self.rivals
             ],
             "refusals": [r.as_dict() for r in self.refusals],
+            "stretches": [dict(s) for s in self.stretches],
             "failed": dict(self.failed),
             "notes": list(self.notes),
             "next_experiment": self.next_experiment,

@@ -338,3 +338,16 @@ EVENTS = _number(
 SCREENED = _number("SCREENED", NUMERIC, 0.15, "of a round", "when its rivals have been screened", "progress")
 BEGUN = _number("BEGUN", NUMERIC, 0.75, "of a round", "when each has been begun", "progress")
 TAIL = _number("TAIL", NUMERIC, 0.5, "rounds", "what follows the search", "progress")
+LONGEST = _number(
+    "LONGEST", COST, 240_000, "samples", "2 min at 2 kHz: 2 GB; of a longer recording stretches are fitted", "stretches"
+)
+STRETCH_SAMPLES = _number(
+    "STRETCH_SAMPLES", COST, 120_000, "samples", "in all stretches of a recording: 1 min at 2 kHz", "stretches"
+)
+STRETCH_COUNT = _number("STRETCH_COUNT", COST, 12, "stretches", "eight fitted, four held out: 5 s each at 2 kHz", "stretches")
+STRETCH_FRESH = _number(
+    "STRETCH_FRESH", COST, 0.5, "of the best gain", "for a part of the recording that has no stretch yet", "stretches"
+)
+STRETCH_BLOCKS = _number(
+    "STRETCH_BLOCKS", COST, 512, "blocks", "of a stretch: means of 16 samples, as fast as friction acts", "stretches"
+)

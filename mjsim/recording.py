@@ -34,7 +34,7 @@ from mjsim.hold import HOLDS
 from mjsim.readers import Table, read_table
 from mjsim.timebase import onto_stamps, resample, sample_time, where_in
 
-__all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "from_table", "load"]
+__all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "file_hash", "find_binding", "from_table", "load"]
 
 
 def find_binding(recording: Path, model: Path | None = None) -> Binding:
@@ -183,8 +183,13 @@ def load(
     if not path.is_file():
         raise InputError(path, "no such file", "a recording (.csv, .mat, .npz, .parquet, .mcap)", "check the path")
     binding = binding or find_binding(path, Path(model) if model else None)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=digest)
+    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=file_hash(path))
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file, read in parts."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def from_table(

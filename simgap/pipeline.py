@@ -19,6 +19,7 @@ from diagnose.check.answer import wrong_log
 from diagnose.data.experiment import without_derived_velocity
 from diagnose.data.servo import as_servo
 from diagnose.data.split import split
+from diagnose.data.stretches import Stretches
 from diagnose.fit.fit_cache import Memory, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
@@ -28,14 +29,20 @@ from diagnose.verdict.reference_stage import Nominal, without_difference
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
+from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.ode import load_kernel
-from mjsim.recording import Recording, load
+from mjsim.recording import Recording
 from simgap.following import following
 from simgap.judging import before_search, write_judged
+from simgap.long_logs import load_all
 
 __all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
 STATE = "state.jsonl"  # in the folder while a diagnosis runs, and after one that was broken off
+IN_ONE_FILE = (
+    f"{{given}} includes other files, or has elements without a name. {WRITTEN} is the same model in one file with names; "
+    "corrected.xml is a copy of it."
+)
 MAP_COMMENT = "This file holds a torque map: fitted, not derived. It predicts better and explains nothing."
 
 
@@ -107,11 +114,19 @@ def diagnose_files(
                 joint=joint,
             )
     _need_folder(out)
-    nominal = load_axis(model)
-    prefer = nominal.chain.bodies[0].joint
-    loaded, held = ([load(p, model=model, joint=joint, prefer=prefer) for p in group] for group in (recordings, held_out))
+    prefer = load_axis(model).chain.bodies[0].joint
+    read = load_all(recordings, held_out, model, joint, prefer)
     return diagnose_recordings(
-        loaded, model, out, held, options, progress=progress, truth=truth, draw=draw, accept_log=accept_log
+        read.fitted,
+        model,
+        out,
+        read.held_out,
+        options,
+        progress=progress,
+        truth=truth,
+        draw=draw,
+        accept_log=accept_log,
+        stretches=read.stretches,
     )
 
 
@@ -126,9 +141,17 @@ def diagnose_recordings(
     truth: Mapping[str, Any] | None = None,
     draw: Draw | None = None,
     accept_log: bool = False,
+    stretches: Sequence[Stretches] = (),
 ) -> Diagnosis:
-    """As `diagnose_files`, of recordings that are loaded; the report is written where ``draw`` says who draws it."""
+    """As `diagnose_files`, of recordings that are loaded; the report is written where ``draw`` says who draws it.
+
+    ``stretches``: of which long recordings those are parts.
+    """
     options = options or Options()
+    said = [part.sentence() for part in stretches]
+    if not is_whole(model):
+        said.append(IN_ONE_FILE.format(given=model.name))
+        model = write_whole(model, out / WRITTEN)
     nominal = load_axis(model)
     check_writable(model, nominal)
     for name in options.effects:
@@ -153,7 +176,10 @@ def diagnose_recordings(
         raise
     finally:
         memory.close()
-    result = _written(dataclasses.replace(result, log=log), nominal, model, out, truth, draw, given, options.jobs)
+    result = dataclasses.replace(
+        result, log=log, notes=(*said, *result.notes), stretches=tuple(s.as_dict() for part in stretches for s in part.chosen)
+    )
+    result = _written(result, nominal, model, out, truth, draw, given, options.jobs)
     memory.discard()
     return result
 

@@ -18,6 +18,7 @@ from diagnose.robot.problem import Problem
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.recording import Recording
 from mjsim.robot.binding import find_robot_binding
 from mjsim.robot.inertia import SIZE
@@ -80,6 +81,8 @@ def diagnose_robot_recordings(
     page: bool = True,
 ) -> RobotDiagnosis:
     """As `diagnose_robot_files`, of recordings that are loaded; ``page``: whether report.html is written too."""
+    if not is_whole(model):
+        model = write_whole(model, out / WRITTEN)
     robot = load_robot(model)
     there = next(p for p in (out, *out.resolve().parents) if p.exists())
     if not there.is_dir():

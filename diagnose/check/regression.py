@@ -26,7 +26,7 @@ _TURNS = 3  # of whitening and fit: the filter no longer changes
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Delay [s] and standard error; coefficients (k,) and covariance (k, k); whitening filter; prior precisions (k,); plain
-    and whitened residuals; target (M,)."""
+    and whitened residuals; target (M,); which rows count (M,)."""
 
     delay: float
     delay_error: float
@@ -37,11 +37,12 @@ class Solution:
     residual: np.ndarray
     white: np.ndarray
     target: np.ndarray
+    keep: np.ndarray
 
     @property
     def explained(self) -> float:
-        """Part of the target's variance."""
-        return 1.0 - float(np.mean(self.residual**2)) / max(float(np.var(self.target)), 1e-300)
+        """Part of the target's variance in the rows that count."""
+        return 1.0 - float(np.mean(self.residual[self.keep] ** 2)) / max(float(np.var(self.target[self.keep])), 1e-300)
 
 
 def regress(
@@ -50,38 +51,49 @@ def regress(
     window: tuple[float, float],
     top: float,
     prior: np.ndarray | None = None,
+    keep: np.ndarray | None = None,
+    *,
+    fixed: bool = False,
 ) -> Solution:
     """Fit the columns X (M, k) to ``target(delay)`` (M,), or (M, G) for delays (G,), for delays within ``window`` [s]; ``top``
     [Hz]: the band's upper end.
 
-    ``prior`` (k,): precisions of the coefficients about 0.
+    ``prior`` (k,): precisions of the coefficients about 0; ``keep`` (M,) bool: the rows that count. A row counts when those that
+    the whitening filter takes with it do as well; ``fixed``: the delay is the middle of the window.
     """
     prior = np.zeros(X.shape[1]) if prior is None else prior
+    keep = np.ones(len(X), bool) if keep is None else keep
     free = prior == 0
     grid = np.arange(window[0], window[1] + 1e-12, 1 / (_STEPS * top))
     shifted = target(grid)
     delay, filters = 0.5 * (window[0] + window[1]), np.ones(1)
     for turn in range(_TURNS):
-        filters = _autoregression(solve(X, target(delay), np.ones(1), prior)[1])
-        basis = np.linalg.qr(filtered(X if turn else X[:, free], filters))[0]
-        Y = filtered(shifted, filters)
-        delay = float(grid[int(np.argmin(np.sum(Y**2, axis=0) - np.sum((basis.T @ Y) ** 2, axis=0)))])
+        filters = _autoregression(solve(X, target(delay), np.ones(1), prior, keep)[1])
+        counts = _counted(keep, filters)
+        basis = np.linalg.qr(filtered(X if turn else X[:, free], filters)[counts])[0]
+        Y = filtered(shifted, filters)[counts]
+        delay = delay if fixed else float(grid[int(np.argmin(np.sum(Y**2, axis=0) - np.sum((basis.T @ Y) ** 2, axis=0)))])
     h, limit, error = 1e-3 / top, 1 / (_STEPS * top), math.nan
-    for _ in range(4):
+    for _ in range(0 if fixed else 4):
         slope = (target(delay - h) - target(delay + h)) / (2 * h)
-        b, _, covariance = solve(np.column_stack([X, slope]), target(delay), filters, np.append(prior, 0.0))
+        b, _, covariance = solve(np.column_stack([X, slope]), target(delay), filters, np.append(prior, 0.0), keep)
         error = math.sqrt(max(float(covariance[-1, -1]), 0.0))
         delay += min(max(float(b[-1]), -limit), limit)
     y = target(delay)
-    b, white, covariance = solve(X, y, filters, prior)
-    return Solution(delay, error, b, covariance, filters, prior, y - X @ b, white, y)
+    b, white, covariance = solve(X, y, filters, prior, keep)
+    return Solution(delay, error, b, covariance, filters, prior, y - X @ b, white, y, keep)
 
 
 def solve(
-    X: np.ndarray, y: np.ndarray, filters: np.ndarray, prior: np.ndarray | None = None
+    X: np.ndarray, y: np.ndarray, filters: np.ndarray, prior: np.ndarray | None = None, keep: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients (k,), whitened residual and covariance (k, k) of the whitened least squares; ``prior``: precisions about 0."""
+    """Coefficients (k,), whitened residual and covariance (k, k) of the whitened least squares; ``prior``: precisions about 0.
+
+    The residual has zeros in the rows that do not count (``keep``).
+    """
     Xw, yw = filtered(X, filters), filtered(y[:, None], filters)[:, 0]
+    counts = np.ones(len(yw), bool) if keep is None else _counted(keep, filters)
+    everything, Xw, yw = len(yw), Xw[counts], yw[counts]
     scale = np.sqrt(np.mean(Xw**2, axis=0)) + 1e-300
     A = Xw / scale
     gram, ridge = A.T @ A, _RIDGE * len(A) * np.eye(A.shape[1])
@@ -93,8 +105,14 @@ def solve(
         if prior is not None and prior.any():
             inverse = np.linalg.inv(gram + ridge + variance * np.diag(prior / scale**2))
     b = inverse @ (A.T @ yw)
-    white = yw - A @ b
+    white = np.zeros(everything)
+    white[counts] = yw - A @ b
     return b / scale, white, variance * inverse / np.outer(scale, scale)
+
+
+def _counted(keep: np.ndarray, filters: np.ndarray) -> np.ndarray:
+    """Rows (M - p,) of a filtered column that take no row with them that does not count."""
+    return filtered((~keep).astype(float)[:, None], np.ones(len(filters)))[:, 0] == 0
 
 
 def _autoregression(residual: np.ndarray) -> np.ndarray:

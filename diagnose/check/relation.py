@@ -3,6 +3,8 @@ hold.
 
     D [u(t - delay) - f v - F sign(v) - a - b sin(theta) - c cos(theta)] = rho N v        (units of the input)
 
+Samples at rest do not count: the friction there is anything up to its level.
+
 N / D is the nominal driving-point impedance (machine.py) and theta the angle of the last body. All coefficients are free: a wrong
 parameter changes them, a wrong unit changes them together. Inertias, stiffnesses and dampings move as well, as logarithms of
 factors with a prior, by Gauss-Newton; rho takes what is common to them. The signals are cut at the top of the band and sampled
@@ -36,6 +38,7 @@ STARTS = 8  # of the delay, side by side over the window
 LAGS = tuple(np.linspace(0.7, 1.6, 10))  # time constant over delay: they are equal where the motion is slow
 NEAR = 5e-3  # [s] delays of a second start: what most logs without a skew have
 WINDOW = 0.25  # [s] largest delay that is looked for
+REST = 3  # samples of the band, 40 ms at 40 Hz
 SHARE = 0.1  # of the recording that the window may take at either end
 
 
@@ -79,7 +82,8 @@ class Fit:
 
     delay [s]: of the response behind the torque; inertia, loss, gravity: ratios to the model, None where the model or the log has
     none; dissipated [input times velocity]: mean power that friction takes; explained: part of the torque's variance; over_none,
-    over_lag: residual power at no delay, and with a first-order lag instead, over that at the delay; extra: coefficient of the
+    over_lag: whitened residual power at no delay, and with a first-order lag instead, over that at the delay;
+    plain_over_none: that of the plain residual, each delay with its own whitening; extra: coefficient of the
     additional column; count: samples in the band; top [Hz]: the band; time, target, residual (M,): decimated grid, units of the
     input.
     """
@@ -92,6 +96,7 @@ class Fit:
     explained: float
     over_none: float
     over_lag: float
+    plain_over_none: float
     extra: Ratio | None
     count: int
     top: float
@@ -135,7 +140,8 @@ class Relation:
         self._motion = Spectrum.of(motion, signals.dt, self.top)
         self._order = 0 if response == "velocity" else 1
         self._velocity = self._motion.derivative(self._order, self._count)[self._inner]
-        self.enough = len(self.time) > FEWEST + machine.shape_size and float(np.std(self._velocity)) > 0
+        self._moves = _moves(self._velocity, noise_level(motion) if response == "velocity" else 0.0)
+        self.enough = int(np.sum(self._moves)) > FEWEST + machine.shape_size and float(np.std(self._velocity)) > 0
         if self.enough:
             self._torques, self._kinds = self._lay_out(signals, motion)
 
@@ -194,7 +200,8 @@ class Relation:
         over_none, over_lag = self._beyond(X, shape, response, found)
         return Fit(
             Ratio(found.delay, found.delay_error), inertia, ratios["loss"], ratios["gravity"], self._dissipated(found, k),
-            found.explained, over_none, over_lag, alone, len(self.time), self.top, self.time, found.target, found.residual,
+            found.explained, over_none, over_lag, self._plain_over_none(X, shape, response, found), alone,
+            int(np.sum(self._moves)), self.top, self.time, found.target, found.residual,
         )  # fmt: skip
 
     def _best(
@@ -210,7 +217,7 @@ class Relation:
             starts += [((2 * k + 1 - STARTS) * width, width) for k in range(STARTS)]
         for centre, width in starts:
             other = self._solved(torques, hold, centre, width)
-            if np.mean(other[3].white ** 2) < np.mean(best[3].white ** 2):
+            if np.sum(other[3].white ** 2) < np.sum(best[3].white ** 2):
                 best = other
         return best
 
@@ -222,7 +229,7 @@ class Relation:
         shape, rho = np.zeros(size) if given is None else given, 0.0
         for turn in range(1 + TURNS if size and given is None else 2 if size else 1):
             X, y = self._relation(shape, torques, hold, rho)
-            found = regress(X, y, (centre - window, centre + window), self.top, prior=self._prior(X.shape[1], rho))
+            found = regress(X, y, (centre - window, centre + window), self.top, self._prior(X.shape[1], rho), self._moves)
             if rho and given is None and turn < TURNS:
                 shape = np.clip(shape + found.coefficients[X.shape[1] - size :], -1.0, 1.0)
             rho = float(found.coefficients[0])
@@ -296,6 +303,14 @@ class Relation:
             w[i] = float(g @ (column - np.mean(column))) / float(g @ g)
         return w
 
+    def _plain_over_none(self, X: np.ndarray, shape: np.ndarray, hold: np.ndarray, found: Solution) -> float:
+        """Power of the plain residual at no delay over that at the delay, in the rows that count."""
+        turned = hold * self._responses(shape)[1]
+        none = regress(X, lambda d: self._torque.delayed(d, turned, self._count)[self._inner], (0.0, 0.0), self.top,
+                       found.prior, found.keep, fixed=True)  # fmt: skip
+        powers = [float(np.sum(s.residual[s.keep] ** 2)) for s in (none, found)]
+        return powers[0] / max(powers[1], 1e-300)
+
     def _beyond(self, X: np.ndarray, shape: np.ndarray, hold: np.ndarray, found: Solution) -> tuple[float, float]:
         """Residual power at no delay, and with the best first-order lag, over that at the delay.
 
@@ -307,11 +322,25 @@ class Relation:
         def power(lag: float) -> float:
             response = direct / (1 + 2j * math.pi * self._torque.frequency * lag)
             y = self._torque.through(response, self._count)[self._inner]
-            white = solve(X, y, found.filters, found.prior)[1]
+            white = solve(X, y, found.filters, found.prior, found.keep)[1]
             return float(white @ white) / least
 
         lags = [factor * found.delay for factor in LAGS] if found.delay > 0 else []
         return power(0.0), min((power(lag) for lag in lags), default=math.inf)
+
+
+def _moves(velocity: np.ndarray, noise: float) -> np.ndarray:
+    """Which samples (M,) of a velocity are no rest: there the friction takes whatever torque is applied, and the relation fails.
+
+    Rest is a run of at least `REST` samples whose speed is that of the noise; a reversal passes through it faster.
+    """
+    slow = np.abs(velocity) < max(3 * noise, 0.02 * float(np.std(velocity)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
+    moves = np.ones(len(velocity), bool)
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        if last - first >= REST:
+            moves[max(first - 1, 0) : last + 1] = False
+    return moves
 
 
 def compare_channels(signals: Signals) -> Pair | None:

@@ -31,6 +31,8 @@ def skew(recording: Recording, machine: Machine, context: Context) -> list[Probl
         return []  # a first-order lag of the drive or the sensor explains it as well: physics, for the diagnosis to name
     if not abs(delay) - Z_TEST * error - context.delay_spread > allowed:
         return []  # the halves of the recording differ by as much: physics that was left out, and no delay
+    if fit.plain_over_none < 1.0 or not fit.inertia.value > Z_TEST * fit.inertia.error:
+        return []  # without a delay the relation is closer, or at the delay the machine has no inertia: narrow excitation
     late = delay > 0
     fix = not late or delay > SKEW_FIX
     name = context.response

@@ -1,0 +1,67 @@
+"""Recordings from files; of a file that is too long to be fitted as a whole, its most informative stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnose.data.stretches import Stretches, choose
+from diagnose.thresholds import LONGEST
+from mjsim.errors import InputError
+from mjsim.readers.stream import row_count, windows
+from mjsim.recording import Recording, file_hash, find_binding, from_table, load
+
+__all__ = ["Loaded", "load_all"]
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Recordings to fit and to hold out, and what was chosen of those that are too long."""
+
+    fitted: tuple[Recording, ...]
+    held_out: tuple[Recording, ...]
+    stretches: tuple[Stretches, ...] = ()
+
+
+def load_all(
+    recordings: Sequence[Path], held_out: Sequence[Path], model: Path, joint: str | None = None, prefer: str | None = None,
+    longest: int = LONGEST,
+) -> Loaded:  # fmt: skip
+    """Load files; those with more than ``longest`` rows are read window by window, and stretches of them are chosen.
+
+    Where nothing else is held out, a third of the stretches is. Raises InputError as `mjsim.recording.load` does.
+    """
+    fitted: list[Recording] = []
+    held: list[Recording] = []
+    chosen: list[Stretches] = []
+    for paths, is_held in ((recordings, False), (held_out, True)):
+        for path in paths:
+            count = row_count(path) if path.is_file() else None
+            if count is None or count <= longest:
+                (held if is_held else fitted).append(load(path, model=model, joint=joint, prefer=prefer))
+                continue
+            part = _stretches(path, model, joint, prefer, is_held if is_held or held_out else None)
+            chosen.append(part)
+            fitted += part.fitted()
+            held += part.held()
+    return Loaded(tuple(fitted), tuple(held), tuple(chosen))
+
+
+def _stretches(path: Path, model: Path, joint: str | None, prefer: str | None, held: bool | None) -> Stretches:
+    binding = find_binding(path, model)
+    errors: list[InputError] = []
+
+    def recordings(rows: int) -> Iterator[tuple[int, Recording | None]]:
+        """The windows of the file as recordings; None for one with a gap or a value that is no number."""
+        for first, table in windows(path, rows):
+            try:
+                yield first, from_table(path, table, binding, joint=joint, prefer=prefer)
+            except InputError as error:
+                errors.append(error)
+                yield first, None
+
+    try:
+        return choose(path.name, file_hash(path), recordings, held_out=held)
+    except InputError as error:
+        raise (errors or [error])[0] from None
