@@ -1,0 +1,5 @@
+"""``python -m lab.mutation``."""
+
+from lab.mutation.cli import main
+
+main()
