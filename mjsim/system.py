@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -21,6 +21,7 @@ SLIDES = 4.0  # times a bristle settles within a step, past which it only slides
 TURNS = 2.0  # times the change of a velocity in a step, below which the velocity may pass zero in it
 MOST_STEPS = 64  # of the accuracy rule in a sample
 
+_Element = P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
 
 
@@ -125,6 +126,62 @@ def _yields(law: Law, p: tuple[float, ...]) -> float:
     return z[RATE] / out[2] if out[2] > 0.0 else math.inf
 
 
+@dataclass
+class _Elements:
+    """Rows of the kernel's elements as they are gathered, and what they add to the stiffness and damping of n bodies."""
+
+    n: int
+    rows: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+    n_states: int = 0
+    spatial: float = 0.0
+    yields: float = 0.0
+
+    def __post_init__(self) -> None:
+        # stiffness and damping seen by each body, for the choice of step; stiffness of bristles at it apart
+        self.stiff, self.damping, self.bristles = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
+        self.friction = np.zeros(self.n, np.bool_)
+
+    def add(self, port: _Element, ratios: np.ndarray) -> None:
+        """Take up a port; ``ratios`` (n,): of the coupling behind each body."""
+        site = port.coupling if isinstance(port, P.Twist | P.CouplingTorque) else port.body
+        state = -1
+        if isinstance(port, P.CouplingTorque | P.BodyTorque) and port.state:
+            state = self.n_states
+            self.n_states += 1
+            self._stiffen(port, site, ratios)
+        elif isinstance(port, P.BodyTorque):
+            self.damping[site] += max(_slope(port.law, port.p, RATE, 1e-6), 0.0)
+        if isinstance(port, P.Twist | P.BodyTorque):
+            self.spatial = max(self.spatial, port.spatial)
+        levels = None
+        if isinstance(port, P.Friction):
+            self.friction[site] = True
+            levels = _levels(port)
+        self.rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(self.values), state))
+        self.values.extend(levels or port.p)
+
+    def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:
+        """Add the stiffness of a law with a state, before it yields, to the bodies that see it."""
+        k = abs(_slope(port.law, port.p, STATE, 1.0))
+        if isinstance(port, P.BodyTorque):
+            self.bristles[site] += k
+            self.yields = max(self.yields, _yields(port.law, port.p))
+        else:
+            self.stiff[site] += k * ratios[site] ** 2
+            self.stiff[site + 1] += k
+
+
+def _numbers_of(chain: Chain) -> np.ndarray:
+    """Inertia, viscous friction, ratio, stiffness and damping of each body and the coupling behind it; the gap (6, n)."""
+    f = np.zeros((6, len(chain.bodies)))
+    for i, body in enumerate(chain.bodies):
+        f[0, i], f[1, i] = body.inertia, body.viscous
+    for j, c in enumerate(chain.couplings):
+        f[2, j], f[3, j], f[4, j] = c.ratio, c.stiffness, c.damping
+    return f
+
+
 def assemble(axis: Axis) -> System:
     """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
     ports = [port for effect in axis.effects for port in effect.ports(axis.chain)]
@@ -132,56 +189,25 @@ def assemble(axis: Axis) -> System:
     for port in ports:
         if isinstance(port, P.SplitInertia):
             chain = split_chain(chain, port)
-    n = len(chain.bodies)
-    f = np.zeros((6, n))
-    for i, body in enumerate(chain.bodies):
-        f[0, i], f[1, i] = body.inertia, body.viscous
-    for j, c in enumerate(chain.couplings):
-        f[2, j], f[3, j], f[4, j] = c.ratio, c.stiffness, c.damping
-    rows: list[tuple[int, int, int, int, int]] = []
-    values: list[float] = []
-    n_states = 0
-    # extra stiffness and damping seen by each body, for the choice of step; stiffness of bristles at it apart
-    stiff, damping, bristles = np.zeros(n), np.zeros(n), np.zeros(n)
-    spatial = yields = 0.0
-    friction = np.zeros(n, np.bool_)
-    for port in sorted((p for p in ports if type(p) in _KIND), key=lambda p: _KIND[type(p)]):
-        assert isinstance(port, P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction)
-        site = port.coupling if isinstance(port, P.Twist | P.CouplingTorque) else port.body
-        state = -1
-        if isinstance(port, P.CouplingTorque | P.BodyTorque) and port.state:
-            state = n_states
-            n_states += 1
-            k = abs(_slope(port.law, port.p, STATE, 1.0))  # before it yields
-            if isinstance(port, P.BodyTorque):
-                bristles[site] += k
-                yields = max(yields, _yields(port.law, port.p))
-            else:
-                stiff[site] += k * f[2, site] ** 2
-                stiff[site + 1] += k
-        elif isinstance(port, P.BodyTorque):
-            damping[site] += max(_slope(port.law, port.p, RATE, 1e-6), 0.0)
-        if isinstance(port, P.Twist | P.BodyTorque):
-            spatial = max(spatial, port.spatial)
-        if isinstance(port, P.Friction):
-            friction[site] = True
-        levels = _levels(port) if isinstance(port, P.Friction) else None
-        rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(values), state))
-        values.extend(levels or port.p)
+    f = _numbers_of(chain)
+    elements = _Elements(len(chain.bodies))
+    for element in sorted((p for p in ports if isinstance(p, _Element)), key=lambda p: _KIND[type(p)]):
+        elements.add(element, f[2])
     for port in ports:
         if isinstance(port, P.Gap):
             f[5, port.coupling] += 0.5 * port.width
     gain, servo = _drive(chain, ports)
+    stiff, damping = elements.stiff, elements.damping
     stiff[0] += servo[0]
     damping[0] += servo[1]
     return System(
         chain=chain,
         f=f,
         gap_law=axis.backlash_law.value,
-        elements=np.array(rows, np.int64).reshape(-1, 5),
-        parameters=np.array(values or [0.0]),
-        has_friction=friction,
-        n_states=n_states,
+        elements=np.array(elements.rows, np.int64).reshape(-1, 5),
+        parameters=np.array(elements.values or [0.0]),
+        has_friction=elements.friction,
+        n_states=elements.n_states,
         slew=min((p.limit for p in ports if isinstance(p, P.CommandSlew)), default=math.inf),
         input_maps=tuple(p for p in ports if isinstance(p, P.InputMap)),
         input_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.InputLag))),
@@ -189,10 +215,10 @@ def assemble(axis: Axis) -> System:
         output_maps=tuple(p for p in ports if isinstance(p, P.OutputMap)),
         output_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.OutputLag))),
         output_delay=float(sum(p.delay for p in ports if isinstance(p, P.OutputDelay))),
-        omega=_fastest(f, stiff + bristles, damping),
+        omega=_fastest(f, stiff + elements.bristles, damping),
         sliding=_fastest(f, stiff, damping),
-        yields=yields,
-        spatial=spatial,
+        yields=elements.yields,
+        spatial=elements.spatial,
         affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all(),
         gain=gain,
         servo=servo,

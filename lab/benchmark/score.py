@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass
 from itertools import permutations
 from typing import Any
 
-from lab.benchmark.cases import SPREAD
 from lab.benchmark.catalogue import EQUIVALENT
 from lab.benchmark.laws import Laws
+from lab.benchmark.sized import SPREAD
 
 __all__ = ["NULLS", "CaseScore", "Outcome", "ParameterScore", "alternatives", "score_case"]
 

@@ -31,13 +31,23 @@ ROOT = Path(__file__).resolve().parents[2]
 @click.command()
 @click.argument("names", nargs=-1, required=True, metavar="MODULE[:FUNCTION]...")
 @click.option("--tests", multiple=True, help="Files or names of tests; else the files that import a module.")
-@click.option("--most", default=8.0, show_default=True, help="CPU time of a test, and of those of one mutant, quickest first [s].")
+@click.option(
+    "--most", default=8.0, show_default=True, help="CPU time of a test, and of those of one mutant, quickest first [s]."
+)
+@click.option("--least-cpu", default=10.0, show_default=True, help="CPU time that a mutant may take beyond its tests' own [s].")
 @click.option("--limit", default=3600.0, show_default=True, help="Stop after so many seconds.")
 @click.option("--sample", type=int, help="Draw so many of all mutants, by the seed.")
 @click.option("--seed", default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="File to write answers to, and to go on from.")
 def main(
-    names: Sequence[str], tests: Sequence[str], most: float, limit: float, sample: int | None, seed: int, out: Path | None
+    names: Sequence[str],
+    tests: Sequence[str],
+    most: float,
+    least_cpu: float,
+    limit: float,
+    sample: int | None,
+    seed: int,
+    out: Path | None,
 ) -> None:
     """Print the mutants of the functions that survive, and the share that was killed, by module."""
     functions = [pair for name in names for pair in _functions(name)]
@@ -57,7 +67,7 @@ def main(
             continue
         if time.monotonic() - start > limit:
             break
-        outcomes.append(judge(mutant, found, most))
+        outcomes.append(judge(mutant, found, most, least_cpu))
         if not outcomes[-1].killed:
             click.echo(f"{outcomes[-1].how}: {mutant.module}:{mutant.line} {mutant.function}: {mutant.change}")
         if out is not None:

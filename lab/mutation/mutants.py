@@ -170,7 +170,11 @@ def _of_arithmetic(node: Any) -> list[ast.AST]:
     new = _ARITHMETIC.get(type(node.op))
     if new is None:
         return []
-    return [ast.AugAssign(node.target, new(), node.value) if isinstance(node, ast.AugAssign) else ast.BinOp(node.left, new(), node.right)]
+    return [
+        ast.AugAssign(node.target, new(), node.value)
+        if isinstance(node, ast.AugAssign)
+        else ast.BinOp(node.left, new(), node.right)
+    ]
 
 
 def _of_constant(node: Any) -> list[ast.AST]:

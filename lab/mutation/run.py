@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import os
 import re
 import resource
@@ -25,7 +26,7 @@ from mjsim.errors import InputError
 
 __all__ = ["Outcome", "Tests", "judge", "tests_of", "tests_that_import"]
 
-LEAST_CPU, CPU_RATIO = 10.0, 3.0  # s, and times the tests' own time: a mutant that takes more has run away
+CPU_RATIO = 3.0  # times the tests' own time, beyond the start: a mutant that takes more has run away
 WALL_RATIO = 20.0  # of the CPU limit: one that waits for ever
 _seen: set[str] = set()
 
@@ -107,7 +108,7 @@ def tests_that_import(modules: Sequence[str], root: Path) -> list[str]:
 
 
 def tests_of(functions: Sequence[tuple[str, str]], files: Sequence[str], most: float) -> Tests:
-    """The tests of the files that take less than ``most`` seconds, and which of the functions (module, qualified name) each calls."""
+    """The tests of the files that take less than ``most`` seconds, and which of the functions (module, name) each calls."""
 
     def work() -> dict[str, Any]:
         for module, name in functions:
@@ -125,8 +126,11 @@ def tests_of(functions: Sequence[tuple[str, str]], files: Sequence[str], most: f
     return Tests(answer["seconds"], answer["calls"])
 
 
-def judge(mutant: Mutant, tests: Tests, most: float) -> Outcome:
-    """Run the tests that call a mutant's function, up to ``most`` seconds of them, until one fails."""
+def judge(mutant: Mutant, tests: Tests, most: float, least_cpu: float) -> Outcome:
+    """Run the tests that call a mutant's function, up to ``most`` seconds of them, until one fails.
+
+    least_cpu: CPU time [s] beyond the tests' own that a process may take to start and to end.
+    """
     chosen = tests.of(f"{mutant.module}:{mutant.function}", most)
     if not chosen:
         return Outcome(mutant, "not called")
@@ -136,7 +140,7 @@ def judge(mutant: Mutant, tests: Tests, most: float) -> Outcome:
         return {"code": int(_pytest(["-x", *chosen], []))}
 
     start = time.perf_counter()
-    limit = LEAST_CPU + CPU_RATIO * sum(tests.seconds[t] for t in chosen)
+    limit = least_cpu + CPU_RATIO * sum(tests.seconds[t] for t in chosen)
     ended, answer = _forked(work, limit)
     how = "ran away" if not ended else "failed" if answer is None or answer["code"] != 0 else "survived"
     return Outcome(mutant, how, time.perf_counter() - start)
@@ -176,7 +180,7 @@ def _forked(work: Callable[[], dict[str, Any]], limit: float) -> tuple[bool, dic
 def _child(work: Callable[[], dict[str, Any]], writing: int, limit: float) -> None:
     """Work in silence and leave, without what an interpreter does at its end."""
     try:
-        resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 2))
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit), math.ceil(limit) + 1))
         null = os.open(os.devnull, os.O_RDWR)
         for number in (0, 1, 2):
             os.dup2(null, number)

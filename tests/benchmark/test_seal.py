@@ -11,13 +11,15 @@ import pytest
 
 import lab.benchmark
 import lab.benchmark.cases
-from lab.benchmark.cases import LEVELS, SIZE, make_case
+import lab.benchmark.sized
+from lab.benchmark.cases import LEVELS, make_case
 from lab.benchmark.experiment import Experiment, draw_experiment
 from lab.benchmark.laws import Laws
 from lab.benchmark.measurement import Measurement
 from lab.benchmark.plant import record
 from lab.benchmark.refit import LINEAR, refit, rms
 from lab.benchmark.seal import envelope_hash, open_envelope, write_cases
+from lab.benchmark.sized import SIZE
 from mjsim.errors import InputError
 
 
@@ -135,7 +137,8 @@ def test_a_recording_that_friction_holds_is_recorded_again(monkeypatch: pytest.M
         draws.append(kind)
         return draw_experiment(kind, rng, amplitude * (1e-3 if len(draws) == weak else 1.0))
 
-    monkeypatch.setattr(lab.benchmark.cases, "draw_experiment", weak_once)
+    for module in (lab.benchmark.cases, lab.benchmark.sized):
+        monkeypatch.setattr(module, "draw_experiment", weak_once)
     case = make_case("nothing", np.random.default_rng([3, 1]))
     assert len(draws) == 3
     noise = case.truth["measurement"]["velocity_noise"]  # type: ignore[index]
