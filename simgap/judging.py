@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -13,25 +14,35 @@ import numpy as np
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged, run_files, run_surrogate, work_of
-from diagnose.verdict.reference_fit import MOST_WORK, refit_in_simulator
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged
+from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator
+from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, starts_of, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
-from mjsim.mjcf import load_axis, write_corrected
+from mjsim.mjcf import load_axis, load_model, write_corrected
 from mjsim.mjcf.adjust import adjust
-from mjsim.mjcf.faithful import AUTHOR, Faithful, has_dry_friction, write_as_author, write_faithful
+from mjsim.mjcf.faithful import (
+    AUTHOR,
+    Faithful,
+    Writer,
+    as_plain,
+    has_dry_friction,
+    write_as_author,
+    write_faithful,
+)
 from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
-from simgap.plain_friction import plainer_friction
+from simgap.plain_friction import plainer_friction, refit_to_noise
 
 __all__ = ["before_search", "write_judged"]
 
 POLISHED = 1.02  # times the error that the engine reports, beyond which the numbers of a file are refitted in MuJoCo
 NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
+BEGINNING = 1 / 8  # of the recordings, after which a form may be given up, and by which forms are ranked
 MOST_FORM = 6e6  # of one run of all recordings (`work_of`), some 4 s: forms that need more are not tried
 SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 
@@ -64,30 +75,70 @@ def write_judged(
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal)))
     found: tuple[Finding, ...] = ()
-    fewer = _without_creep(model, given, result, nominal, cause, out, threads)
-    if fewer is None:
-        fewer = plainer_friction(model, given, result, nominal, out, threads)
+    bench = _Bench(model, given, axis, result, nominal, out, threads)
+    fewer = _without_creep(bench, cause) or plainer_friction(model, given, result, nominal, out, threads)
+    soft = fewer is None and (cause is None or nominal.simulator) and not _explains(bench)
+    if soft:  # no form of it is to be at the noise where the equations are not: the simulator's own friction first
+        fewer = plainer_friction(model, given, result, nominal, out, threads, itself=True)
     if fewer is not None:
         result, form, runs = fewer
     elif cause is not None and not nominal.simulator:
-        form, runs, found = _author_or_mended(model, axis, result, nominal, cause, out, threads)
+        form, runs, found = _author_or_mended(bench, cause)
     else:
-        form = _write(model, axis, nominal, out, threads)
-        runs = _polished(axis, form, result, nominal, out, threads)
+        form, runs = _polished(bench, *_write(bench, out))
     if fewer is None and not found and not at_noise(nominal.cases, runs):
         trial = out.with_name(f".{out.stem}.plain.part.xml")
-        fewer = plainer_friction(model, given, result, nominal, trial, threads, itself=True)
+        if not soft:
+            fewer = plainer_friction(model, given, result, nominal, trial, threads, itself=True)
         if fewer is None:
-            form, runs = _soft_or_not(model, axis, form, nominal, out, runs, threads)
+            form, runs = _soft_or_not(bench, form, runs)
         else:
             trial.replace(out)
             result, form, runs = fewer
         trial.unlink(missing_ok=True)
     files = Files(
         runs, form.lacks, form.form, found, (*(() if found else _told(cause, nominal)), *_refitted(axis, out)),
-        _sensitive(MujocoPlant.load(out), nominal.cases, runs), fewer is not None,
+        not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(out, nominal.cases, runs, threads),
+        fewer is not None,
     )  # fmt: skip
     return by_simulator(result, nominal, files)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bench:
+    """What is judged: the model as given and as found, the diagnosis, the nominal file's runs, where the file goes, threads."""
+
+    model: Path
+    given: Axis
+    axis: Axis
+    result: Diagnosis
+    nominal: Nominal
+    out: Path
+    threads: int
+
+    @cached_property
+    def starts(self) -> list[Start]:
+        """Where runs of the axis start."""
+        return starts_of(self.axis, self.nominal.cases)
+
+    def run(self, path: Path) -> Sequence[Run | None]:
+        """A file on every recording."""
+        return run_files([MujocoPlant.load(path)], self.nominal.cases, self.threads)[0]
+
+    def refit(self, axis: Axis, write: Writer, runs: Sequence[Run | None], goal: float) -> Refit | None:
+        """The numbers of an axis refitted in MuJoCo, from where runs of it start."""
+        cases = self.nominal.cases
+        starts = [case.start() if run is None else run.start for case, run in zip(cases, runs, strict=True)]
+        return refit_in_simulator(axis, write, self.out.name, cases, starts, self.threads, goal)
+
+
+def _explains(bench: _Bench) -> bool:
+    """Whether the equations leave noise alone, run as freely as MuJoCo runs a file."""
+    nominal = bench.nominal
+    if nominal.simulator:  # then the search compared with the simulator's difference taken out
+        return True
+    runs = [run_surrogate(bench.axis, c, s, locked=False) for c, s in zip(nominal.cases, bench.starts, strict=True)]
+    return at_noise(nominal.cases, runs)
 
 
 def _told(cause: numerics.Cause | None, nominal: Nominal) -> tuple[str, ...]:
@@ -112,122 +163,136 @@ def _misses(result: Diagnosis, cases: Sequence[Case], runs: Sequence[Run | None]
     return any(not a <= times * b for a, b in ((own.rms, engine.rms), (own.held_out_rms, engine.held_out_rms)) if b == b)
 
 
-def _polished(axis: Axis, form: Faithful, result: Diagnosis, nominal: Nominal, out: Path, threads: int) -> Sequence[Run | None]:
-    """Runs of the file; its numbers are refitted in MuJoCo where it misses the engine's error: a free run asks more of them."""
-    runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads, _starts(nominal))[0]
+def _polished(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> tuple[Faithful, Sequence[Run | None]]:
+    """The form that was written and its runs; refitted in MuJoCo where it misses the engine's error: a free run asks more."""
+    nominal, result = bench.nominal, bench.result
     if form.lacks or not _misses(result, nominal.cases, runs, POLISHED):  # numbers would stand in for what the file lacks
-        return runs
-    starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
-    better = refit_in_simulator(axis, form.write, out.name, nominal.cases, starts, threads)
-    if better is None or not better.chi2 < chi_square(nominal.cases, runs)[0]:
-        return runs
-    form.write(better.axis, out)
-    return run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
+        return form, runs
+    before, _ = chi_square(nominal.cases, runs)
+    better = bench.refit(bench.axis, form.write, runs, before)
+    if better is None or not better.chi2 < before:
+        return form, runs
+    form.write(better.axis, bench.out)
+    return form, bench.run(bench.out)
 
 
-def _starts(nominal: Nominal) -> list[Start]:
-    return [case.start() if run is None else run.start for case, run in zip(nominal.cases, nominal.runs, strict=True)]
-
-
-def _write(model: Path, axis: Axis, nominal: Nominal, out: Path, threads: int) -> Faithful:
-    """The form of the file that is nearest to what the search had in mind."""
-    starts = _starts(nominal)
-    locked = nominal.simulator  # then the shifts are those of runs that follow the recorded angle
-    wanted = [run_surrogate(axis, case, start, locked=locked) for case, start in zip(nominal.cases, starts, strict=True)]
-    shifts = list(nominal.shifts) or [np.zeros(1)] * len(wanted)
-
-    def differs(path: Path) -> float:
-        plant = MujocoPlant.load(path)
-        if work_of(plant, nominal.cases) > MOST_FORM:
-            return math.inf
-        runs = run_files([plant], nominal.cases, threads, starts)[0]
-        most = 0.0
-        for case, run, ideal, shift in zip(nominal.cases, runs, wanted, shifts, strict=True):
-            if run is None or ideal is None:
-                return math.inf
-            most = max(most, float(np.sqrt(np.mean((judged(case, run) - judged(case, ideal) + shift) ** 2))) / case.sigma)
-        return most
-
+def _write(bench: _Bench, out: Path) -> tuple[Faithful, Sequence[Run | None]]:
+    """The form of the file that is nearest to what the search had in mind, and its runs."""
+    nominal, axis, starts = bench.nominal, bench.axis, bench.starts
+    cases, targets, done = nominal.cases, list[np.ndarray](), dict[bytes, Sequence[Run | None]]()
     tolerance = max([0.0, *(e.tolerance for e in axis.effects)])
-    size = max(float(np.sqrt(np.mean(c.measured**2))) / c.sigma for c in nominal.cases)
-    return write_faithful(model, axis, out, differs, max(APART, tolerance * size))
+    size = max(float(np.sqrt(np.mean(c.measured**2))) / c.sigma for c in cases)
+    allowed = max(APART, tolerance * size)
+
+    def differs(path: Path) -> tuple[float, bool]:
+        if not targets:  # no form has what MJCF lacks
+            carried = load_model(path, bound={}).carried
+            targets.extend(_targets(bench, as_plain(axis, {key for key, _ in carried.lacks} if carried else ())))
+        plant = MujocoPlant.load(path)
+        if work_of(plant, cases) > MOST_FORM:
+            return math.inf, False
+        useless = too_far(cases, targets, allowed)
+        begun = [math.ceil(BEGINNING * len(t)) for t in targets]
+        runs, whole = run_watched(plant, cases, starts, bench.threads, lambda so_far: useless(so_far) and _beyond(so_far, begun))
+        if not _beyond(runs, begun):  # it diverged
+            return math.inf, False
+        if whole and not useless(runs):
+            done[path.read_bytes()] = runs
+            return _apart(cases, runs, targets, [len(t) for t in targets]), True
+        return _apart(cases, runs, targets, begun), False
+
+    form = write_faithful(bench.model, axis, out, differs)
+    runs = done.get(out.read_bytes())
+    return form, bench.run(out) if runs is None else runs
 
 
-def _without_creep(
-    model: Path, given: Axis, result: Diagnosis, nominal: Nominal, cause: numerics.Cause | None, out: Path, threads: int
-) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
+def _targets(bench: _Bench, axis: Axis) -> list[np.ndarray]:
+    """What a file is to do (N,) on each recording: the equations, and the difference of the engines that the search left out."""
+    nominal, out = bench.nominal, []
+    for i, (case, start) in enumerate(zip(nominal.cases, bench.starts, strict=True)):
+        run = run_surrogate(axis, case, start, locked=nominal.simulator)  # then the shifts are of runs along the recorded angle
+        if run is None:
+            out.append(np.full(len(case.measured), np.inf))
+        else:
+            out.append(judged(case, run) - (nominal.shifts[i] if nominal.shifts else 0.0))
+    return out
+
+
+def _beyond(runs: Sequence[Run], ends: Sequence[int]) -> bool:
+    return all(len(r.angle) >= end for r, end in zip(runs, ends, strict=True))
+
+
+def _apart(cases: Sequence[Case], runs: Sequence[Run], targets: Sequence[np.ndarray], ends: Sequence[int]) -> float:
+    """Largest rms difference of runs from their targets over the noise, up to a sample of each recording."""
+    rms = (np.sqrt(np.mean((judged(c, r)[:n] - t[:n]) ** 2)) for c, r, t, n in zip(cases, runs, targets, ends, strict=True))
+    return max(float(x) / c.sigma for x, c in zip(rms, cases, strict=True))
+
+
+def _without_creep(bench: _Bench, cause: numerics.Cause | None) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
     """The diagnosis without laws of friction that were found beside the file's own, where MuJoCo's soft friction does as well.
 
     A search by the equations takes the creep of the simulator's friction for presliding. None where it is not at the noise.
     """
+    result, nominal, out = bench.result, bench.nominal, bench.out
     friction = [f for f in result.findings if f.kind == "physics" and effect_class(f.law).family == "friction"]
     if cause is None or cause.setting.id != "soft_friction" or nominal.simulator or not friction:
         return None
     others = [f for f in result.findings if f not in friction]
     values = {k: v.value for k, v in result.linear_parameters.items()}
-    axis = given.with_values(values).with_effects(
+    axis = bench.given.with_values(values).with_effects(
         [effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()}) for f in others]
     )
+    write = partial(write_as_author, bench.model)
     try:
-        lacks = write_as_author(model, axis, out)
+        refitted = refit_to_noise(axis, write, nominal.cases, out, bench.threads)
     except InputError:
         return None
-    runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
-    starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
-    write = partial(write_as_author, model)
-    better = refit_in_simulator(axis, write, out.name, nominal.cases, starts, threads)
-    if better is None:
+    if refitted is None:
         return None
-    write(better.axis, out)
-    runs = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
-    if not at_noise(nominal.cases, runs):
-        return None
+    _, lacks, runs = refitted
     return dataclasses.replace(result, findings=tuple(others)), Faithful(AUTHOR, math.nan, lacks, write), runs
 
 
-def _soft_or_not(
-    model: Path, axis: Axis, form: Faithful, nominal: Nominal, out: Path, runs: Sequence[Run | None], threads: int
-) -> tuple[Faithful, Sequence[Run | None]]:
+def _soft_or_not(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> tuple[Faithful, Sequence[Run | None]]:
     """The file with dry friction as its author's settings (MuJoCo's own where there are none) have it, where that follows better.
 
     A recording of a simulator bears its soft friction, which the equations do not have.
     """
+    axis, cases, out = bench.axis, bench.nominal.cases, bench.out
     if not has_dry_friction(axis) or form.form == AUTHOR:
         return form, runs
     trial = out.with_name(f".{out.stem}.author.part.xml")
+    write = partial(write_as_author, bench.model)
+    goal = chi_square(cases, runs)[0] / MISSES**2
     try:
-        lacks = write_as_author(model, axis, trial)
-        given = run_files([MujocoPlant.load(trial)], nominal.cases, threads)[0]
-        starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, given, strict=True)]
-        better = refit_in_simulator(axis, partial(write_as_author, model), out.name, nominal.cases, starts, threads)
-        if better is None or not MISSES**2 * better.chi2 < chi_square(nominal.cases, runs)[0]:
+        better = refit_in_simulator(axis, write, out.name, cases, bench.starts, bench.threads, goal)
+        if better is None or not better.chi2 < goal:
             return form, runs
-        write_as_author(model, better.axis, trial)
-        after = run_files([MujocoPlant.load(trial)], nominal.cases, threads)[0]
-        gain, p = numerics.gain_of(nominal.cases, runs, after)
+        lacks = write(better.axis, trial)
+        after = bench.run(trial)
+        gain, p = numerics.gain_of(cases, runs, after)
         if not (gain > 0 and p < numerics.SURE):
             return form, runs
         trial.replace(out)
-        return Faithful(AUTHOR, math.nan, lacks, partial(write_as_author, model)), after
+        return Faithful(AUTHOR, math.nan, lacks, write), after
     finally:
         trial.unlink(missing_ok=True)
 
 
-def _author_or_mended(
-    model: Path, axis: Axis, result: Diagnosis, nominal: Nominal, cause: numerics.Cause, out: Path, threads: int
-) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:
+def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:
     """The file with its author's settings; mended where only that follows the recordings, and held-out data better for sure."""
-    form = Faithful(AUTHOR, math.nan, write_as_author(model, axis, out), partial(write_as_author, model))
-    runs = _polished(axis, form, result, nominal, out, threads)
+    result, nominal, out, write = bench.result, bench.nominal, bench.out, partial(write_as_author, bench.model)
+    form, runs = Faithful(AUTHOR, math.nan, write(bench.axis, out), write), bench.run(out)
+    form, runs = _polished(bench, form, runs)
     if not _misses(result, nominal.cases, runs, MISSES):
         return form, runs, ()
     trial = out.with_name(f".{out.stem}.mended.part.xml")
     try:
-        other = _write(model, axis, nominal, trial, threads)
+        other, better = _write(bench, trial)
         change = mended(MujocoPlant.load(trial).model, cause.setting.id)
         if change is not None:
             adjust(trial, change[1])
-        better = run_files([MujocoPlant.load(trial)], nominal.cases, threads)[0]
+            better = bench.run(trial)
         gain, p = numerics.gain_of(nominal.cases, runs, better)
         if not (gain > 0 and p < numerics.SURE) or _misses(result, nominal.cases, better, MISSES):
             return form, runs, ()
@@ -240,21 +305,19 @@ def _author_or_mended(
         trial.unlink(missing_ok=True)
 
 
-def _sensitive(plant: MujocoPlant, cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
+def _sensitive(path: Path, cases: Sequence[Case], runs: Sequence[Run | None], threads: int) -> bool:
     """Whether a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away.
 
     Not asked of files that take more than `MOST_WORK`.
     """
+    plant = MujocoPlant.load(path)
     if work_of(plant, cases) > MOST_WORK:
         return False
-    starts = []
+    starts, targets = [], []
     for case, run in zip(cases, runs, strict=True):
         if run is None:
             return False
         angle = NUDGE * case.spread()[0] or SMALLEST * float(np.ptp(run.angle))
         starts.append(dataclasses.replace(run.start, angle=run.start.angle + angle))
-    others = run_files([plant], cases, 1, starts)[0]
-    return any(
-        a is None or b is None or float(np.sqrt(np.mean((judged(c, a) - judged(c, b)) ** 2))) > APART * c.sigma
-        for a, b, c in zip(runs, others, cases, strict=True)
-    )
+        targets.append(judged(case, run))
+    return not run_watched(plant, cases, starts, threads, too_far(cases, targets, APART))[1]

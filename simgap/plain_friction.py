@@ -6,6 +6,7 @@ plain Coulomb friction in MuJoCo, where the equations with ideal friction ask fo
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -14,16 +15,17 @@ from pathlib import Path
 
 from diagnose.result import Diagnosis, Estimate, Finding
 from diagnose.thresholds import TWO_SIDED
-from diagnose.verdict.reference import Run, at_noise, figures, run_files
+from diagnose.verdict.reference import Case, Run, at_noise, figures, noise_level
 from diagnose.verdict.reference_fit import Refit, refit_in_simulator
+from diagnose.verdict.reference_runs import run_files, starts_of
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
 from mjsim.effects import Effect, effect_class
 from mjsim.errors import InputError
-from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
+from mjsim.mjcf.faithful import AUTHOR, Faithful, Writer, write_as_author
 from mjsim.plant import MujocoPlant
 
-__all__ = ["plainer_friction"]
+__all__ = ["plainer_friction", "refit_to_noise"]
 
 
 def plainer_friction(
@@ -40,24 +42,15 @@ def plainer_friction(
     effects = [richer[f.law] or _as_found(f) for f in result.findings]
     write = partial(write_as_author, model)
     fitted = given.with_values({k: v.value for k, v in result.linear_parameters.items()})
-    try:
-        lacks: tuple[str, ...] = ()
-        fits = []
-        for start in (fitted, given):  # the numbers fitted beside a richer law may lead to another minimum
-            axis = start.with_effects(effects)
-            lacks = write(axis, out)
-            runs: Sequence[Run | None] = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
-            starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, runs, strict=True)]
-            fits.append(refit_in_simulator(axis, write, out.name, nominal.cases, starts, threads))
-        better = min((f for f in fits if f is not None), key=lambda f: f.chi2, default=None)
-        if better is None:
-            return None
-        write(better.axis, out)
-    except (InputError, ValueError):
+    refitted = None
+    for start in (fitted, given):  # the numbers fitted beside a richer law may lead to another minimum
+        with contextlib.suppress(InputError, ValueError):
+            refitted = refit_to_noise(start.with_effects(effects), write, nominal.cases, out, threads)
+        if refitted is not None:
+            break
+    if refitted is None:
         return None
-    runs = run_files([MujocoPlant.load(out)], nominal.cases, threads)[0]
-    if not at_noise(nominal.cases, runs):
-        return None
+    better, lacks, runs = refitted
     held = figures(nominal.cases, runs).held_out_rms
     found = tuple(
         f if richer[f.law] is None else _finding(f, better, richer[f.law], given, held) for f in result.findings
@@ -70,6 +63,23 @@ def plainer_friction(
         )
         result = dataclasses.replace(result, notes=(note, *result.notes))
     return dataclasses.replace(result, findings=found), Faithful(AUTHOR, math.nan, lacks, write), runs
+
+
+def refit_to_noise(
+    axis: Axis, write: Writer, cases: Sequence[Case], out: Path, threads: int
+) -> tuple[Refit, tuple[str, ...], Sequence[Run | None]] | None:
+    """An axis refitted in MuJoCo, written to ``out``: the refit, what plain MuJoCo lacks, the runs.
+
+    None where it does not come to the noise on both kinds of data, as soon as that is clear. Raises InputError where it cannot
+    be written.
+    """
+    goal = noise_level(sum(int(c.estimation.sum()) for c in cases))
+    better = refit_in_simulator(axis, write, out.name, cases, starts_of(axis, cases), threads, goal)
+    if better is None:
+        return None
+    lacks = write(better.axis, out)
+    runs = run_files([MujocoPlant.load(out)], cases, threads)[0]
+    return (better, lacks, runs) if at_noise(cases, runs) else None
 
 
 def _as_found(f: Finding) -> Effect:

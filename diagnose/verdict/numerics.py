@@ -12,7 +12,8 @@ import numpy as np
 from diagnose.evidence.held_out import compare
 from diagnose.fit.fitted import HeldOut
 from diagnose.result import Finding
-from diagnose.verdict.reference import Case, Run, error, figures, run_files
+from diagnose.verdict.reference import Case, Run, error, figures, judged
+from diagnose.verdict.reference_runs import run_watched, too_far
 from diagnose.verdict.reference_stage import APART, Nominal, apart
 from mjsim.plant.settings import SETTINGS, Setting, mended
 
@@ -20,6 +21,7 @@ __all__ = ["IDS", "Cause", "cause_of", "finding", "gain_of", "note"]
 
 IDS = tuple(s.id for s in SETTINGS)
 REMOVED = 1 / 3  # of a difference that is left at most, for a setting to be its cause: most of its power, eight parts of nine
+PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of the recordings, of which the first that shows a difference is enough
 BLOCKS = 25  # of the held-out samples of a recording, for the paired test
 SURE = 0.01  # p-value of the gain on held-out data, times the settings that were tried
 
@@ -35,21 +37,39 @@ class Cause:
 
 
 def cause_of(nominal: Nominal, threads: int) -> Cause | None:
-    """The first setting whose mending removes the difference from the equations; None where none does."""
+    """The first setting whose mending removes the difference from the equations; None where none does.
+
+    It is tried on the first part of the recordings that shows the difference: mended files take up to forty times the steps.
+    """
     if nominal.apart <= APART:
         return None
-    starts = [case.start() if run is None else run.start for case, run in zip(nominal.cases, nominal.runs, strict=True)]
+    for part in PARTS:
+        cases = [c.first(math.ceil(part * len(c.measured))) for c in nominal.cases]
+        runs, engine = ([_first(r, c) for r, c in zip(rs, cases, strict=True)] for rs in (nominal.runs, nominal.engine))
+        shown = apart(cases, runs, engine)
+        if min(nominal.apart, APART / REMOVED) <= shown < math.inf or part == PARTS[-1]:
+            break
+    starts = [case.start() if run is None else run.start for case, run in zip(cases, runs, strict=True)]
+    limit = max(APART, REMOVED * shown if math.isfinite(shown) else APART)
+    targets = [judged(c, r) for c, r in zip(cases, engine, strict=True) if r is not None]
+    if len(targets) < len(cases):
+        return None
     for setting in SETTINGS:
         found = mended(nominal.plant.model, setting.id)
         if found is None:
             continue
         model, edits = found
-        runs = run_files([dataclasses.replace(nominal.plant, model=model)], nominal.cases, threads, starts)[0]
-        left = apart(nominal.cases, runs, nominal.engine)
-        if left <= max(APART, REMOVED * nominal.apart if math.isfinite(nominal.apart) else APART):
+        plant = dataclasses.replace(nominal.plant, model=model)
+        after, whole = run_watched(plant, cases, starts, threads, too_far(cases, targets, limit))
+        if whole:
             element = next((name for kind, name, _, _ in edits if kind != "option"), nominal.plant.channels.joint)
-            return Cause(setting, element, nominal.apart, left)
+            return Cause(setting, element, nominal.apart, apart(cases, after, engine))
     return None
+
+
+def _first(run: Run | None, case: Case) -> Run | None:
+    n = len(case.measured)
+    return None if run is None else Run(run.velocity[:n], run.angle[:n], run.start)
 
 
 def held_out_of(cases: Sequence[Case], runs: Sequence[Run | None]) -> HeldOut | None:

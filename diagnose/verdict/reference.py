@@ -7,42 +7,34 @@ of the measured angle where a servo follows a command.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare, without_derived_velocity
 from diagnose.data.noise import white_noise_level
 from diagnose.result import FitFigures
-from mjsim.axis import Axis
-from mjsim.ode import DivergedError, simulate
-from mjsim.plant import Hold, MujocoPlant, Start
+from mjsim.plant import Hold, Start
 from mjsim.recording import Recording
 
 __all__ = [
     "Case",
     "Run",
     "at_noise",
+    "beyond",
     "cases_of",
     "chi_square",
     "error",
     "figures",
     "judged",
-    "run_file",
-    "run_files",
-    "run_surrogate",
-    "work_of",
+    "noise_level",
 ]
 
 KNOWN = 0.05  # relative error of a noise variance that is taken from the fastest part of a signal
 CLEAR = 3.0  # standard deviations of a mean square of white noise, which are sqrt(2 / n)
 FIRST = 0.005  # [s] over which the speed at the first sample is a straight line, at least two samples
-FELT = 0.05  # of the noise, rms: least response to a start one standard deviation off, for the start to be refined
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +70,14 @@ class Case:
         angle = 0.0 if q is None else max(white_noise_level(q), plain_step(q) / math.sqrt(12.0))
         return angle, self.sigma if self.moving and not self.servo else 0.0
 
+    def first(self, n: int) -> Case:
+        """The first n samples."""
+        if n >= len(self.measured):
+            return self
+        cut = (a[:n] for a in (self.measured, self.estimation, self.held_out))
+        measured, estimation, held_out = cut
+        return Case(self.recording.slice(0, n), measured, self.sigma, self.moving, estimation, held_out)
+
     @property
     def servo(self) -> bool:
         """Whether the input is the command of a servo."""
@@ -93,7 +93,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A free run of one case: velocity and angle (N,), and where it started."""
+    """A free run of one case, or the first n of its samples: velocity and angle (n,), and where it started."""
 
     velocity: np.ndarray
     angle: np.ndarray
@@ -117,11 +117,6 @@ def cases_of(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> 
     return tuple(out)
 
 
-def _run(y: np.ndarray, start: Start) -> Run:
-    """Of the outputs (N, 2) of a plant: velocity and angle."""
-    return Run(y[:, 0], y[:, 1], start)
-
-
 def judged(case: Case, run: Run) -> np.ndarray:
     """What of a run (N,) is compared with what was measured."""
     if case.servo:
@@ -129,90 +124,10 @@ def judged(case: Case, run: Run) -> np.ndarray:
     return run.velocity if case.recording.velocity is not None else np.gradient(run.angle, case.recording.dt)
 
 
-def work_of(plant: MujocoPlant, cases: Sequence[Case]) -> float:
-    """What it takes to run a file once on every recording: steps times stages of the integrator times degrees of freedom."""
-    model = plant.model
-    stages = 4 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 1
-    return sum(len(c.recording) * c.recording.dt for c in cases) / float(model.opt.timestep) * stages * int(model.nv)
-
-
-def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run | None:
-    """A free run of a file on a recording, from a given start or from that which suits both; None where it diverges."""
-    r = case.recording
-    u, hold = case.drive()
-    if start is not None:
-        try:
-            y = plant.run(u, r.dt, start=start, hold=hold)
-            return Run(y[:, 0], y[:, 1], start)
-        except DivergedError:
-            return None
-    start = case.start()
-    shifts = [s for s in zip(("angle", "velocity"), case.spread(), strict=True) if s[1] > 0]
-    starts = [start, *(dataclasses.replace(start, **{n: getattr(start, n) + s}) for n, s in shifts)]
-    try:
-        outputs = plant.run_many([u] * len(starts), r.dt, starts, hold=hold)
-    except DivergedError:
-        return None
-    y = outputs[0]
-    first = judged(case, _run(y, start))
-    responses = np.column_stack([judged(case, _run(x, start)) - first for x in outputs[1:]]) if shifts else np.zeros((len(r), 0))
-    counts = case.estimation | case.held_out
-    felt = np.sqrt(np.mean(responses[counts] ** 2, axis=0)) > FELT * case.sigma
-    if felt.any():
-        chosen = [s for s, f in zip(shifts, felt, strict=True) if f]
-        other = _refined(plant, case, start, first, responses[:, felt], chosen)
-        if other is not None:
-            return other
-    return Run(y[:, 0], y[:, 1], start)
-
-
-def _refined(
-    plant: MujocoPlant, case: Case, start: Start, first: np.ndarray, responses: np.ndarray, shifts: list[tuple[str, float]]
-) -> Run | None:
-    """The run from the start that suits best, each number of it within its standard deviation; None where it is no better."""
-    counts = case.estimation | case.held_out
-    x, e = responses[counts] / case.sigma, (case.measured - first)[counts] / case.sigma
-    shift = np.linalg.solve(x.T @ x + np.eye(x.shape[1]), x.T @ e)
-    moved = dataclasses.replace(start, **{n: getattr(start, n) + s * float(g) for (n, s), g in zip(shifts, shift, strict=True)})
-    try:
-        u, hold = case.drive()
-        y = plant.run(u, case.recording.dt, start=moved, hold=hold)
-    except DivergedError:
-        return None
-    after = (case.measured - judged(case, _run(y, start)))[counts] / case.sigma
-    return Run(y[:, 0], y[:, 1], moved) if after @ after + shift @ shift < e @ e else None
-
-
-def run_files(
-    plants: Sequence[MujocoPlant], cases: Sequence[Case], threads: int, starts: Sequence[Start] | None = None
-) -> list[list[Run | None]]:
-    """``out[p][c]``: every file on every recording, side by side; ``starts``: of each recording, where they are known."""
-    known: Sequence[Start | None] = starts or [None] * len(cases)
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        done = list(pool.map(lambda job: run_file(*job), [(p, c, s) for p in plants for c, s in zip(cases, known, strict=True)]))
-    width = len(cases)
-    return [done[i * width : (i + 1) * width] for i in range(len(plants))]
-
-
-def run_surrogate(axis: Axis, case: Case, start: Start, *, locked: bool = True) -> Run | None:
-    """The fitting engine's run on a recording; None where it diverges.
-
-    ``locked``: position-locked laws follow the recorded angle, as in a fit; else the run's own, as in MuJoCo.
-    """
-    r, chain = case.recording, axis.chain
-    ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
-    initial = np.array([start.angle * ratios, start.velocity * ratios])
-    try:
-        angle = r.angle if locked and not case.servo else None
-        y = simulate(axis, r.input, r.dt, initial=initial, angle=angle, before=start.input, hold=r.hold)
-    except (DivergedError, ValueError):
-        return None
-    return Run(np.array(y.velocity), np.array(y.angle), start)
-
-
 def error(case: Case, run: Run) -> np.ndarray:
-    """Measured less predicted signal (N,)."""
-    return np.asarray(case.measured - judged(case, run))
+    """Measured less predicted signal, for the samples (n,) that the run has: a part of a run has the first ones."""
+    y = judged(case, run)
+    return np.asarray(case.measured[: len(y)] - y)
 
 
 def chi_square(cases: Sequence[Case], runs: Sequence[Run | None], part: str = "estimation") -> tuple[float, int]:
@@ -220,19 +135,32 @@ def chi_square(cases: Sequence[Case], runs: Sequence[Run | None], part: str = "e
     total, n = 0.0, 0
     for case, run in zip(cases, runs, strict=True):
         keep = getattr(case, part)
+        if run is not None:
+            e = error(case, run)
+            keep = keep[: len(e)]
+            total += float(np.sum((e[keep] / case.sigma) ** 2))
+        elif keep.any():
+            total = math.inf
         n += int(keep.sum())
-        if keep.any():
-            total += math.inf if run is None else float(np.sum((error(case, run)[keep] / case.sigma) ** 2))
     return total, n
+
+
+def noise_level(n: int) -> float:
+    """Largest chi-square of n samples of noise, as far as its variance is known."""
+    return n * (1.0 + KNOWN) + CLEAR * math.sqrt(2.0 * n)
 
 
 def at_noise(cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
     """Whether the mean squared error of both kinds of data is that of the noise, as far as this is known."""
-    for part in ("estimation", "held_out"):
-        chi2, n = chi_square(cases, runs, part)
-        if n and not chi2 / n <= 1.0 + KNOWN + CLEAR * math.sqrt(2.0 / n):
-            return False
-    return True
+    sums = [chi_square(cases, runs, part) for part in ("estimation", "held_out")]
+    return all(chi2 <= noise_level(n) for chi2, n in sums)
+
+
+def beyond(cases: Sequence[Case], runs: Sequence[Run | None], goal: float, part: str = "estimation") -> bool:
+    """Whether chi-square is to exceed ``goal`` even where the samples that runs do not have yet leave noise alone."""
+    chi2, n = chi_square(cases, runs, part)
+    rest = sum(int(getattr(c, part).sum()) for c in cases) - n
+    return chi2 + (1.0 - KNOWN) * rest - CLEAR * math.sqrt(2.0 * rest) > goal
 
 
 def figures(cases: Sequence[Case], runs: Sequence[Run | None]) -> FitFigures:

@@ -2,6 +2,7 @@
 
 Gauss-Newton with Levenberg's damping on the estimation data. In the simulator the residual is MuJoCo's and the Jacobian the
 engine's, at the same numbers: they differ by numerics, which bend the response little, and a run of the engine costs a hundredth.
+The horizon grows: the first parts of the recordings are fitted first, and where these alone miss the goal, no more is run.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.verdict.reference import Case, Run, chi_square, error, run_files, run_surrogate, work_of
+from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
+from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, work_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
@@ -28,14 +30,16 @@ DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in tur
 LARGEST = 0.3  # relative change of a number in a step
 MOST_WORK = 1e6  # of one run of all recordings (`work_of`), some .5 s: files that need more are not refitted
 MOST_SLOPES = 1e5  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
-ENOUGH = 1.0  # fall of chi-square below which a step is the last: one number is known to one standard error anyway
+ENOUGH = 1.0  # fall of chi-square, over chi-square per sample, below which a step is the last: that of a standard error
+HORIZONS = (1 / 16, 1 / 4, 1.0)  # of each recording, in turn
 
 Runs = Sequence[Run | None]
+Runner = Callable[[Axis, float], Runs | None]  # of an axis; may stop short of the end where chi-square exceeds the number
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Numbers by name, the axis that has them, its runs and their chi-square on the estimation data.
+    """Numbers by name, the axis that has them, its runs on the recordings and their chi-square on the estimation data.
 
     errors: relative standard errors by name, from the last Jacobian; empty where none was needed.
     """
@@ -62,64 +66,62 @@ def _residual(cases: Sequence[Case], runs: Runs | None) -> np.ndarray | None:
     return np.concatenate([error(c, r)[c.estimation] / c.sigma for c, r in zip(cases, runs, strict=True) if r is not None])
 
 
-def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Callable[[Axis], Runs | None]) -> np.ndarray | None:
+def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Runner) -> np.ndarray | None:
     """Slope of a prediction per relative change of each number (n, p); None where it diverges."""
-    at = _residual(cases, run(axis))
+    at = _residual(cases, run(axis, math.inf))
     if at is None:
         return None
     now = _free(axis)
     columns = []
     for name in names:
-        moved = _residual(cases, run(axis.with_values({name: now[name] * (1.0 + STEP)})))
+        moved = _residual(cases, run(axis.with_values({name: now[name] * (1.0 + STEP)}), math.inf))
         columns.append(np.zeros(len(at)) if moved is None else (at - moved) / STEP)
     return np.column_stack(columns)
 
 
 def _refit(
-    axis: Axis,
-    cases: Sequence[Case],
-    run: Callable[[Axis], Runs | None],
-    engine: Callable[[Axis], Runs],
-    *,
-    own_slopes: bool = False,
+    axis: Axis, cases: Sequence[Case], run: Runner, engine: Runner, *, own_slopes: bool = False, metric: np.ndarray | None = None
 ) -> Refit | None:
     """Least squares from the numbers of an axis; None where its run diverges or cannot be had.
 
     The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself.
+    metric (p,): least diagonal of the normal equations that damps a step: what a part of the data does not show, stays.
     """
-    names, runs = list(_free(axis)), run(axis)
+    names, runs = list(_free(axis)), run(axis, math.inf)
     e = _residual(cases, runs)
     if e is None or runs is None:
         return None
-    best = Refit(_free(axis), axis, runs, chi_square(cases, runs)[0])
-    slopes: list[Callable[[Axis], Runs | None]] = [engine, run] if own_slopes else [engine]
+    best = Refit(_free(axis), axis, runs, float(e @ e))
+    slopes: list[Runner] = [engine, run] if own_slopes else [engine]
     errors: dict[str, float] = {}
     for _ in range(ROUNDS):
         J = _jacobian(best.axis, names, cases, slopes[0])
         if J is None:
             break
-        errors = _errors(names, J.T @ J)
-        better = _step(best, e, J, cases, run)
+        gram = J.T @ J
+        errors = _errors(names, gram)
+        scale = np.diag(gram) if metric is None else np.maximum(np.diag(gram), metric)
+        better = _step(best, gram, J.T @ e, scale, cases, run)
         gained = 0.0 if better is None else best.chi2 - better.chi2
         if better is not None:
             best, e = better, _residual(cases, better.runs)
             assert e is not None
-        if gained < ENOUGH:
+        if gained < ENOUGH * max(1.0, best.chi2 / len(e)):
             if len(slopes) == 1:
                 break
             slopes = slopes[1:]
     return replace(best, errors=errors)
 
 
-def _step(best: Refit, e: np.ndarray, J: np.ndarray, cases: Sequence[Case], run: Callable[[Axis], Runs | None]) -> Refit | None:
+def _step(
+    best: Refit, gram: np.ndarray, slope: np.ndarray, scale: np.ndarray, cases: Sequence[Case], run: Runner
+) -> Refit | None:
     """The first step that lowers the cost, of a few ever more damped ones; None where none does."""
     for damping in DAMPINGS:
-        gram = J.T @ J
-        gram[np.diag_indices(len(gram))] += damping * np.diag(gram) + 1e-12
-        step = np.clip(np.linalg.solve(gram, J.T @ e), -LARGEST, LARGEST)
+        step = np.clip(np.linalg.solve(gram + np.diag(damping * scale + 1e-12), slope), -LARGEST, LARGEST)
         values = {n: v * (1.0 + float(s)) for (n, v), s in zip(best.values.items(), step, strict=True)}
         moved = best.axis.with_values(values)
-        runs = run(moved)
+        runs = run(moved, best.chi2)
         r = _residual(cases, runs)
         if r is not None and runs is not None and float(r @ r) < best.chi2:
             return Refit(values, moved, runs, float(r @ r))
@@ -130,17 +132,19 @@ def _errors(names: Sequence[str], gram: np.ndarray) -> dict[str, float]:
     """Relative standard errors from the normal equations (p, p) of whitened residuals."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12)
-    return {n: float(np.sqrt(inverse[i, i]) / scale[i]) for i, n in enumerate(names)}
+    return {n: float(np.sqrt(max(inverse[i, i], 0.0)) / scale[i]) for i, n in enumerate(names)}
 
 
 def refit_in_simulator(
-    axis: Axis, write: Writer, name: str, cases: Sequence[Case], starts: Sequence[Start], threads: int
+    axis: Axis, write: Writer, name: str, cases: Sequence[Case], starts: Sequence[Start], threads: int, goal: float = math.inf
 ) -> Refit | None:
     """Refit by plain MuJoCo, the file written by ``write``.
 
-    None where it diverges, takes too long or cannot be written with other numbers.
+    Its runs are of the recordings with estimation data. ``goal``: largest chi-square on these data that is of use. None where
+    it is missed, as soon as that is clear (what is not fitted yet cannot do better than noise), and where a run diverges, takes
+    too long or cannot be written with other numbers.
     """
-
+    fitted = [(c, s) for c, s in zip(cases, starts, strict=True) if c.estimation.any()]
     with tempfile.TemporaryDirectory() as work:
         out = Path(work) / name
 
@@ -151,26 +155,54 @@ def refit_in_simulator(
             except InputError:
                 return None
 
-        def run(some: Axis) -> Runs | None:
-            plant = load(some)
-            return None if plant is None else run_files([plant], cases, threads, starts)[0]
-
         first = load(axis)
         work_needed = math.inf if first is None else work_of(first, cases)
         if work_needed > MOST_WORK:
             return None
-        return _refit(
-            axis, cases, run, lambda some: _engine(some, cases, starts, locked=False), own_slopes=work_needed <= MOST_SLOPES
-        )
+        best: Refit | None = None
+        whole, at = [c for c, _ in fitted], [s for _, s in fitted]
+        metric = _metric(axis, whole, at)
+        for part in HORIZONS:
+            parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
+            runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
+            own = work_needed <= MOST_SLOPES and part == HORIZONS[-1]
+            best = _refit(best.axis if best else axis, parts, runs, engine, own_slopes=own, metric=metric)
+            if best is None or beyond(whole, best.runs, goal):
+                return None
+        return best
+
+
+def _metric(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> np.ndarray | None:
+    """Diagonal of the normal equations (p,) of all the data, by the engine; None where it diverges."""
+    J = _jacobian(axis, list(_free(axis)), cases, _in_engine(cases, starts, locked=False))
+    return None if J is None else np.asarray(np.sum(J**2, axis=0))
+
+
+def _in_simulator(
+    load: Callable[[Axis], MujocoPlant | None], cases: Sequence[Case], starts: Sequence[Start], threads: int
+) -> Runner:
+    def run(some: Axis, limit: float) -> Runs | None:
+        plant = load(some)
+        if plant is None:
+            return None
+        if limit == math.inf:
+            return run_files([plant], cases, threads, starts)[0]
+        runs, whole = run_watched(plant, cases, starts, threads, lambda so_far: chi_square(cases, so_far)[0] > limit)
+        return runs if whole else None
+
+    return run
 
 
 def refit_in_engine(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> Refit | None:
-    """Refit by the fitting engine, from the same starts."""
+    """Refit by the fitting engine, from the same starts; its runs are of all recordings."""
+    fitted = [i for i, c in enumerate(cases) if c.estimation.any()]
+    run = _in_engine([cases[i] for i in fitted], [starts[i] for i in fitted], locked=True)
+    found = _refit(axis, [cases[i] for i in fitted], run, run)
+    return None if found is None else replace(found, runs=_engine(found.axis, cases, starts, locked=True))
 
-    def run(some: Axis) -> Runs:
-        return _engine(some, cases, starts, locked=True)
 
-    return _refit(axis, cases, run, run)
+def _in_engine(cases: Sequence[Case], starts: Sequence[Start], *, locked: bool) -> Runner:
+    return lambda some, limit: _engine(some, cases, starts, locked=locked)
 
 
 def _engine(axis: Axis, cases: Sequence[Case], starts: Sequence[Start], *, locked: bool) -> Runs:

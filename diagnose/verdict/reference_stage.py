@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,8 +23,9 @@ import numpy as np
 
 from diagnose.data.servo import as_servo
 from diagnose.result import Diagnosis, Traces
-from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged, run_files, run_surrogate
+from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
+from diagnose.verdict.reference_runs import run_files, run_surrogate
 from mjsim.axis import Axis
 from mjsim.mjcf.faithful import write_as_author
 from mjsim.plant import MujocoPlant
@@ -78,12 +80,17 @@ def compare_nominal(
     given, _ = chi_square(cases, runs)
     if by_engine is None or (at_noise(cases, by_engine.runs) and by_engine.chi2 < given):
         return dataclasses.replace(nominal, by_engine=by_engine)
-    if given <= by_engine.chi2:
-        refitted: Refit | None = Refit({}, axis, runs, given)
-    else:
-        refitted = refit_in_simulator(axis, partial(write_as_author, path), path.name, cases, starts, threads)
-    if refitted is None or refitted.chi2 > by_engine.chi2:
-        return dataclasses.replace(nominal, by_engine=by_engine)
+    write = partial(write_as_author, path)
+    refitted: Refit | None = Refit({}, axis, runs, given)
+    if given > by_engine.chi2:
+        refitted = refit_in_simulator(axis, write, path.name, cases, starts, threads, by_engine.chi2)
+        if refitted is None or refitted.chi2 > by_engine.chi2:
+            return dataclasses.replace(nominal, by_engine=by_engine)
+        with tempfile.TemporaryDirectory() as work:
+            write(refitted.axis, Path(work) / path.name)
+            own = run_files([MujocoPlant.load(Path(work) / path.name)], cases, threads, starts)[0]
+        refitted = dataclasses.replace(refitted, runs=own)
+    assert refitted is not None
     same = [run_surrogate(refitted.axis, case, start) for case, start in zip(cases, starts, strict=True)]
     shifts = _shifts(cases, refitted.runs, same)
     return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts), shifts=shifts)

@@ -1,32 +1,37 @@
 """The form of a corrected file that MuJoCo steps as the equations say, of the few that there are.
 
 A form is accepted once the file, stepped by MuJoCo with its own options, differs from the equations by no more than is
-allowed. They are tried in this order: the author's own solver settings; the stiff settings of `write_corrected`; those with
-the Euler integrator, which alone does the bristles of `<dcmotor lugre>` justice; a timestep that is a fifth; and last, one
-effect less by MJCF's elements, which is then carried for simgap only. What a form costs stands in a comment of the file.
+allowed. They are tried in this order: the author's own solver settings; stiff dry friction at the author's timestep, and at ever
+shorter ones down to that of `write_corrected`; its settings with the Euler integrator, which alone does the bristles of
+`<dcmotor lugre>` justice; a timestep that is a fifth; and last, one effect less by MJCF's elements, which is then carried for
+simgap only. What a form costs stands in a comment of the file.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from mjsim.axis import Axis
+from mjsim.effects import BacklashLaw, Effect
+from mjsim.effects.native import Slack
 from mjsim.effects.ports import Friction
 from mjsim.mjcf.adjust import adjust, author_friction
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.custom import Edit
-from mjsim.mjcf.load import load_model
+from mjsim.mjcf.load import effect_of, load_model
+from mjsim.mjcf.native_write import FRICTION_STEP
 from mjsim.mjcf.write import write_corrected
 
-__all__ = ["AUTHOR", "Faithful", "has_dry_friction", "write_as_author", "write_faithful"]
+__all__ = ["AUTHOR", "Faithful", "as_plain", "has_dry_friction", "write_as_author", "write_faithful"]
 
 AUTHOR = "the author's settings"
 FINER = 5  # times the timestep
-
+SHORTER = (1, 4)  # parts of the author's timestep at which stiff friction is tried, where `write_corrected` would take less
+EXACT = 1e-9
 
 Writer = Callable[[Axis, Path], tuple[str, ...]]
 
@@ -41,10 +46,11 @@ class Faithful:
     write: Writer
 
 
-def write_faithful(model: Path, axis: Axis, out: Path, differs: Callable[[Path], float], allowed: float) -> Faithful:
-    """Write the first form of which ``differs`` (of a file that MuJoCo is to step) is at most ``allowed``, else the one nearest.
+def write_faithful(model: Path, axis: Axis, out: Path, differs: Callable[[Path], tuple[float, bool]]) -> Faithful:
+    """Write the first form that is near enough, else the one nearest.
 
-    Raises InputError when no form can be written.
+    ``differs`` tells how far MuJoCo's steps of a file are from the equations, and whether that is near enough. Raises InputError
+    when no form can be written.
     """
     best: Faithful | None = None
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -52,11 +58,11 @@ def write_faithful(model: Path, axis: Axis, out: Path, differs: Callable[[Path],
     try:
         for name, write in _forms(model, axis):
             lacks = write(axis, trial)
-            d = differs(trial)
-            if best is None or d < best.differs:
+            d, near = differs(trial)
+            if best is None or near or d < best.differs:
                 best = Faithful(name, d, lacks, write)
                 os.replace(trial, kept)
-            if d <= allowed:
+            if near:
                 break
         assert best is not None
         os.replace(kept, out)
@@ -85,8 +91,15 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
     def without(axis: Axis, at: Path, key: str) -> tuple[str, ...]:
         return write_corrected(model, axis, at, carried_only=(key,)).lacks
 
-    if has_dry_friction(Axis(axis.chain, own)):
+    def coarser(axis: Axis, at: Path, step: float) -> tuple[str, ...]:
+        return write_corrected(model, axis, at, friction_step=step).lacks
+
+    if has_dry_friction(axis):
         yield AUTHOR, partial(write_as_author, model)
+        step = float(compile_file(model).opt.timestep)
+        for parts in SHORTER:
+            if step / parts > FRICTION_STEP * (1 + EXACT):
+                yield "stiff friction at a long timestep", partial(coarser, step=step / parts)
     yield "stiff settings", plain
     if changed:
         yield "Euler integrator", partial(finer, euler=True, parts=1)
@@ -99,6 +112,25 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
 def has_dry_friction(axis: Axis) -> bool:
     """Whether an effect of the axis is dry friction, which MuJoCo has with solver settings of its own."""
     return any(isinstance(port, Friction) for e in axis.effects for port in e.ports(axis.chain))
+
+
+def as_plain(axis: Axis, lacks: Container[str]) -> Axis:
+    """The axis as far as MJCF's own elements express it, where plain MuJoCo lacks something of the effects with these keys.
+
+    Of an effect with native values there is what these are, of a gap whose damper is outside it one with the damper inside.
+    """
+    effects: list[Effect] = []
+    law = axis.backlash_law
+    for e in axis.effects:
+        native = e.native(axis.chain)
+        if e.key not in lacks:
+            effects.append(e)
+        elif native.lacks:
+            effects += [effect_of(value, axis.chain, Path(e.key)) for value in native.values]
+        elif any(isinstance(value, Slack) for value in native.values):
+            law = BacklashLaw.UNGATED
+            effects.append(e)
+    return Axis(axis.chain, tuple(effects), law)
 
 
 def write_as_author(model: Path, axis: Axis, out: Path) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from mjsim.mjcf.layout import lay_out, outside
 from mjsim.mjcf.native_read import read_native
 from mjsim.recording import Binding
 
-__all__ = ["Model", "carried_binding", "load_axis", "load_model"]
+__all__ = ["Model", "carried_binding", "effect_of", "load_axis", "load_model"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[
     if carried is not None:
         axis = _carried_axis(found, carried, path)
     else:
-        axis = Axis(found.chain, tuple(_effect_of(v, found.chain, path) for v in read_native(found, path)), _law(found))
+        axis = Axis(found.chain, tuple(effect_of(v, found.chain, path) for v in read_native(found, path)), _law(found))
     return Model(path, found, axis, carried)
 
 
@@ -204,7 +204,7 @@ def _law(found: Found) -> BacklashLaw:
     return BacklashLaw.UNGATED if any(found.gaps) else BacklashLaw.GATED
 
 
-def _effect_of(value: Value, chain: Chain, path: Path) -> Effect:
+def effect_of(value: Value, chain: Chain, path: Path) -> Effect:
     """The effect that a native value stands for; raises InputError where that effect is not known at the place."""
     try:
         for cls in registered().values():

@@ -17,7 +17,7 @@ from mjsim.mjcf.native_read import PassiveMotor, passive_motors
 from mjsim.mjcf.servo import bias_of
 from mjsim.quantity import Motion
 
-__all__ = ["NativeWriter"]
+__all__ = ["FRICTION_STEP", "NativeWriter"]
 
 # largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf.md)
 FRICTION_STEP = 1e-4
@@ -30,16 +30,26 @@ NOT_ONE_JOINT = "its angle is not one joint's"
 
 
 class NativeWriter:
-    """Writes native values through an editor. ``held``: the values that the author's file has.
+    """Writes native values through an editor.
+
+    ``held``: the values that the author's file has; ``friction_step``: largest timestep [s] beside dry friction.
 
     Dry friction of one body and constant torques of the drive add up over the values that are written and those that are kept.
     """
 
-    def __init__(self, editor: MjcfEditor, linear: LinearWriter, law: BacklashLaw, held: Sequence[N.Value]) -> None:
+    def __init__(
+        self,
+        editor: MjcfEditor,
+        linear: LinearWriter,
+        law: BacklashLaw,
+        held: Sequence[N.Value],
+        friction_step: float = FRICTION_STEP,
+    ) -> None:
         self.editor = editor
         self.linear = linear
         self.law = law
         self.held = tuple(held)
+        self.friction_step = friction_step
         self._motors = passive_motors(editor.found)
         editor.ignored += [m.name for m in self._motors]
         self._friction: dict[int, float] = {}
@@ -102,7 +112,7 @@ class NativeWriter:
     def _dry_friction(self, value: N.DryFriction) -> str:
         """A frictionloss that sticks."""
         self.keep(value)
-        self.editor.step(FRICTION_STEP)
+        self.editor.step(self.friction_step)
         self.editor.follow(lambda: self._write_friction(value.body, self._friction[value.body]))
         return ""
 

@@ -22,7 +22,7 @@ from mjsim.mjcf.editor import MjcfEditor
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.load import Model, load_model
 from mjsim.mjcf.native_read import read_native
-from mjsim.mjcf.native_write import NativeWriter
+from mjsim.mjcf.native_write import FRICTION_STEP, NativeWriter
 from mjsim.mjcf.servo_write import write_servo
 from mjsim.mjcf.xmltext import XmlText
 
@@ -40,14 +40,15 @@ class Written:
 
 
 def write_corrected(
-    nominal_path: str | Path, axis: Axis, out_path: str | Path, comment: str = "", *, carried_only: Container[str] = ()
-) -> Written:
+    nominal_path: str | Path, axis: Axis, out_path: str | Path, comment: str = "", *, carried_only: Container[str] = (),
+    friction_step: float = FRICTION_STEP,
+) -> Written:  # fmt: skip
     """Write a copy of an authored MJCF that holds this axis: its linear parameters and all of its effects.
 
     What MJCF expresses is written by its own elements; everything is carried in ``<custom>``, which `load_axis` reads back and
     which alone counts there, so that nothing acts twice. ``comment`` stands at the head of the correction; effects whose key is
-    in ``carried_only`` are not written by MJCF's elements. The rest of the file stays as its author left it. A file that was
-    corrected before is first taken back to what it was.
+    in ``carried_only`` are not written by MJCF's elements. ``friction_step``: largest timestep [s] beside dry friction. The rest
+    of the file stays as its author left it. A file that was corrected before is first taken back to what it was.
     """
     nominal, out = Path(nominal_path), Path(out_path)
     source = load_model(nominal, actuator=axis.chain.actuator)
@@ -56,7 +57,7 @@ def write_corrected(
         if source.carried is not None:
             source = _restored(source, Path(work) / "nominal.xml")
         editor = MjcfEditor(source.path, source.found)
-        lacks = _write_axis(editor, source, axis, carried_only)
+        lacks = _write_axis(editor, source, axis, carried_only, friction_step)
         editor.relocate(out)
         beside = nominal.with_suffix(".toml")
         binding = source.carried.binding if source.carried else ""
@@ -118,12 +119,14 @@ def _one_of_each(axis: Axis) -> Iterator[Effect]:
                 yield effect
 
 
-def _write_axis(editor: MjcfEditor, source: Model, axis: Axis, carried_only: Container[str] = ()) -> tuple[tuple[str, str], ...]:
+def _write_axis(
+    editor: MjcfEditor, source: Model, axis: Axis, carried_only: Container[str] = (), friction_step: float = FRICTION_STEP
+) -> tuple[tuple[str, str], ...]:
     """Write the linear parameters and the effects of an axis; returns (effect, line) for what plain MuJoCo lacks of them."""
     linear = LinearWriter(editor, axis.chain)
     linear.write()
     write_servo(editor, axis.chain.servo)
-    writer = NativeWriter(editor, linear, axis.backlash_law, read_native(source.found, source.path))
+    writer = NativeWriter(editor, linear, axis.backlash_law, read_native(source.found, source.path), friction_step)
     own, kept = {e.key: e for e in source.axis.effects}, {e.key for e in axis.effects}
     for e in own.values():
         if e.key not in kept:  # another law has taken its place

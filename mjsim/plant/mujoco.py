@@ -11,7 +11,7 @@ import copy
 import itertools
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -139,17 +139,42 @@ class MujocoPlant:
         if len({len(u) for u in us}) != 1 or len(us) != len(starts):
             raise ValueError(f"{len(us)} inputs of lengths {[len(u) for u in us]} and {len(starts)} starts; expected equal ones")
         n, steps, h = len(us[0]), self._steps(dt), self.timestep
-        count = n * steps if steps else math.ceil((n - 1) * dt / h + EXACT) + 1
+        count = self._count(n, dt)
         held = np.stack([mean_input(u, dt, h, count, hold)[:, 0] for u in us])
-        every = self._roll(held, starts, threads)
+        every = np.concatenate(list(self._roll(held, starts, threads, _chunks(count, len(us)))), axis=1)
         if steps:
             return [y[::steps].copy() for y in every]
-        return [_between(y, h, dt, n) for y in every]
+        return [_between(y, h, dt, 0, n) for y in every]
 
-    def _roll(self, held: np.ndarray, starts: Sequence[Start], threads: int) -> np.ndarray:
-        """Velocity and angle (R, M, 2) at the beginning of each of M steps on controls (R, M)."""
+    def pieces(
+        self, u: np.ndarray, dt: float, *, start: Start | None = None, hold: Hold = Hold.HELD, ends: Sequence[int]
+    ) -> Iterator[np.ndarray]:
+        """Outputs of a free run, piece by piece: samples up to each of ``ends``, the last of which is N. The same as `run` gives.
+
+        A run that has shown enough need not be ended. Raises as `run` does.
+        """
+        u, steps, h = as_input(u, 1), self._steps(dt), self.timestep
+        if not ends or ends[-1] != len(u) or any(a >= b for a, b in itertools.pairwise((0, *ends))):
+            raise ValueError(f"pieces end at {list(ends)}; expected rising numbers up to {len(u)}")
+        stops: list[int] = []
+        for end in ends:  # where samples are shorter than steps, a piece of few samples may need none of its own
+            stops.append(max(self._count(end, dt), stops[-1] + 1 if stops else 1))
+        held = mean_input(u, dt, h, stops[-1], hold)[None, :, 0]
+        every, done = np.empty((stops[-1], 2)), 0
+        for a, b, y in zip((0, *ends[:-1]), ends, self._roll(held, [start or Start()], 1, stops), strict=True):
+            every[done : done + y.shape[1]] = y[0]
+            done += y.shape[1]
+            yield every[a * steps : b * steps : steps].copy() if steps else _between(every, h, dt, a, b)
+
+    def _count(self, n: int, dt: float) -> int:
+        """Steps that n samples take: whole samples, or up to the step behind the last one."""
+        steps = self._steps(dt)
+        return n * steps if steps else math.ceil((n - 1) * dt / self.timestep + EXACT) + 1
+
+    def _roll(self, held: np.ndarray, starts: Sequence[Start], threads: int, stops: Sequence[int]) -> Iterator[np.ndarray]:
+        """Velocity and angle (R, k, 2) at the beginning of each step on controls (R, M), in pieces that end at ``stops``."""
         m, c = self.model, self.channels
-        runs, count = held.shape
+        runs = len(held)
         spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
         size = mujoco.mj_stateSize(m, spec)
         first = [self._data(s) for s in starts]
@@ -157,21 +182,20 @@ class MujocoPlant:
         warm: np.ndarray | None = np.array([d.qacc_warmstart for d in first])
         for r, d in enumerate(first):
             mujoco.mj_getState(m, d, state[r], spec)
-        out = np.empty((runs, count, 2))
-        per_chunk = max(1, CHUNK // runs)
         data = [mujoco.MjData(m) for _ in range(max(1, min(threads, runs)))]
-        with caught_warnings() as said:
-            for a in range(0, count, per_chunk):
-                b = min(a + per_chunk, count)
-                control = np.zeros((runs, b - a, c.width))
-                control[:, :, c.control] = held[:, a:b]
+        for a, b in itertools.pairwise((0, *stops)):
+            control = np.zeros((runs, b - a, c.width))
+            control[:, :, c.control] = held[:, a:b]
+            with caught_warnings() as said:
                 states, sensors = rollout.rollout(m, data, state, control, initial_warmstart=warm)
-                at = np.concatenate([state[:, None], states[:, :-1]], axis=1)
-                for column, (address, sensor) in enumerate(((1 + m.nq + c.dof, c.velocity), (1 + c.position, c.angle))):
-                    out[:, a:b, column] = at[:, :, address] if sensor is None else sensors[:, :, sensor]
-                self._check(states, said, data)
-                state, warm = states[:, -1].copy(), None
-        return out
+            at = np.concatenate([state[:, None], states[:, :-1]], axis=1)
+            out = np.empty((runs, b - a, 2))
+            for column, (address, sensor) in enumerate(((1 + m.nq + c.dof, c.velocity), (1 + c.position, c.angle))):
+                out[:, :, column] = at[:, :, address] if sensor is None else sensors[:, :, sensor]
+            self._check(states, said, data)
+            state = states[:, -1].copy()
+            warm = np.array([data[0].qacc_warmstart]) if runs == 1 else None  # of more runs it is not known which was where
+            yield out
 
     def _data(self, start: Start) -> mujoco.MjData:
         """A state to start from: the driven joint as asked, nothing deflected, delays and filters at the input before."""
@@ -208,7 +232,7 @@ class MujocoPlant:
         stopped = np.diff(states[:, :, 0], axis=1) <= 0
         bad = ~np.isfinite(states[:, :, 1:]).all(axis=2)
         warned = any(w.number for d in data for w in d.warning)
-        if not (warned or said or bad.any() or stopped.any()):
+        if not (warned or bad.any() or stopped.any()):  # what is said may be of a run in another thread
             return
         line = said[0] if said else "the motion is not finite"
         words = line.replace(".", " ").split()
@@ -262,9 +286,15 @@ class MujocoPlant:
         return STEP_US * stages * dt / self.timestep
 
 
-def _between(y: np.ndarray, h: float, dt: float, n: int) -> np.ndarray:
-    """Outputs (N, 2) at samples of dt [s] from those (M, 2) at steps of h [s]."""
-    t = dt * np.arange(n) / h
+def _chunks(count: int, runs: int) -> list[int]:
+    """Steps at which the pieces of so many runs end whose states are kept in memory at once."""
+    each = max(1, CHUNK // runs)
+    return [*range(each, count, each), count]
+
+
+def _between(y: np.ndarray, h: float, dt: float, a: int, b: int) -> np.ndarray:
+    """Outputs (b - a, 2) at the samples a to b of dt [s] from those (M, 2) at steps of h [s]."""
+    t = dt * np.arange(a, b) / h
     k = np.minimum(t.astype(int), len(y) - 2)
     g = t - k
     v0, v1, q0, q1 = y[k, 0], y[k + 1, 0], y[k, 1], y[k + 1, 1]

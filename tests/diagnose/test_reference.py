@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -13,7 +14,9 @@ import pytest
 from diagnose.options import Options
 from diagnose.result import FitFigures, Verdict
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import cases_of, chi_square, figures, run_files
+from diagnose.verdict.reference import Run, beyond, cases_of, chi_square, figures, noise_level
+from diagnose.verdict.reference_fit import refit_in_simulator
+from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far
 from diagnose.verdict.reference_stage import APART, compare_nominal
 from diagnose.verdict.reference_verdict import Files, by_simulator, nominal_stands
 from mjsim.mjcf import load_axis, write_corrected
@@ -136,13 +139,70 @@ def test_the_authors_friction_settings_are_kept(nominal, tmp_path):
 
 def test_the_first_form_that_is_near_enough_is_written(nominal, tmp_path):
     axis = load_axis(nominal).with_values({"fm": 0.07})
-    sizes = iter([3.0, 0.1])
-    form = write_faithful(nominal, axis, tmp_path / "out.xml", lambda _: next(sizes), 0.2)
-    assert (form.form, form.differs) == ("stiff settings", 0.1)
-    sizes = iter([3.0, 5.0])
-    form = write_faithful(nominal, axis, tmp_path / "out.xml", lambda _: next(sizes), 0.2)
+    told = iter([(3.0, False), (0.1, True)])
+    form = write_faithful(nominal, axis, tmp_path / "out.xml", lambda _: next(told))
+    assert (form.form, form.differs) == ("stiff friction at a long timestep", 0.1)
+    told = iter([(3.0, False), (5.0, False), (4.0, False), (3.5, False)])
+    form = write_faithful(nominal, axis, tmp_path / "out.xml", lambda _: next(told))
     assert (form.form, form.differs) == ("the author's settings", 3.0)
     assert not list(tmp_path.glob(".out*"))
+
+
+def test_a_watched_run_stops_where_it_is_of_no_use_and_is_else_the_whole_run(nominal):
+    cases = cases_of([log(text(), 1)], [log(text(), 2)])
+    plant, starts = MujocoPlant.load(nominal), [c.start() for c in cases]
+    runs, whole = run_watched(plant, cases, starts, 1, lambda _: False)
+    assert whole
+    for run, again in zip(runs, run_files([plant], cases, 1, starts)[0], strict=True):
+        assert np.array_equal(run.velocity, again.velocity)
+        assert np.array_equal(run.angle, again.angle)
+    targets = [r.velocity + SIGMA for r in runs]
+    assert not too_far(cases, targets, 1.2)(runs)
+    part, whole = run_watched(plant, cases, starts, 1, too_far(cases, targets, 0.5))
+    assert not whole
+    assert [len(r.velocity) for r in part] == [625, 625]  # the first look at which a quarter of the squares is there: 5 / 16
+
+
+def test_chi_square_to_come_is_that_of_noise():
+    (case, other) = cases_of([log(text(), 1)], [log(text(), 2)])
+    n = len(case.measured)
+    so_far = Run(case.measured[: n // 4], np.zeros(n // 4), case.start())  # no error in a quarter
+    rest = 0.75 * n
+    least = 0.95 * rest - 3.0 * math.sqrt(2.0 * rest)
+    nothing = Run(np.empty(0), np.empty(0), other.start())
+    assert beyond([case, other], [so_far, nothing], least - 1.0)
+    assert not beyond([case, other], [so_far, nothing], least + 1.0)
+    assert noise_level(n) > n
+
+
+def test_a_refit_that_cannot_come_to_the_noise_is_given_up_on_its_first_part(nominal, monkeypatch):
+    nominal.write_text(text(friction=0), encoding="utf-8")
+    axis, cases = load_axis(nominal), cases_of([log(text(), 1)], [])
+    lengths = []
+    run = MujocoPlant.run
+    monkeypatch.setattr(MujocoPlant, "run", lambda self, u, *a, **k: lengths.append(len(u)) or run(self, u, *a, **k))
+
+    def refit(goal):
+        write = partial(write_as_author, nominal)
+        return refit_in_simulator(axis, write, "out.xml", cases, [c.start() for c in cases], 1, goal)
+
+    n = int(cases[0].estimation.sum())
+    assert refit(noise_level(n)) is None
+    assert max(lengths) < len(cases[0].measured)
+    assert refit(math.inf).chi2 > noise_level(n)
+    assert max(lengths) == len(cases[0].measured)
+
+
+def test_where_a_run_starts_is_found_by_the_engine(nominal):
+    r = log(text(), 1)
+    moved = dataclasses.replace(r, angle=r.angle + 3e-4 * (np.arange(len(r)) == 0))
+    (case,) = cases_of([moved], [])
+    assert case.first(300).measured.shape == (300,)
+    assert case.first(10**6) is case
+    run = run_files([MujocoPlant.load(nominal)], [case], 1)[0][0]
+    (start,) = starts_of(load_axis(nominal), [case])
+    assert run.start == start
+    assert abs(start.angle) < abs(case.start().angle) or start == case.start()
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from mjsim.errors import InputError
 from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis, load_model
 from mjsim.mjcf.adjust import adjust
-from mjsim.mjcf.faithful import AUTHOR, write_faithful
+from mjsim.mjcf.faithful import AUTHOR, as_plain, write_faithful
 from mjsim.ode import DivergedError
 from mjsim.plant import ChainPlant, MujocoPlant
 
@@ -43,15 +43,42 @@ def test_a_form_that_mujoco_steps_as_found_is_written(name, integrator, tmp_path
             seen.append(float(np.linalg.norm(MujocoPlant.load(at).run(u, DT)[:, 0] - ideal) / np.linalg.norm(ideal)))
         except DivergedError:
             seen.append(np.inf)
-        return seen[-1]
+        return seen[-1], seen[-1] <= 0.01
 
-    form = write_faithful(path, axis, out, differs, 0.01)
+    form = write_faithful(path, axis, out, differs)
     assert form.differs == min(seen) < 0.01
     assert form.lacks == ()
-    assert differs(out) == form.differs
+    assert differs(out) == (form.differs, True)
     assert load_model(out).axis.effects == axis.effects
     if form.form.startswith("finer"):
         assert "times the steps" in out.read_text(encoding="utf-8")
+
+
+def test_what_plain_mujoco_has_of_an_effect(tmp_path):
+    path, out = tmp_path / "model.xml", tmp_path / "corrected.xml"
+    path.write_text(MODEL.format(integrator="Euler"), encoding="utf-8")
+    axis = load_axis(path) + effect("static_friction", torque_Nm=0.2, peak=2.0) + EFFECTS["offset"]
+    axis += effect("sensor_quantisation", place="sensor", step=0.1)
+    form = write_faithful(path, axis, out, lambda _: (0.0, True))
+    assert len(form.lacks) == 2
+    keys = {key for key, _ in load_model(out).carried.lacks}
+    assert as_plain(axis, keys).effects == (EFFECTS["coulomb"], EFFECTS["offset"])
+    assert as_plain(axis, ()) == axis
+
+
+def test_stiff_friction_keeps_the_authors_timestep_where_that_is_near_enough(tmp_path):
+    path, out = tmp_path / "model.xml", tmp_path / "corrected.xml"
+    path.write_text(MODEL.format(integrator="Euler"), encoding="utf-8")
+    axis, steps = load_axis(path) + EFFECTS["coulomb"], []
+
+    def differs(at):
+        m = MujocoPlant.load(at).model
+        steps.append((m.opt.timestep, -m.dof_solref[0, 1] * m.opt.timestep))
+        return 1.0, False
+
+    write_faithful(path, axis, out, differs)
+    assert [s for s, _ in steps[:4]] == pytest.approx([5e-4, 5e-4, 1.25e-4, 1e-4])
+    assert [rate for _, rate in steps[1:4]] == pytest.approx([1.0, 1.0, 1.0])
 
 
 def test_an_effect_that_no_form_does_is_carried_only(tmp_path):
@@ -60,9 +87,9 @@ def test_an_effect_that_no_form_does_is_carried_only(tmp_path):
     axis = load_axis(path) + EFFECTS["coulomb"]
 
     def differs(at):
-        return 2.0 if MujocoPlant.load(at).model.dof_frictionloss.any() else 1.0
+        return (2.0 if MujocoPlant.load(at).model.dof_frictionloss.any() else 1.0), False
 
-    form = write_faithful(path, axis, out, differs, 0.01)
+    form = write_faithful(path, axis, out, differs)
     assert form.form == "coulomb_friction@motor carried only"
     assert "does not step any form" in form.lacks[0]
     assert load_axis(out).effects == axis.effects
@@ -75,6 +102,6 @@ def test_settings_of_an_element_that_is_not_there_are_refused(tmp_path):
     with pytest.raises(InputError, match="carries no correction"):
         adjust(path, [("option", "", "timestep", "1e-4")])
     out = tmp_path / "corrected.xml"
-    write_faithful(path, load_axis(path), out, lambda _: 0.0, 1.0)
+    write_faithful(path, load_axis(path), out, lambda _: (0.0, True))
     with pytest.raises(InputError, match="'elbow' is not in this file"):
         adjust(out, [("joint", "elbow", "solreffriction", "0.02 1")])

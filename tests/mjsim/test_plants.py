@@ -213,3 +213,14 @@ def test_a_unit_that_the_joint_does_not_have_is_refused(at):
     with pytest.raises(InputError, match="angle is in rad"):
         check_units(plant, recording)
     check_units(plant, dataclasses.replace(recording, units={"angle": "m", "torque": "N"}))
+
+
+@pytest.mark.parametrize("dt", [DT, 0.0007, 0.0002])
+def test_pieces_of_a_run_are_the_run(at, dt):
+    plant, u = MujocoPlant.load(at("two_mass")), drive("two_mass")
+    start = Start(0.1, -0.2)
+    parts = list(plant.pieces(u, dt, start=start, ends=[2, 300, 301, len(u)]))
+    assert [len(y) for y in parts] == [2, 298, 1, len(u) - 301]
+    assert np.array_equal(np.concatenate(parts), plant.run(u, dt, start=start))
+    with pytest.raises(ValueError, match="rising numbers"):
+        next(plant.pieces(u, dt, ends=[300, 200, len(u)]))
