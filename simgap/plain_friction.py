@@ -33,11 +33,12 @@ def plainer_friction(
 ) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
     """The diagnosis with the simplest friction in place of richer laws, refitted in MuJoCo with the author's settings.
 
-    ``itself``: the simplest law too is refitted with those settings. None where there is no such law, or where the simplest one
-    is not at the noise on both kinds of data. Writes ``out``.
+    ``itself``: the simplest law too is refitted with those settings, once richer laws alone were tried. None where there is no
+    such law, or where the simplest one is not at the noise on both kinds of data. Writes ``out``.
     """
-    richer = {f.law: _simplest(f, itself) for f in result.findings if f.kind == "physics"}
-    if not any(richer.values()):
+    physics = [f for f in result.findings if f.kind == "physics"]
+    richer = {f.law: _simplest(f, itself) for f in physics}
+    if not any(richer.values()) or (itself and richer == {f.law: _simplest(f, False) for f in physics}):
         return None
     effects = [richer[f.law] or _as_found(f) for f in result.findings]
     write = partial(write_as_author, model)
