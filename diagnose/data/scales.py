@@ -105,6 +105,8 @@ def scales_by_place(
             torque[:, j] = behind * accel
             deflect.append(torque[:, j] / c.stiffness)
     out = {}
+    force = np.abs(drive / chain.gain)
+    asked = (float(np.max(force)), *(float(x) for x in np.quantile(force, (0.9, 0.7)))) if np.any(force) else ()
     steps = value_steps(v, experiment.sigma)
     turning = turning and chain.motion is Motion.HINGE and len(orders) > 0
     turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
@@ -123,6 +125,6 @@ def scales_by_place(
             travel=ratio * float(np.ptp(q)), input=_rms(r.input), max_input=float(np.max(np.abs(r.input))), output=_rms(v),
             dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
-            following=0.0 if r.command is None else _rms(r.command - q),
+            following=0.0 if r.command is None else _rms(r.command - q), asked=asked,
         )  # fmt: skip
     return out

@@ -106,6 +106,15 @@ def test_a_dead_band_of_the_servo_is_named(nominal):
     assert result.findings[0].parameters["half_width_rad"].value == pytest.approx(0.02, rel=0.02)
 
 
+def test_a_force_limit_far_below_the_peaks_is_named(nominal):
+    """Steps of the command ask for several times what the drive gives; its limit is a force and not a command."""
+    options = Options(jobs=1, effects=("actuator_saturation", "velocity_limit", "actuator_lag"))
+    true = {"more": ' forcelimited="true" forcerange="-.12 .12"'}
+    result = answer(nominal, GEARED, options=options, gear=20.0, true=true, seconds=10.0)
+    assert [f.effect for f in result.findings] == ["actuator_saturation"]
+    assert result.findings[0].parameters["limit_Nm"].value == pytest.approx(0.12, rel=0.02)
+
+
 @pytest.mark.slow  # the whole library, at three rates
 @pytest.mark.parametrize(("rate", "hold"), [(50.0, "held"), (100.0, "held"), (200.0, "linear")])
 def test_friction_is_named_among_the_whole_library(nominal, rate, hold):
