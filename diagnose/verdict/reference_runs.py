@@ -58,16 +58,19 @@ def work_of(plant: MujocoPlant, cases: Sequence[Case]) -> float:
     return sum(len(c.recording) * c.recording.dt for c in cases) / float(model.opt.timestep) * stages * int(model.nv)
 
 
-def run_surrogate(axis: Axis, case: Case, start: Start, *, locked: bool = True) -> Run | None:
+def run_surrogate(
+    axis: Axis, case: Case, start: Start, *, locked: bool = True, along: np.ndarray | None = None
+) -> Run | None:  # fmt: skip
     """The fitting engine's run on a recording; None where it diverges.
 
-    ``locked``: position-locked laws follow the recorded angle, as in a fit; else the run's own, as in MuJoCo.
+    ``locked``: position-locked laws follow ``along`` (N,), by default the recorded angle, as in a fit; else the run's own, as in
+    MuJoCo.
     """
     r, chain = case.recording, axis.chain
     ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
     initial = np.array([start.angle * ratios, start.velocity * ratios])
     try:
-        angle = r.angle if locked and not case.servo else None
+        angle = (r.angle if along is None else along) if locked and not case.servo else None
         y = simulate(axis, r.input, r.dt, initial=initial, angle=angle, before=start.input, hold=r.hold)
     except (DivergedError, ValueError):
         return None
