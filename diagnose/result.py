@@ -223,9 +223,9 @@ class Refused:
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """Signals of one recording for the pictures (M samples): measured and the predictions, in the view's unit.
+    """Signals of one recording for the plots (M samples): measured and the predictions, in the view's unit.
 
-    mapped: with the torque map, when there is one.
+    mapped: with the torque map, when there is one. states: name -> (values (M,), unit) of the recorded channels.
     """
 
     source: str
@@ -238,6 +238,7 @@ class Traces:
     counted: np.ndarray
     sigma: float
     mapped: np.ndarray | None = None
+    states: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,8 @@ TABLE = MappingProxyType(_table)
 def _number(name: str, kind: str, value: T, unit: str, why: str, test: str) -> T:
     if name in _table:
         raise ValueError(f"threshold {name} stands in the table twice")
-    _table[name] = Threshold(kind, value, unit, why, f"tests/diagnose/test_{test}.py")
+    file = test if "/" in test else f"diagnose/test_{test}"
+    _table[name] = Threshold(kind, value, unit, why, f"tests/{file}.py")
     return value
 
 
@@ -240,7 +241,7 @@ LEAST_SAMPLES = _number("LEAST_SAMPLES", COST, 5000, "samples", "of a first look
 MAP_RUNS = _number("MAP_RUNS", COST, 1500, "runs", "after which no further map is tried", "torque_map")
 TRIED = _number("TRIED", COST, 3, "maps", "that are fitted in the model", "torque_map")
 TELLING = _number("TELLING", COST, 5000, "samples", "by which maps are screened", "torque_map")
-JUDGED = _number("JUDGED", COST, 8, "rivals", "whose held-out error is computed for the report", "report")
+JUDGED = _number("JUDGED", COST, 8, "rivals", "whose held-out error is computed for the report", "report/test_page")
 LEADING = _number("LEADING", COST, 8, "rivals", "whose refusal is told", "flow")
 SECOND_SPLIT = _number(
     "SECOND_SPLIT", COST, 1 / 3, "of the budget", "for a search of another split, whatever the first took", "flow"

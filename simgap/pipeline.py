@@ -23,7 +23,6 @@ from diagnose.data.stretches import Stretches
 from diagnose.fit.fit_cache import Memory, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
-from diagnose.report.render_worker import Draw, Drawers
 from diagnose.result import Diagnosis
 from diagnose.verdict.reference_stage import Nominal, without_difference
 from mjsim.axis import Axis
@@ -84,7 +83,6 @@ def diagnose_files(
     *,
     progress: bool = True,
     truth: Mapping[str, Any] | None = None,
-    draw: Draw | None = None,
     accept_log: bool = False,
     joint: str | None = None,
 ) -> Diagnosis:
@@ -92,27 +90,11 @@ def diagnose_files(
 
     The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``; the
     log of a servo is not checked. ``joint``: which one of a robot's log, by default the one that the model drives.
-    ``draw``: who draws the report, by default processes of their own where there is more than one job.
-    They take a moment to load: `Drawers` that are given serve any number of diagnoses.
 
     Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
     the same end. The file goes when the folder is written.
     """
     options = options or Options()
-    if draw is None:
-        with Drawers(options.jobs) as drawers:
-            return diagnose_files(
-                recordings,
-                model,
-                out,
-                held_out,
-                options,
-                progress=progress,
-                truth=truth,
-                draw=drawers,
-                accept_log=accept_log,
-                joint=joint,
-            )
     _need_folder(out)
     prefer = load_axis(model).chain.bodies[0].joint
     read = load_all(recordings, held_out, model, joint, prefer)
@@ -124,7 +106,6 @@ def diagnose_files(
         options,
         progress=progress,
         truth=truth,
-        draw=draw,
         accept_log=accept_log,
         stretches=read.stretches,
     )
@@ -139,11 +120,11 @@ def diagnose_recordings(
     *,
     progress: bool = True,
     truth: Mapping[str, Any] | None = None,
-    draw: Draw | None = None,
+    page: bool = True,
     accept_log: bool = False,
     stretches: Sequence[Stretches] = (),
 ) -> Diagnosis:
-    """As `diagnose_files`, of recordings that are loaded; the report is written where ``draw`` says who draws it.
+    """As `diagnose_files`, of recordings that are loaded; the report is written where ``page`` says so.
 
     ``stretches``: of which long recordings those are parts.
     """
@@ -159,7 +140,7 @@ def diagnose_recordings(
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
     log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*recordings, *held_out])
     if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
-        return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, draw)
+        return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
     memory = Memory(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
@@ -179,7 +160,7 @@ def diagnose_recordings(
     result = dataclasses.replace(
         result, log=log, notes=(*said, *result.notes), stretches=tuple(s.as_dict() for part in stretches for s in part.chosen)
     )
-    result = _written(result, nominal, model, out, truth, draw, given, options.jobs)
+    result = _written(result, nominal, model, out, truth, page, given, options.jobs)
     memory.discard()
     return result
 
@@ -193,7 +174,7 @@ def _usable(
 
 
 def _written(
-    result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, draw: Draw | None,
+    result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, page: bool,
     given: Nominal | None = None, threads: int = 1,
 ) -> Diagnosis:  # fmt: skip
     """Write the folder of a diagnosis, judged by plain MuJoCo where ``given`` says what the nominal file does there."""
@@ -205,10 +186,10 @@ def _written(
         mapped.unlink(missing_ok=True)
     else:
         write_corrected(model, with_map, mapped, MAP_COMMENT)
-    if draw is not None:
+    if page:
         from diagnose.report import write_report
 
-        write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth, draw=draw)
+        write_report(result, out / "report.html", corrected_diff=model_diff(model, corrected), truth=truth)
     result.write_json(out / "diagnosis.json")
     return result
 

@@ -26,7 +26,6 @@ PUBLIC = {
     "mjsim.recording": ["Binding", "Channel", "Recording", "load"],
     "mjsim.scenario": ["load_scenario", "run", "shipped_scenarios", "write_log"],
     "ident": ["IOData", "Structure", "bj", "bode", "decimate", "residual_tests", "select_order", "shared_filter"],
-    "diagnose.report.render_worker": ["Drawers"],
     "diagnose.pipeline": ["Options", "diagnose"],
     "diagnose.result": ["Diagnosis", "Estimate", "Finding", "FitFigures", "Mismatch", "Verdict"],
     "diagnose.report": ["write_report"],

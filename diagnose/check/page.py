@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from diagnose.check.context import torque_of
-from diagnose.check.pictures import picture
 from diagnose.check.registry import checks
 from diagnose.check.types import LogCheck, LogVerdict
+from diagnose.report.document import document
 from diagnose.report.figures import number, prose, unit
+from diagnose.report.plots import Axis, Chart, Line, Panel, Span, page_data
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
@@ -54,39 +55,59 @@ def render_check(check: LogCheck, recordings: Sequence[Recording], model: str) -
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
 
+    from diagnose.report.components import Column, chart_figure, table, theme_button
+
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"number": number, "unit": unit, "prose": prose}
     template = environment.from_string((files("diagnose.check") / "page.html.j2").read_text(encoding="utf-8"))
     word, colour = WORDS[check.verdict]
-    return template.render(
-        check=check, word=word, colour=colour, sentence=check.sentence, model=model,
-        names=", ".join(r.source for r in recordings), many=len(recordings) > 1,
-        questions=[c.question for c in checks().values()],
-        css=(files("diagnose.report") / "page.css").read_text(encoding="utf-8"),
-        drawn=[(r.source, _drawn(check, r)) for r in recordings],
+    drawn = [(r.source, _charts(check, r, i)) for i, r in enumerate(recordings)]
+    columns = [Column("Family"), Column("Identifiable"), Column("Why", wide=True)]
+    excitation = [(prose(e.family), "yes" if e.identifiable else "no", prose(e.sentence)) for e in check.excitation]
+    names = ", ".join(r.source for r in recordings)
+    body = template.render(
+        check=check, word=word, colour=colour, sentence=check.sentence, model=model, names=names, many=len(recordings) > 1,
+        questions=[c.question for c in checks().values()], theme=theme_button(), excitation=table(columns, excitation),
+        drawn=[(source, [chart_figure(chart, prose(caption)) for chart, caption in charts]) for source, charts in drawn],
     )  # fmt: skip
+    charts = [chart for _, found in drawn for chart, _ in found]
+    return document(f"{word}: check of {names}", body, page_data(charts) if charts else None)
 
 
-def _drawn(check: LogCheck, recording: Recording) -> list[tuple[str, list[tuple[str, str]], str]]:
-    """Caption, keys of the colours and drawing of each channel, and of the torque that the motion needs."""
-    out: list[tuple[str, list[tuple[str, str]], str]] = []
+def _charts(check: LogCheck, recording: Recording, index: int) -> list[tuple[Chart, str]]:
+    """Each channel over time with its caption, and the torque that the motion needs; problems are shaded."""
+    out: list[tuple[Chart, str]] = []
     mine = [p for p in check.problems if p.recording == recording.source]
     for channel in _CHANNELS:
         values = torque_of(recording) if channel == "torque" else recording.velocity if channel == "velocity" else recording.angle
         if values is None:
             continue
         shown = [p for p in mine if p.marks and p.channel in (channel, "time")]
-        marks = [m for p in shown for m in p.marks]
-        u = unit(recording.units.get(channel, ""))
-        what = f"{channel}{f' [{u}]' if u else ''}"
-        caption = what + (f"; shaded: {', '.join(dict.fromkeys(p.problem.replace('_', ' ') for p in shown))}" if shown else "")
-        out.append((caption, [], picture(what, recording.time, [(channel, "corrected", values)], marks)))
+        spans = tuple(Span(a, b, colour="alarm") for p in shown for a, b in p.marks)
+        named = ", ".join(dict.fromkeys(p.problem.replace("_", " ") for p in shown))
+        line = Line(channel, recording.time, values, "corrected", 1.1)
+        out.append(
+            (
+                _chart(f"c{index}-{channel}", channel, unit(recording.units.get(channel, "")), recording.source, (line,), spans),
+                f"{channel.capitalize()}. Shaded: {named}." if shown else f"{channel.capitalize()}.",
+            )
+        )
     trace = check.torque.get(recording.source)
     if trace is not None:
-        lines = [("logged", "measured", trace.logged), ("needed for the motion", "refitted", trace.needed)]
-        caption = "Torque in the band of the check, at the estimated delay, and what the motion needs, all coefficients free:"
-        out.append((caption, [(n, c) for n, c, _ in lines], picture("torque logged and needed", trace.time, lines)))
+        lines = (
+            Line("logged", trace.time, trace.logged, "measured", 1.6),
+            Line("needed for the motion", trace.time, trace.needed, "refitted", 1.1),
+        )
+        u = unit(recording.units.get("torque", ""))
+        caption = "Torque in the band of the check, at the estimated delay, and what the motion needs, all coefficients free."
+        out.append((_chart(f"c{index}-needed", "torque", u, recording.source, lines, ()), caption))
     return out
+
+
+def _chart(key: str, channel: str, u: str, source: str, lines: tuple[Line, ...], spans: tuple[Span, ...]) -> Chart:
+    panel = Panel(Axis("time", "s"), Axis(channel, u), lines, spans)
+    alt = f"{' and '.join(line.name for line in lines)} of {source} over time"
+    return Chart(key, alt, ((panel,),), 190)
 
 
 def _finite(value: Any) -> Any:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.result import Traces
-
 __all__ = ["blank", "envelope", "psd", "worst_stretch"]
 
 
@@ -37,15 +35,17 @@ def blank(y: np.ndarray, counted: np.ndarray) -> np.ndarray:
     return np.where(counted, y, np.nan)
 
 
-def worst_stretch(t: Traces, periods: float = 6.0) -> slice:
-    """The stretch in which the refitted nominal model errs most, a few swings of the measured signal long."""
-    n = len(t.time)
-    e2 = np.where(t.counted, (t.measured - t.refitted) ** 2, 0.0)
+def worst_stretch(
+    time: np.ndarray, measured: np.ndarray, predicted: np.ndarray, counted: np.ndarray, periods: float = 6.0
+) -> slice:
+    """The stretch in which a model errs most on samples that count, a few swings of the measured signal (N,) long."""
+    n = len(time)
+    e2 = np.where(counted, (measured - predicted) ** 2, 0.0)
     e2[~np.isfinite(e2)] = 0.0
     coarse = max(20, n // 20)
     centre = _peak(e2, coarse)
     near = slice(max(0, centre - coarse // 2), min(n, centre + coarse // 2))
-    swings = _swings(t.measured[near])
+    swings = _swings(measured[near])
     width = int(periods * (near.stop - near.start) / swings) if swings else coarse
     width = int(np.clip(width, min(60, n), max(coarse, n // 10)))
     start = int(np.clip(_peak(e2, width) - width // 2, 0, max(0, n - width)))

@@ -106,16 +106,23 @@ def power(exponent: float) -> str:
 
 def prose(text: str) -> str:
     """A sentence with its units and minus signs in print; a number does not part from its unit."""
-    raised = re.sub(r"(?<=[\w)])\^(-?\d+)", lambda m: m[1].translate(_RAISED), text)
+    powers = re.sub(r"(?<![\w.])(\d+(?:\.\d+)?)e([+-])0*(\d+)\b", _written, text)
+    raised = re.sub(r"(?<=[\w)])\^(-?\d+)", lambda m: m[1].translate(_RAISED), powers)
     dotted = re.sub(r"(?<!\w)(N|kg) (?=[ms](?:\b|[²³])|\()", r"\1·", raised)
     dotted = re.sub(r"(?<=·m) s(?=[²/ ,.;:)]|$)", "·s", dotted)
     signed = re.sub(r"(?<![\w-])-(?=\d)", _MINUS, dotted)
     return re.sub(r"(?<=\d) (?=(?:N|rad|m|mm|s|ms|Hz|kg|%)(?:\b|[²³/·]|$)|%)", "\N{NO-BREAK SPACE}", signed)
 
 
+def _written(m: re.Match[str]) -> str:
+    """``8.998e+10`` in print."""
+    return f"{m[1]}{_THIN}{_TIMES}{_THIN}10{(m[2].strip('+') + m[3]).translate(_RAISED)}"
+
+
 def unit(text: str) -> str:
     """``N m s^2/rad^2`` -> ``N·m·s²/rad²``; the unit 1 is not written."""
     if text in ("", "1"):
         return ""
+    text = re.sub(r"\bNm\b", "N m", text)
     raised = re.sub(r"\^(-?\d+)", lambda m: m[1].translate(_RAISED), text)
     return re.sub(r"(?<=[\w²³)]) (?=[\w(])", "·", raised)

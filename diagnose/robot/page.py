@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
+from diagnose.report.components import Column, table, theme_button
 from diagnose.report.curves import envelope
+from diagnose.report.document import document
+from diagnose.report.document import write_page as write_text
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
 from diagnose.report.words import VERDICTS, effect_name
 from diagnose.result import Estimate, FitFigures
@@ -30,53 +31,27 @@ MODELS = {
 
 def write_page(d: RobotDiagnosis, path: Path) -> None:
     """Write the page in one move; nothing half-written is left under ``path``."""
-    text = render_page(d)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as out:
-            out.write(text)
-        os.chmod(scratch, 0o644)
-        os.replace(scratch, path)
-    except BaseException:
-        Path(scratch).unlink(missing_ok=True)
-        raise
+    write_text(render_page(d), path)
 
 
 def render_page(d: RobotDiagnosis) -> str:
     """The page as text."""
-    css = (files("diagnose.report") / "page.css").read_text(encoding="utf-8")
     words = VERDICTS[d.verdict]
     names = ", ".join(escape(r["file"]) for r in d.recordings)
     body = [
-        "<header>", f'<p class="kicker">Diagnosis of {names}, every joint judged on the torque that its motion needs</p>',
+        "<header>", f'<p class="kicker">Diagnosis of {names}, every joint judged on the torque that its motion needs</p>', theme_button(),
         f'<p class="verdict"><span class="badge {words.colour}">{words.badge}</span></p>', f"<h1>{escape(prose(d.summary))}</h1>",
         f'<p class="meaning">{escape(words.meaning)}</p>',
-        '<nav aria-label="Contents">' + "".join(f'<a href="#{escape(j)}">{escape(j)}</a>' for j in d.joints) + "</nav>", "</header>", "<main>",
+        '<nav aria-label="Contents">' + "".join(f'<a href="#{escape(j)}">{escape(j)}</a>' for j in d.joints) + "</nav>", "</header>", '<main id="content">',
         _matrix(d), _errors(d), _changed(d), *(_joint(r) for r in d.joints.values()), _links(d), _notes(d), "</main>", _footer(d),
     ]  # fmt: skip
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n<meta name="color-scheme" content="light dark">\n'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n"
-        f"<title>{words.badge}: diagnosis of a robot</title>\n<style>\n{css}\n</style>\n</head>\n<body>\n" + "\n".join(body) + "\n</body>\n</html>\n"
-    )  # fmt: skip
+    return document(f"{words.badge}: diagnosis of a robot", "\n".join(body))
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = ()) -> str:
-    """A table; cells are HTML already; the first of a row heads it."""
-    cells = "".join(f'<th scope="col"{_n(i, numeric)}>{h}</th>' for i, h in enumerate(head))
-    lines = [
-        f'<tr><th scope="row">{row[0]}</th>'
-        + "".join(f"<td{_n(i, numeric)}>{c}</td>" for i, c in enumerate(row[1:], 1))
-        + "</tr>"
-        for row in rows
-    ]
-    return f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>\n' + "\n".join(lines) + "\n</tbody></table></div>"
-
-
-def _n(column: int, numeric: Sequence[int]) -> str:
-    return ' class="n"' if column in numeric else ""
+    """A table; heads and cells are HTML already; the first of a row heads it."""
+    columns = [Column(Markup(h), numeric=i in numeric) for i, h in enumerate(head)]
+    return table(columns, [[Markup(cell) for cell in row] for row in rows])
 
 
 def _badge(r: JointResult) -> str:

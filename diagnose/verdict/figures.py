@@ -18,6 +18,7 @@ from diagnose.result import FitFigures, Rival, Traces
 from diagnose.structure.search import Search
 from diagnose.thresholds import JUDGED
 from mjsim.axis import Axis
+from mjsim.recording import Recording
 
 __all__ = ["error_figures", "figures", "rivals", "traces"]
 
@@ -107,6 +108,14 @@ def traces(fitter: Fitter, base: Fitted, best: Fitted, mapped: Fitted | None = N
                 Traces(experiment.recording.source, role, refitted.time, refitted.measured, given.predicted if given else None,
                        refitted.predicted, corrected.predicted, fitter.counted(experiment),
                        fitter.noise.floor(noise_rms(fitter, experiment)),
-                       more[0].predicted if more and more[0] else None)
+                       more[0].predicted if more and more[0] else None,
+                       _recorded(experiment.recording, fitter.view.decimate))
             )  # fmt: skip
     return tuple(out)
+
+
+def _recorded(r: Recording, every: int) -> dict[str, tuple[np.ndarray, str]]:
+    """The recorded channels on the view's grid: name -> (values (M,), unit)."""
+    channels = {"angle": r.angle, "velocity": r.velocity, "command": r.command, "torque": r.torque}
+    known = {name: y for name, y in channels.items() if y is not None and np.all(np.isfinite(y))}
+    return {name: (y[::every], r.units.get(name, "")) for name, y in known.items()}

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from diagnose.result import Diagnosis, Finding, FitFigures, Verdict
 from diagnose.verdict.reference import Run, at_noise, chi_square, figures
 from diagnose.verdict.reference_stage import APART, Nominal
+from diagnose.verdict.simulator_traces import with_runs
 
 __all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
 
@@ -51,7 +52,8 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
             f"{_told(fits['corrected'].held_out_rms)} {result.unit}, with these in simgap's replay "
             f"{engine['corrected'].held_out_rms:.4g} {result.unit}."
         )
-    out = dataclasses.replace(result, fit=fits, surrogate=engine)
+    shown = with_runs(result.traces, nominal.cases, nominal.runs, files.runs)
+    out = dataclasses.replace(result, fit=fits, surrogate=engine, traces=shown)
     if nominal_stands(result, nominal):
         return _no_mismatch(out, notes)
     if missed and not files.lacks:

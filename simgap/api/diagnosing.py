@@ -13,7 +13,6 @@ import mujoco
 
 from diagnose.check.types import LogCheck
 from diagnose.pipeline import Options
-from diagnose.report.render_worker import Draw
 from diagnose.result import Diagnosis as AxisResult
 from diagnose.result import Estimate, Finding, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
@@ -217,7 +216,6 @@ def diagnose(
     effort: float = 1.0,
     accept_log: bool = False,
     progress: bool = False,
-    draw: Draw | None = None,
 ) -> Diagnosis:
     """Locate, name, model and prove the mismatch between recordings and a model of an axis or of a robot.
 
@@ -227,8 +225,7 @@ def diagnose(
     recording's binding says. ``effects``: identifiers to consider, all when empty. ``joints``: of a robot, those to diagnose, all
     that move when empty; of one axis, the one of a log that holds several. ``jobs``: threads. ``budget`` [s]: after which no
     further fit starts. ``effort``: limit of the simulations, 0 for none. ``accept_log``: search even where the check of
-    the log says that it has to be fixed. ``progress``: on standard error. ``draw``: who draws the report, see
-    `diagnose.report.render_worker.Drawers`.
+    the log says that it has to be fixed. ``progress``: on standard error.
 
     Raises `InputError` for recordings or a model that cannot be used.
 
@@ -253,29 +250,25 @@ def diagnose(
     group, kept = ([loaded(r, subject, joint=joint, robot=robot) for r in x] for x in (given, held))
     scratch = Scratch() if out is None else None
     folder = scratch.path if scratch is not None else Path(str(out))
-    drawn = draw is not None or scratch is None
+    drawn = scratch is None
     if robot:
         own = _robot(group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn)
         return Diagnosis(own, subject, folder, scratch)
     options = Options(
         judge=judge, effects=tuple(effects), jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf
     )
-    result = _axis(group, subject, folder, kept, options, progress, accept_log, draw, drawn)
+    result = _axis(group, subject, folder, kept, options, progress, accept_log, drawn)
     return Diagnosis(result, subject, folder, scratch)
 
 
 def _axis(
     recordings: Sequence[Recording | RobotRecording], model: Model, out: Path, held: Sequence[Recording | RobotRecording],
-    options: Options, progress: bool, accept_log: bool, draw: Draw | None, drawn: bool,
+    options: Options, progress: bool, accept_log: bool, page: bool,
 ) -> AxisResult:  # fmt: skip
-    from diagnose.report.render_worker import Drawers
     from simgap.pipeline import diagnose_recordings
 
     group, kept = ([r for r in x if isinstance(r, Recording)] for x in (recordings, held))
-    if draw is None and drawn:
-        with Drawers(options.jobs) as drawers:
-            return _axis(recordings, model, out, held, options, progress, accept_log, drawers, drawn)
-    return diagnose_recordings(group, model.path, out, kept, options, progress=progress, draw=draw, accept_log=accept_log)
+    return diagnose_recordings(group, model.path, out, kept, options, progress=progress, page=page, accept_log=accept_log)
 
 
 def _robot(

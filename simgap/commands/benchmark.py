@@ -278,7 +278,7 @@ def _page(out: Path, summary: dict[str, Any]) -> None:
     from ident.serial import write_atomic
     from lab.benchmark.page import Manner, render_page
 
-    css = (files("diagnose.report") / "page.css").read_text(encoding="utf-8")
+    css = (files("diagnose.report") / "theme.css").read_text(encoding="utf-8")
     page, pictures = render_page(summary, Manner(css, number, percent, effect_name))
     for name, picture in pictures.items():
         write_atomic(out / "pictures" / f"{name}.svg", picture)

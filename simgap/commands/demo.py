@@ -35,7 +35,6 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     import json
 
     from diagnose.pipeline import Options
-    from diagnose.report.render_worker import Drawers
     from lab.benchmark.seal import open_envelope, write_cases
     from mjsim.models import shipped_model
     from simgap.pipeline import diagnose_files, model_diff
@@ -51,18 +50,17 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     model = shipped_model("robot_axis1")
     inputs = [recordings / "001_estimation.csv"], model, out, [recordings / "001_held_out.csv"]
     options = Options(jobs=jobs, seed=seed)
-    with Drawers(jobs) as draw:
-        result = diagnose_files(*inputs, options, progress=not as_json, draw=draw)
-        truth = open_envelope(recordings, truth_file)["001"]
-        if as_json:
-            click.echo(json.dumps({"truth": truth, "diagnosis": result.as_dict()}, indent=2, default=float))
-            return
-        show_diagnosis(result, out)
-        show_truth(truth, result.findings)
-        from diagnose.report import write_report
+    result = diagnose_files(*inputs, options, progress=not as_json)
+    truth = open_envelope(recordings, truth_file)["001"]
+    if as_json:
+        click.echo(json.dumps({"truth": truth, "diagnosis": result.as_dict()}, indent=2, default=float))
+        return
+    show_diagnosis(result, out)
+    show_truth(truth, result.findings)
+    from diagnose.report import write_report
 
-        diff = model_diff(model, out / "corrected.xml")
-        write_report(result, out / "report.html", corrected_diff=diff, truth=truth, draw=draw)
+    diff = model_diff(model, out / "corrected.xml")
+    write_report(result, out / "report.html", corrected_diff=diff, truth=truth)
 
 
 def show_truth(truth, findings) -> None:  # type: ignore[no-untyped-def]

@@ -74,23 +74,20 @@ def command(
     need_folder(out)
     written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html")
     spare_inputs([out / name for name in written], [*recordings, *held_out, model])
-    from diagnose.report.render_worker import Drawers
-
     only = tuple(e.strip() for e in effects.split(",") if e.strip())
-    with Drawers(jobs) as draw:  # its processes import the plotting library while this one imports the rest
-        from simgap.api.diagnosing import diagnose
-        from simgap.pipeline import STATE
+    from simgap.api.diagnosing import diagnose
+    from simgap.pipeline import STATE
 
-        try:
-            found = diagnose(
-                list(recordings), model, held_out=list(held_out), out=out, judge=judge, effects=only, joints=joints, jobs=jobs,
-                seed=seed, budget=budget, effort=effort, accept_log=accept_log, progress=not quiet, draw=draw,
-            )  # fmt: skip
-        except KeyboardInterrupt:
-            kept = out / STATE
-            left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"
-            click.echo(f"simgap: interrupted; {left}", err=True)
-            raise SystemExit(130) from None
+    try:
+        found = diagnose(
+            list(recordings), model, held_out=list(held_out), out=out, judge=judge, effects=only, joints=joints, jobs=jobs,
+            seed=seed, budget=budget, effort=effort, accept_log=accept_log, progress=not quiet,
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        kept = out / STATE
+        left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"
+        click.echo(f"simgap: interrupted; {left}", err=True)
+        raise SystemExit(130) from None
     if as_json:
         click.echo(json.dumps(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")), indent=2))
     else:

@@ -1,0 +1,80 @@
+"""Headless Chromium for tests: the system's browser, driven by playwright; skipped with a reason where one of them is missing."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+@contextmanager
+def started() -> Iterator[Any]:
+    """A browser that is closed at the end."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install simgap[dev]")
+    path = next((found for name in NAMES if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip("no Chromium on this machine: apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@dataclass
+class Watched:
+    """A page with what it said on the console and what it asked of the network."""
+
+    page: Any
+    said: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+    prepared: Any = None
+
+    def clean(self) -> None:
+        """Hold that nothing was reported and nothing requested."""
+        assert self.said == []
+        assert self.asked == []
+
+    def until(self, condition: str, seconds: float = 10.0) -> None:
+        """Wait for a condition in JavaScript; the page's policy does not let Playwright's own wait evaluate text in the page."""
+        end = time.monotonic() + seconds
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < end, condition
+            time.sleep(0.02)
+
+    def see_all(self) -> None:
+        """Scroll through the page, so that every plot is drawn."""
+        self.page.evaluate(
+            """async () => {
+                for (let y = 0; y < document.documentElement.scrollHeight; y += 400) {
+                    window.scrollTo(0, y);
+                    await new Promise((done) => requestAnimationFrame(() => setTimeout(done, 20)));
+                }
+                window.scrollTo(0, 0);
+            }"""
+        )
+
+
+@contextmanager
+def opened(
+    browser: Any, file: Path, width: int = 1400, prepare: Callable[[Any], Any] | None = None, **context: Any
+) -> Iterator[Watched]:
+    """A file in a window of its own of a given width [px]; ``prepare``: called with the page before the file is opened."""
+    with browser.new_context(viewport={"width": width, "height": 900}, **context) as window:
+        page = window.new_page()
+        watched = Watched(page)
+        page.on("console", lambda m: watched.said.append(f"{m.type}: {m.text}") if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda e: watched.said.append(str(e)))
+        page.on("request", lambda r: None if r.url.startswith(("file:", "data:", "blob:")) else watched.asked.append(r.url))
+        watched.prepared = prepare(page) if prepare else None
+        page.goto(file.as_uri())
+        yield watched
