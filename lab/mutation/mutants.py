@@ -12,7 +12,7 @@
 | a condition that is a plain expression | its negation |
 | ``break`` | ``continue`` |
 
-Text, annotations and default values of arguments stay as they are.
+Text, annotations, default values of arguments and ``strict=True`` stay as they are.
 """
 
 from __future__ import annotations
@@ -138,7 +138,8 @@ def _mutable(function: ast.FunctionDef) -> list[ast.AST]:
         if _variants(node):
             out.append(node)
         for child in ast.iter_child_nodes(node):
-            if not isinstance(child, ast.arguments) and child is not getattr(node, "annotation", None):
+            strict = isinstance(child, ast.keyword) and child.arg == "strict"  # it guards: no answer depends on it
+            if not strict and not isinstance(child, ast.arguments) and child is not getattr(node, "annotation", None):
                 visit(child)
 
     for statement in function.body:
