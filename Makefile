@@ -14,6 +14,7 @@ test: $(STAMP) lint
 proof: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal --ignore tests/benchmark/test_quick_grade.py
 	$(BIN)/python -m pytest -m slow tests/benchmark/test_quick_grade.py
+	$(BIN)/python -m lab.panel kernels --quick
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""``python -m lab.panel``: run, compare, ablate."""
+"""``python -m lab.panel``: run, compare, ablate, kernels."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from lab.benchmark.resume import plain
 from lab.panel.ablate import ablate, ablation_table
 from lab.panel.catalogue import all_cases, choose, quick_cases, select, strata
 from lab.panel.compare import compare, markdown
+from lab.panel.kernels import KERNELS, differs, under_kernels
 from lab.panel.record import read_answers, write_answers
 from lab.panel.rules import RULES, rules_of
 from lab.panel.run import LIMIT, Ran, Setting, run_cases
@@ -160,6 +161,28 @@ def ablate_(
     with _code(tree, commit, cache) as code:
         found = ablate(rules, _cases(quick, names), out, Setting(code, cache, limit=limit), jobs, _say)
     click.echo(ablation_table(found))
+
+
+@panel.command("kernels")
+@click.option("--kernels", "kernels", multiple=True, default=KERNELS, show_default=True, help="OPENBLAS_CORETYPE; two or more.")
+@click.option("--out", type=click.Path(path_type=Path), default=PANEL / "kernels", show_default=True, help="Folder of the runs.")
+@_with_options
+def kernels_(
+    kernels: tuple[str, ...], out: Path, quick: bool, names: tuple[str, ...], tree: Path | None, commit: str | None, jobs: int,
+    cache: Path, limit: float,
+) -> None:  # fmt: skip
+    """Diagnose the cases under several kernels of OpenBLAS and compare the answers; exit 1 where one depends on them.
+
+    Example: python -m lab.panel kernels --quick
+    """
+    if len(set(kernels)) < 2:
+        raise InputError("--kernels", ", ".join(kernels), "two different ones", f"such as {' and '.join(KERNELS)}")
+    with _code(tree, commit, cache) as code:
+        found = under_kernels(kernels, _cases(quick, names), out, Setting(code, cache, limit=limit), jobs, _say)
+    for name, comparison in found.items():
+        click.echo(markdown(comparison, kernels[0], name))
+    if differs(found):
+        sys.exit(1)
 
 
 @panel.command("collect")

@@ -9,7 +9,7 @@ import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ class Setting:
     """How cases are run.
 
     ``tree``: the code; ``cache``: folder of the files of cases; ``patches``, ``rule``: what is switched off, and its name;
-    ``limit``: [s] until a case is an error; ``again``: errors of an earlier run are no answers.
+    ``limit``: [s] until a case is an error; ``again``: errors of an earlier run are no answers; ``environment``: variables of the
+    process that diagnoses.
     """
 
     tree: Tree
@@ -40,11 +41,13 @@ class Setting:
     rule: str = ""
     limit: float = LIMIT
     again: bool = False
+    environment: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def stamp(self) -> str:
         """What an answer follows from besides its case."""
-        return f"{self.tree.stamp} {json.dumps(list(self.patches), sort_keys=True)}"
+        own = f" {json.dumps(dict(self.environment), sort_keys=True)}" if self.environment else ""
+        return f"{self.tree.stamp} {json.dumps(list(self.patches), sort_keys=True)}{own}"
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,9 @@ class _Run:
             raise self._failed[0]
 
     def _serve(self, number: int, todo: queue.SimpleQueue[Case], makers: ProcessPoolExecutor, total: int) -> None:
-        worker = Worker(self.setting.tree, self.out / "log" / f"worker_{number}.txt", self.setting.patches)
+        worker = Worker(
+            self.setting.tree, self.out / "log" / f"worker_{number}.txt", self.setting.patches, self.setting.environment
+        )
         self._workers.append(worker)
         try:
             while not (self._failed or self._stopped):

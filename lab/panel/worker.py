@@ -29,11 +29,14 @@ class WorkerError(RuntimeError):
 class Worker:
     """`driver.py` in a process of its own: one thread for the linear algebra, one job a diagnosis.
 
-    ``log``: file that what the process prints is appended to; ``patches``: what is switched off in it.
+    ``log``: file that what the process prints is appended to; ``patches``: what is switched off in it; ``environment``: its
+    further variables.
     """
 
-    def __init__(self, tree: Tree, log: Path, patches: Sequence[Mapping[str, Any]] = ()) -> None:
-        self._tree, self._log, self._patches = tree, log, list(patches)
+    def __init__(
+        self, tree: Tree, log: Path, patches: Sequence[Mapping[str, Any]] = (), environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._tree, self._log, self._patches, self._environment = tree, log, list(patches), dict(environment or {})
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] | None = None
         self._rest = b""
@@ -79,7 +82,8 @@ class Worker:
         asked = json.dumps({"tree": str(self._tree.folder), "patches": self._patches})
         self._process = subprocess.Popen(
             [sys.executable, "-P", driver.__file__, asked], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._stderr,
-            cwd=self._tree.folder, env={**os.environ, **single, "PYTHONPATH": str(self._tree.folder)}, start_new_session=True,
+            cwd=self._tree.folder, start_new_session=True,
+            env={**os.environ, **single, **self._environment, "PYTHONPATH": str(self._tree.folder)},
         )  # fmt: skip
         said = self._answer(READY)
         if not said["ready"]:

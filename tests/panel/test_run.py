@@ -7,8 +7,10 @@ import subprocess
 
 import pytest
 
+from lab.panel import kernels
 from lab.panel.ablate import ablate, ablation_table
 from lab.panel.case import Case, Content
+from lab.panel.kernels import KERNELS, VARIABLE, differs, under_kernels
 from lab.panel.record import read_answers
 from lab.panel.rules import Rule
 from lab.panel.run import Setting, run_cases
@@ -197,3 +199,33 @@ def test_a_commit_is_run_in_a_worktree_that_is_removed(run, tree, tmp_path, monk
     assert len(git(tree.folder, "worktree", "list").splitlines()) == 1
     with pytest.raises(InputError, match="git rev-parse"), at_commit("no-such-commit", tmp_path / "trees"):
         pass
+
+
+def test_answers_that_depend_on_the_kernels_of_the_linear_algebra_are_told(run, tree, tmp_path, monkeypatch):
+    """The first kernels are compared with the others; a run under one is not taken for a run under another."""
+    cases = [Case(name, "example", "x", Maker(text)) for name, text in (("a", "7"), ("b", "8"))]
+    setting = Setting(tree, tmp_path / "cases")
+    monkeypatch.setattr(kernels, "kernels_in_use", lambda name: name)
+
+    def go():
+        return under_kernels(KERNELS, cases, tmp_path / "kernels", setting, 1, lambda text: None)
+
+    found = go()
+    assert list(found) == ["Sandybridge"]
+    assert found["Sandybridge"].cases == 2
+    assert not differs(found)
+    text = PIPELINE.replace("return NAMES", f"import os; return NAMES if os.environ['{VARIABLE}'] == 'Haswell' else []")
+    (tree.folder / "simgap" / "pipeline.py").write_text(text)
+    assert not differs(go()), "what is known of one code is kept"
+    setting = Setting(Tree(tree.folder, "abc", "another stamp"), tmp_path / "cases")
+    found = go()
+    assert differs(found)
+    assert [c.case for c in found["Sandybridge"].changes] == ["a", "b"]
+    assert "lost" in (tmp_path / "kernels" / "Sandybridge" / "comparison.md").read_text()
+
+
+def test_kernels_that_are_not_used_are_refused(tree, tmp_path, monkeypatch):
+    """OpenBLAS takes those of the processor for a name that it does not know: nothing would be compared."""
+    monkeypatch.setattr(kernels, "kernels_in_use", lambda name: "SkylakeX")
+    with pytest.raises(InputError, match="Haswell is asked for and SkylakeX is used"):
+        under_kernels(KERNELS, [], tmp_path, Setting(tree, tmp_path), 1, lambda text: None)
