@@ -41,6 +41,7 @@ def _gap_recordings(sealed, **more):
     return fitted, sealed(laws._replace(**more), (multisine(10.0, 0.43, 0.1, 40.0, rng),), 6, NOISE)
 
 
+@pytest.mark.slow
 def test_a_gap_is_named_although_its_free_run_diverges(robot, sealed):
     """Parameters that differ by rounding give different free runs on the held-out recording, and the same answer."""
     estimation, held_out = _gap_recordings(sealed)
@@ -69,6 +70,7 @@ def test_divergence_by_event_times_is_told_from_missing_physics(robot, sealed, m
         fitter.close()
 
 
+@pytest.mark.slow
 def test_what_is_left_on_the_fitted_recording_counts(robot, sealed):
     """A torque that fades as the motor heats, for which drag is a stand-in that a weak held-out recording does not betray."""
     rng = np.random.default_rng(6)

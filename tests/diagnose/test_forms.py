@@ -70,6 +70,7 @@ def test_a_form_is_named_by_the_contract(robot, damped):
     assert (told["effect"], told["law"]) == ("presliding_friction", "presliding_friction_with_damping")
 
 
+@pytest.mark.slow
 def test_friction_that_fades_in_is_coulomb_friction_and_no_bristle(robot):
     """Near standstill a damped bristle comes close to it, and neither holds the axis nor gives it a spring."""
     plant = robot + effect_class("coulomb_friction_with_creep")(torque_Nm=0.1, creep_velocity_rad_s=1.0)
@@ -83,6 +84,7 @@ def test_friction_that_fades_in_is_coulomb_friction_and_no_bristle(robot):
     assert finding.parameters["creep_velocity_rad_s"].value == pytest.approx(1.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_tustins_law_is_stribeck_friction_and_nothing_beside_it(robot):
     """The extra level fades by the speed and not by its square: quadratic friction made up for that before."""
     values = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 3.0, "exponent": 1.0}
@@ -97,6 +99,7 @@ def test_tustins_law_is_stribeck_friction_and_nothing_beside_it(robot):
         assert finding.parameters[name].value == pytest.approx(value, rel=0.1)
 
 
+@pytest.mark.slow
 def test_friction_and_an_offset_are_not_held_by_asymmetric_friction(robot):
     """Asymmetric friction fits the pair best at first: taken apart, its friction is refined beside the offset."""
     stribeck = {"torque_Nm": 0.13, "extra_static_torque_Nm": 0.06, "stribeck_velocity_rad_s": 4.0}
@@ -175,6 +178,7 @@ def test_parts_that_nothing_tells_from_one_effect_are_named_by_it(robot):
 CHIRPS = sealed_chirp(4.0, 1.0, 0.5, 30.0), sealed_chirp(4.0, 0.8, 0.7, 25.0)
 
 
+@pytest.mark.slow
 def test_a_slider_is_told_as_hysteresis_with_its_corner(robot, sealed):
     """One Maxwell-slip element of another solver: the contract's gradual law leaves three times the noise of it."""
     slip = {"torque_Nm": 4.8, "stiffness_Nm_rad": 1.6e4}
@@ -190,6 +194,7 @@ def test_a_slider_is_told_as_hysteresis_with_its_corner(robot, sealed):
         assert finding.parameters[name].value == pytest.approx(value, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot, sealed):
     """A compliant impact of another solver, whose joint has no damping of its own: 73 times the noise variance was left."""
     hidden = {"gap_rad": 2e-4}
@@ -203,6 +208,7 @@ def test_a_contact_that_damps_by_its_depth_is_told_as_backlash(robot, sealed):
     assert finding.parameters["impact_s_rad"].value == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_gear_that_begins_unstrained_is_told_as_transmission_error(robot, sealed):
     """The contract's gear begins strained by its error and rings; another plant's does not: hysteresis was named beside it."""
     hidden = {"amplitude_rad": 8e-5, "cycles_per_rev": 2.0, "phase_rad": 0.9}
