@@ -8,7 +8,6 @@ names (`mjsim.binding`). Of a robot's log one joint is read.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,15 +30,15 @@ from mjsim.binding import (
 )
 from mjsim.errors import InputError
 from mjsim.hold import HOLDS
-from mjsim.readers import Table, read_table
+from mjsim.readers import Table, digest, guess, need_source, part_of, read_table
 from mjsim.timebase import onto_stamps, resample, sample_time, where_in
 
-__all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "file_hash", "find_binding", "from_table", "load"]
+__all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "from_table", "load"]
 
 
 def find_binding(recording: Path, model: Path | None = None) -> Binding:
     """The sidecar beside the recording, else the machine's TOML beside the model, else the default names."""
-    for candidate in (recording.with_suffix(".toml"), model.with_suffix(".toml") if model else None):
+    for candidate in (part_of(recording)[0].with_suffix(".toml"), model.with_suffix(".toml") if model else None):
         if candidate is not None and candidate.is_file():
             binding = Binding.from_toml(candidate)
             if binding is not None:
@@ -180,16 +179,9 @@ def load(
     the file, the row or key, what was expected and what to do.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "no such file", "a recording (.csv, .mat, .npz, .parquet, .mcap)", "check the path")
+    need_source(path)
     binding = binding or find_binding(path, Path(model) if model else None)
-    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=file_hash(path))
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file, read in parts."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
+    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=digest(path))
 
 
 def from_table(
@@ -197,6 +189,7 @@ def from_table(
     sha256: str = "",
 ) -> Recording:  # fmt: skip
     """The recording that a table of columns holds, as `load` reads it; ``path``: how messages name the source."""
+    given = binding
     binding, joint = _bound(path, binding, table, joint, prefer)
     if not {"torque", "command"} & set(binding.channels):
         raise InputError(binding.source, "no torque channel bound", "torque = ... or command = ...", "add it to [recording]")
@@ -218,7 +211,7 @@ def from_table(
             raise InputError(
                 path, f"{name} is not finite in {where_in(path, bad[0])}", "a number", "remove or interpolate these samples"
             )
-    notes = []
+    notes = [*table.notes, *_guesses(given, binding)]
     stamps = arrays.pop("command_time", None)
     if stamps is not None and "command" in arrays:
         arrays["command"], note = onto_stamps(path, arrays["command"], stamps, arrays["time"])
@@ -246,6 +239,27 @@ def _in_binding(path: Path) -> str:
     return f"in {path.with_suffix('.toml').name}" if path.suffix else "by binding"
 
 
+def _by_headers(binding: Binding, table: Table) -> Binding:
+    """The binding by the default names; channels without one by what their headers say, where these tell all that is needed."""
+    channels = plain_channels(table)
+    if all(c.column in table for c in channels.values()) and {"velocity", "angle"} & set(channels):
+        return dataclasses.replace(binding, channels=channels)
+    there = {role: c for role, c in channels.items() if c.column in table}
+    said = {role: Channel(column, unit) for role, (column, unit) in guess(table).items() if role not in there}
+    found = there | said
+    if not (said and "time" in found and {"torque", "command"} & set(found) and {"velocity", "angle"} & set(found)):
+        return dataclasses.replace(binding, channels=channels)
+    return dataclasses.replace(binding, channels=found, named=True)
+
+
+def _guesses(before: Binding, after: Binding) -> list[str]:
+    """A note on the columns that were bound by what their headers say."""
+    if before.named or before.joints or not after.named:
+        return []
+    told = ", ".join(f"{role} = {c.column!r} [{c.unit}]" for role, c in after.channels.items() if c.unit)
+    return [f"Columns guessed from their headers: {told}. Bind them in a TOML file to be sure."] if told else []
+
+
 def _bound(path: Path, binding: Binding, table: Table, joint: str | None, prefer: str | None) -> tuple[Binding, str | None]:
     """The binding of one joint, and its name where the log is a robot's."""
     names = list(binding.joints) or ([] if binding.named else joints_in(table))
@@ -253,8 +267,7 @@ def _bound(path: Path, binding: Binding, table: Table, joint: str | None, prefer
         if joint is not None:
             raise InputError("--joint", f"{joint!r}, and {path.name} names no joints", "a log with JOINT.angle_rad columns",
                              "leave it out, or bind [joints.NAME]")  # fmt: skip
-        channels = binding.channels if binding.named else plain_channels(table)
-        return dataclasses.replace(binding, channels=channels), None
+        return (binding if binding.named else _by_headers(binding, table)), None
     if joint is None and prefer in names:
         joint = prefer
     if joint is None and len(names) > 1:

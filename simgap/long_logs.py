@@ -9,8 +9,9 @@ from pathlib import Path
 from diagnose.data.stretches import Stretches, choose
 from diagnose.thresholds import LONGEST
 from mjsim.errors import InputError
+from mjsim.readers import digest
 from mjsim.readers.stream import row_count, windows
-from mjsim.recording import Recording, file_hash, find_binding, from_table, load
+from mjsim.recording import Recording, find_binding, from_table, load
 
 __all__ = ["Loaded", "load_all"]
 
@@ -62,6 +63,6 @@ def _stretches(path: Path, model: Path, joint: str | None, prefer: str | None, h
                 yield first, None
 
     try:
-        return choose(path.name, file_hash(path), recordings, held_out=held)
+        return choose(path.name, digest(path), recordings, held_out=held)
     except InputError as error:
         raise (errors or [error])[0] from None

@@ -113,7 +113,7 @@ TABLES = {
     "empty": ("", ["log.csv", "empty"]),
     "header only": (",".join(NAMES) + "\n", ["log.csv", "header and no data"]),
     "a picture": ("\x89PNG\r\n\x1a\n\x00\x01\x02", ["log.csv"]),
-    "semicolons": (GOOD.replace(",", ";"), ["log.csv", "row 1", "';'", "commas"]),
+    "two separators": (GOOD.replace(",", ";", 1), ["log.csv", "4 columns under 3 names"]),
     "opposite signs of motion": (table(velocity_rad_s=-10 * np.sin(40 * TIME)), ["log.csv", "-1 times", "velocity"]),
     "angle in degrees": (table(angle_rad=-14.3239 * np.cos(40 * TIME)), ["log.csv", "57.", "velocity", "rad"]),
     "wrapped angle": (

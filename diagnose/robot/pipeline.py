@@ -191,7 +191,7 @@ def _overall(joints: Mapping[str, JointResult]) -> dict[str, FitFigures]:
 
 def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapping[str, JointResult]) -> tuple[str, ...]:
     p = search.problem
-    notes = []
+    notes = list(dict.fromkeys(note for r in recordings for note in r.notes))
     for name, at in recordings[0].held_at:
         notes.append(f"Joint {name} is not in the log: it is held at {at:.4g}.")
     still = [n for n in recordings[0].joints if n not in joints]

@@ -1,6 +1,11 @@
-"""Tables of numbers from files: CSV, MAT, NPZ, Parquet, MCAP. Each reader returns a `Table` or raises one clear line."""
+"""Tables of numbers from files: CSV, MAT, NPZ, Parquet, MCAP, ROS bags, LeRobot, SAGE.
 
+Each reader returns a `Table` or raises one clear line.
+"""
+
+from mjsim.readers.headers import guess
 from mjsim.readers.read import READERS, read_table
+from mjsim.readers.source import digest, is_source, need_source, part_of
 from mjsim.readers.table import MOST_BYTES, Table
 
-__all__ = ["MOST_BYTES", "READERS", "Table", "read_table"]
+__all__ = ["MOST_BYTES", "READERS", "Table", "digest", "guess", "is_source", "need_source", "part_of", "read_table"]

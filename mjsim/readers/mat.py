@@ -1,4 +1,4 @@
-"""MATLAB files, version 4 to 7."""
+"""MATLAB files; those of version 7.3 are HDF5 (`mjsim.readers.hdf5`)."""
 
 from __future__ import annotations
 
@@ -10,23 +10,27 @@ from typing import Any
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.readers.hdf5 import SIGNATURE, read_mat73
 from mjsim.readers.table import MOST_BYTES, Table, need_size
 
 __all__ = ["read_mat"]
 
 RATIO = 1032  # most bytes that one compressed byte of a deflate stream can give
+BLOCK = 512  # bytes ahead of the HDF5 of a version 7.3 file
 HEADER, COMPRESSED = 128, 15  # bytes of a version 5 header; tag of a compressed element
 
 
 def read_mat(path: Path) -> Table:
     """Numeric arrays of one or two dimensions, fields of structs as ``name.field``."""
+    if _is_hdf5(path):
+        return read_mat73(path)
     from scipy.io import loadmat
 
     _need_memory(path)
     try:
         content = loadmat(str(path), squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
-        raise InputError(path, f"not a readable MAT file ({error})", "MATLAB v4 to v7", "save it with -v7") from None
+        raise InputError(path, f"not a readable MAT file ({error})", "MATLAB v4 to v7.3", "save it with -v7") from None
     table: dict[str, np.ndarray] = {}
 
     def add(name: str, value: Any, depth: int) -> None:
@@ -42,6 +46,13 @@ def read_mat(path: Path) -> Table:
         if not name.startswith("__"):
             add(name, value, 0)
     return Table.of(table)
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Whether a file is HDF5: at its start, or behind the 512 bytes in which MATLAB states its version."""
+    with path.open("rb") as handle:
+        head = handle.read(BLOCK + len(SIGNATURE))
+    return head.startswith(SIGNATURE) or head[BLOCK:] == SIGNATURE
 
 
 def _need_memory(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""MCAP logs with messages in JSON."""
+"""MCAP logs with messages in JSON, or of ROS 2 (CDR with the definitions that the file brings)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.readers.optional import need
 from mjsim.readers.table import Table
+from mjsim.readers.topics import Topics
 
 __all__ = ["read_mcap"]
 
@@ -22,6 +23,8 @@ def read_mcap(path: Path) -> Table:
     of the short names.
     """
     reader = need("mcap.reader", path)
+    if _is_ros(reader, path):
+        return _read_ros(reader, path)
     columns: dict[str, dict[str, list[float]]] = {}
     first: int | None = None
     with path.open("rb") as handle:
@@ -29,8 +32,9 @@ def read_mcap(path: Path) -> Table:
             if channel.message_encoding != "json":
                 kind = channel.message_encoding or (schema.encoding if schema else "")
                 raise InputError(
-                    path, f"topic {channel.topic!r} is encoded as {kind!r}", "messages in JSON", "convert it to JSON or CSV"
-                )
+                    path, f"topic {channel.topic!r} is encoded as {kind!r}", "messages in JSON or of ROS 2",
+                    "convert it to JSON or CSV",
+                )  # fmt: skip
             first = message.log_time if first is None else first
             values: dict[str, float] = {"log_time": (message.log_time - first) * 1e-9}
             _flatten(json.loads(message.data), "", values)
@@ -38,6 +42,28 @@ def read_mcap(path: Path) -> Table:
             for name, value in values.items():
                 topic.setdefault(name, []).append(value)
     return _merge(columns, path)
+
+
+def _is_ros(reader: Any, path: Path) -> bool:
+    """Whether the first message is one of ROS 2."""
+    with path.open("rb") as handle:
+        for _, channel, _ in reader.make_reader(handle, validate_crcs=True).iter_messages():
+            return bool(channel.message_encoding == "cdr")
+    return False
+
+
+def _read_ros(reader: Any, path: Path) -> Table:
+    """As `mjsim.readers.topics.Topics` makes columns of it; the definitions in the file are interpreted, not run."""
+    factory = need("mcap_ros2.decoder", path).DecoderFactory()
+    topics = Topics(path)
+    with path.open("rb") as handle:
+        for schema, channel, message in reader.make_reader(handle, validate_crcs=True).iter_messages():
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            if decode is None:
+                topics.leave_out(channel.topic, f"messages encoded as {channel.message_encoding!r}")
+            else:
+                topics.add(channel.topic, schema.name, message.log_time, decode(message.data))
+    return topics.table()
 
 
 def _flatten(value: Any, name: str, out: dict[str, float]) -> None:

@@ -18,5 +18,5 @@ def need(package: str, path: Path) -> Any:
     except ImportError:
         top = package.partition(".")[0]
         raise InputError(
-            path, f"the Python package {top!r} that reads {path.suffix} is not installed", "it", "pip install 'simgap[formats]'"
+            path, f"the Python package {top!r} for this format is not installed", "it", "pip install 'simgap[formats]'"
         ) from None

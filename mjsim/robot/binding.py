@@ -12,6 +12,7 @@ from typing import Any
 from mjsim.binding import Channel
 from mjsim.errors import InputError
 from mjsim.hold import HOLDS
+from mjsim.readers import part_of
 
 __all__ = ["CHANNELS", "MEASURES", "Payload", "RobotBinding", "find_robot_binding"]
 
@@ -30,7 +31,10 @@ class Payload:
 
 @dataclass(frozen=True)
 class RobotBinding:
-    """joints: by joint and channel (column, factor to SI, row of a matrix or None); time: (column, factor), or dt [s]."""
+    """joints: by joint and channel (column, factor to SI, row of a matrix or None); time: (column, factor), or dt [s].
+
+    jitter: stamps may be off by this part of the sample time, and are resampled uniformly.
+    """
 
     joints: dict[str, dict[str, tuple[str, float, int | None]]]
     time: tuple[str, float] | None
@@ -38,6 +42,7 @@ class RobotBinding:
     hold: str
     payload: Payload | None
     source: str
+    jitter: float = 0.0
 
     @classmethod
     def from_toml(cls, path: Path) -> RobotBinding | None:
@@ -53,7 +58,7 @@ class RobotBinding:
     def from_tables(cls, table: Mapping[str, Any], path: Path) -> RobotBinding | None:
         """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
         recording, experiment = table.get("recording", {}), table.get("experiment", {})
-        if "joints" not in table and not {"hold"} & set(recording) and "payload" not in experiment:
+        if "joints" not in table and not {"hold", "jitter"} & set(recording) and "payload" not in experiment:
             return None
         joints: dict[str, dict[str, tuple[str, float, int | None]]] = {}
         for name, channels in table.get("joints", {}).items():
@@ -72,7 +77,10 @@ class RobotBinding:
             raise InputError(f"{path}: [recording] dt", f"{dt!r}", "a sample time in seconds, above zero", "correct it")
         time = _bound(recording["time"], "time", f"{path}: [recording] time")[:2] if "time" in recording else None
         payload = _payload(experiment.get("payload"), f"{path}: [experiment] payload")
-        return cls(joints, time, dt, hold, payload, str(path))
+        jitter = recording.get("jitter", 0.0)
+        if not (isinstance(jitter, int | float) and not isinstance(jitter, bool) and 0 <= jitter < math.inf):
+            raise InputError(f"{path}: [recording] jitter", f"{jitter!r}", "a part of the sample time, above zero", "correct it")
+        return cls(joints, time, dt, hold, payload, str(path), float(jitter))
 
 
 def _bound(value: Any, measures: str, where: str) -> tuple[str, float, int | None]:
@@ -110,7 +118,7 @@ def _payload(value: Any, where: str) -> Payload | None:
 
 def find_robot_binding(recording: Path, model: Path | None = None) -> RobotBinding | None:
     """The sidecar beside the recording, else the robot's TOML beside the model; None where neither binds joints."""
-    for candidate in (recording.with_suffix(".toml"), model.with_suffix(".toml") if model else None):
+    for candidate in (part_of(recording)[0].with_suffix(".toml"), model.with_suffix(".toml") if model else None):
         if candidate is not None and candidate.is_file():
             binding = RobotBinding.from_toml(candidate)
             if binding is not None:

@@ -9,7 +9,6 @@ a TOML file beside the recording, else beside the model (`mjsim.robot.binding`).
 from __future__ import annotations
 
 import difflib
-import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,10 +18,10 @@ import numpy as np
 
 from mjsim.errors import InputError
 from mjsim.quantity import Motion
-from mjsim.readers import Table, read_table
+from mjsim.readers import Table, digest, is_source, need_source, read_table
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
 from mjsim.robot.model import Robot
-from mjsim.timebase import sample_time, where_in
+from mjsim.timebase import resample, sample_time, where_in
 
 __all__ = ["RobotRecording", "joints_in_table", "joints_named", "load_robot_recording", "robot_from_table"]
 
@@ -43,7 +42,8 @@ class RobotRecording:
     | m],
     torque (N, J) as the actuator gives it, before its gear [N m | N], velocity (N, J) [rad/s | m/s], current (N, J) [A]: None
     where no joint has the channel, a column of NaN where one joint lacks it. hold: how the input goes between samples (held,
-    linear, mean); payload: a known point mass; held_at: joints of the model that are not in the log, with their position.
+    linear, mean); payload: a known point mass; held_at: joints of the model that are not in the log, with their position;
+    notes: what reading guessed or changed.
 
     >>> import numpy as np
     >>> t = np.arange(4) * 0.01
@@ -66,6 +66,7 @@ class RobotRecording:
     hold: str = "held"
     payload: Payload | None = None
     held_at: tuple[tuple[str, float], ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n, j = len(self.time), len(self.joints)
@@ -101,7 +102,7 @@ class RobotRecording:
 def joints_named(path: Path) -> tuple[str, ...]:
     """Joints of which a recording's columns speak by the default names; () for a file that is not there or not readable."""
     try:
-        return joints_in_table(read_table(path)) if path.is_file() else ()
+        return joints_in_table(read_table(path)) if is_source(path) else ()
     except InputError:
         return ()
 
@@ -118,21 +119,24 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
     sampling that is not uniform, a position outside the joint's limits, a command and a position of different joints swapped.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "no such file", "a recording (.csv, .mat, .npz, .parquet, .mcap)", "check the path")
+    need_source(path)
     binding = find_robot_binding(path, Path(model) if model else None)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return robot_from_table(path, read_table(path), binding, robot, sha256=digest)
+    return robot_from_table(path, read_table(path), binding, robot, sha256=digest(path))
 
 
 def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, robot: Robot, *, sha256: str = "") -> RobotRecording:
     """The recording that a table of columns holds, as `load_robot_recording` reads it; ``path``: how messages name the source."""
-    given = binding.joints if binding is not None and binding.joints else _by_name(path, table, robot)
+    notes = list(table.notes)
+    given = binding.joints if binding is not None and binding.joints else _by_name(path, table, robot, notes)
     _known(path if binding is None else binding.source, tuple(given), robot)
     names = tuple(j for j in robot.joints if j in given)
     arrays = _arrays(path, table, given, names)
     count = len(next(iter(arrays.values())))
-    time = _time(path, table, binding, count)
+    time, jitter = _time(path, table, binding, count), 0.0 if binding is None else binding.jitter
+    dt = sample_time(path, time, jitter)
+    if jitter:
+        time, arrays, told = _resampled(time, arrays, binding.hold if binding else "held", dt)
+        notes += told
     matrices: dict[str, np.ndarray] = {}
     for channel in CHANNELS:
         if any((name, channel) in arrays for name in names):
@@ -143,17 +147,32 @@ def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, rob
         raise InputError(path, f"joint {lacking[0]!r} has no position", "an angle of every joint that is recorded", "add it")
     held = tuple((j, _held_position(robot, k)) for k, j in enumerate(robot.joints) if j not in names)
     recording = RobotRecording(
-        time, names, sample_time(path, time), source=path.name,
+        time, names, dt, source=path.name,
         sha256=sha256,
-        hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, **matrices,
+        hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, notes=tuple(notes),
+        **matrices,
     )  # fmt: skip
     _within_limits(path, recording, robot)
     _not_swapped(path, recording)
     return recording
 
 
-def _by_name(path: Path, table: Mapping[str, np.ndarray], robot: Robot) -> dict[str, dict[str, tuple[str, float, int | None]]]:
-    """The default columns: channel -> (column, factor, row), by joint."""
+def _resampled(
+    time: np.ndarray, arrays: dict[tuple[str, str], np.ndarray], hold: str, dt: float
+) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray], list[str]]:
+    """Channels at jittered stamps on the uniform grid, as `mjsim.timebase.resample` puts them there, and a note."""
+    out, told, grid = {}, "", time
+    for (name, channel), values in arrays.items():
+        done, told = resample({"time": time, channel: values}, hold, dt)
+        out[name, channel], grid = done[channel], done["time"]
+    return grid, out, [told] if told else []
+
+
+def _by_name(path: Path, table: Table, robot: Robot, notes: list[str]) -> dict[str, dict[str, tuple[str, float, int | None]]]:
+    """The default columns: channel -> (column, factor, row), by joint.
+
+    A log that names joints by itself (`Table.by_joint`) has SI of the joint's kind, and may hold joints that the model lacks.
+    """
     given: dict[str, dict[str, tuple[str, float, int | None]]] = {}
     for column in table:
         match = _COLUMN.match(column)
@@ -162,10 +181,13 @@ def _by_name(path: Path, table: Mapping[str, np.ndarray], robot: Robot) -> dict[
         name, channel, unit = match["joint"], match["channel"], match["unit"]
         if name in robot.joints:
             expected = SUFFIXES[robot.motions[robot.joints.index(name)]][channel]
-            if unit != expected:
+            if unit != expected and not table.by_joint:
                 raise InputError(path, f"column {column!r} of a {robot.motions[robot.joints.index(name)].value} joint",
                                  f"{name}.{channel}_{expected}", "correct the unit")  # fmt: skip
         given.setdefault(name, {})[channel] = (column, 1.0, None)
+    if table.by_joint and set(given) & set(robot.joints) and (others := sorted(set(given) - set(robot.joints))):
+        notes.append(f"Joints that the model does not have are left out: {', '.join(others)}.")
+        given = {name: channels for name, channels in given.items() if name in robot.joints}
     if not given:
         raise InputError(
             path, "no column of a joint", f"columns such as {robot.joints[0]}.angle_rad",

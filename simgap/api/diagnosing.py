@@ -24,6 +24,7 @@ from simgap.api.checking import listed
 from simgap.api.model import Model
 from simgap.api.recording import loaded
 from simgap.api.scratch import Scratch
+from simgap.long_logs import Loaded, load_all
 from simgap.robot import is_robot
 
 if TYPE_CHECKING:
@@ -247,28 +248,37 @@ def diagnose(
     if not robot and len(joints) > 1:
         raise InputError("--joint", f"{len(joints)} joints", "one, since the model drives one", "give the robot's model")
     joint = joints[0] if joints and not robot else None
-    group, kept = ([loaded(r, subject, joint=joint, robot=robot) for r in x] for x in (given, held))
     scratch = Scratch() if out is None else None
     folder = scratch.path if scratch is not None else Path(str(out))
     drawn = scratch is None
     if robot:
+        group, kept = ([loaded(r, subject, robot=True) for r in x] for x in (given, held))
         own = _robot(group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn)
         return Diagnosis(own, subject, folder, scratch)
     options = Options(
         judge=judge, effects=tuple(effects), jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf
     )
-    result = _axis(group, subject, folder, kept, options, progress, accept_log, drawn)
+    read = _loaded(given, held, subject, joint)
+    result = _axis(read, subject, folder, options, progress, accept_log, drawn)
     return Diagnosis(result, subject, folder, scratch)
 
 
-def _axis(
-    recordings: Sequence[Recording | RobotRecording], model: Model, out: Path, held: Sequence[Recording | RobotRecording],
-    options: Options, progress: bool, accept_log: bool, page: bool,
-) -> AxisResult:  # fmt: skip
+def _loaded(given: Sequence[Any], held: Sequence[Any], model: Model, joint: str | None) -> Loaded:
+    """The recordings of an axis; of files that are too long, stretches."""
+    if all(isinstance(r, str | Path) for r in (*given, *held)):
+        prefer = model.axis.chain.bodies[0].joint
+        return load_all([Path(r) for r in given], [Path(r) for r in held], model.path, joint, prefer)
+    groups = ([r for r in (loaded(x, model, joint=joint) for x in g) if isinstance(r, Recording)] for g in (given, held))
+    return Loaded(*map(tuple, groups))
+
+
+def _axis(read: Loaded, model: Model, out: Path, options: Options, progress: bool, accept_log: bool, page: bool) -> AxisResult:
     from simgap.pipeline import diagnose_recordings
 
-    group, kept = ([r for r in x if isinstance(r, Recording)] for x in (recordings, held))
-    return diagnose_recordings(group, model.path, out, kept, options, progress=progress, page=page, accept_log=accept_log)
+    return diagnose_recordings(
+        read.fitted, model.path, out, read.held_out, options, progress=progress, page=page, accept_log=accept_log,
+        stretches=read.stretches,
+    )  # fmt: skip
 
 
 def _robot(

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from mjsim.binding import Binding
 from mjsim.errors import InputError
 from mjsim.mjcf import carried_binding, load_model
-from mjsim.readers import Table
+from mjsim.readers import Table, digest, need_source, read_table
 from mjsim.recording import Recording, find_binding, from_table
 from mjsim.recording import load as load_file
 from mjsim.robot.binding import RobotBinding, find_robot_binding
@@ -94,12 +94,8 @@ def _from_file(
         if model is None:
             return load_file(path, joint=joint)
         return loaded(path, model, joint=joint, robot=is_robot([path], model.path))
-    from mjsim.readers import read_table
-
-    if not path.is_file():
-        raise InputError(path, "no such file", "a recording", "check the path")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return _bound(path, read_table(path), _tables(binding), model, joint, digest, robot=False)
+    need_source(path)
+    return _bound(path, read_table(path), _tables(binding), model, joint, digest(path), robot=False)
 
 
 def _from_columns(
@@ -111,26 +107,26 @@ def _from_columns(
             "give the columns by name",
         )  # fmt: skip
     arrays = {str(key): _column(str(key), source[key]) for key in source.keys()}  # noqa: SIM118  (a DataFrame is no mapping)
-    digest = hashlib.sha256()
+    content = hashlib.sha256()
     for key, array in arrays.items():
-        digest.update(key.encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
+        content.update(key.encode())
+        content.update(np.ascontiguousarray(array).tobytes())
     tables = None if binding is None else _tables(binding)
-    return _bound(Path(name), Table.of(arrays), tables, model, joint, digest.hexdigest(), robot=robot)
+    return _bound(Path(name), Table.of(arrays), tables, model, joint, content.hexdigest(), robot=robot)
 
 
 def _bound(
-    path: Path, table: Table, tables: Mapping[str, Any] | None, model: Model | None, joint: str | None, digest: str, *,
+    path: Path, table: Table, tables: Mapping[str, Any] | None, model: Model | None, joint: str | None, sha256: str, *,
     robot: bool,
 ) -> Recording | RobotRecording:  # fmt: skip
     """The recording of a table: of all joints where the model is a robot, else of one."""
     beside = None if model is None else model.path
     if model is not None and (robot or is_robot([dict.fromkeys(table)], model.path)):
         bound = find_robot_binding(path, beside) if tables is None else RobotBinding.from_tables(tables, Path("binding"))
-        return robot_from_table(path, table, bound, model.robot, sha256=digest)
+        return robot_from_table(path, table, bound, model.robot, sha256=sha256)
     own = find_binding(path, beside) if tables is None else Binding.from_tables(tables, Path("binding"))
     prefer = None if model is None else model.axis.chain.bodies[0].joint
-    return from_table(path, table, own or Binding.default(), joint=joint, prefer=prefer, sha256=digest)
+    return from_table(path, table, own or Binding.default(), joint=joint, prefer=prefer, sha256=sha256)
 
 
 def _tables(binding: Mapping[str, Any]) -> Mapping[str, Any]:

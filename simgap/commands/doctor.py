@@ -15,7 +15,10 @@ import click
 __all__ = ["command", "examine"]
 
 REQUIRED = ("mujoco", "numpy", "scipy", "numba", "matplotlib", "control", "pydantic", "click", "rich", "jinja2", "imageio-ffmpeg")
-OPTIONAL = {"pyarrow": "Parquet recordings", "mcap": "MCAP recordings"}
+OPTIONAL = {
+    "pyarrow": "Parquet recordings and LeRobot data sets", "mcap": "MCAP recordings", "mcap-ros2-support": "ROS 2 in MCAP",
+    "rosbags": "ROS bags", "h5py": "MATLAB 7.3",
+}  # fmt: skip
 
 
 def examine() -> dict[str, Any]:

@@ -128,8 +128,8 @@ def test_a_missing_package_is_one_line(tmp_path, monkeypatch, package):
 
 
 def test_mcap_in_another_encoding(tmp_path):
-    with pytest.raises(InputError, match="topic '/axis' is encoded as 'cdr'; expected messages in JSON"):
-        load(mcap(tmp_path / "log.mcap", [("/axis", 0.0, {"x": 1})], encoding="cdr"))
+    with pytest.raises(InputError, match="topic '/axis' is encoded as 'protobuf'; expected messages in JSON"):
+        load(mcap(tmp_path / "log.mcap", [("/axis", 0.0, {"x": 1})], encoding="protobuf"))
 
 
 def test_mcap_with_a_field_that_is_missing_in_some_messages(tmp_path):

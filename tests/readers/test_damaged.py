@@ -9,6 +9,7 @@ import zipfile
 import numpy as np
 import pytest
 import scipy.io
+from robot_logs import write_bag, write_mcap, write_rosbag2
 
 from mjsim.errors import InputError
 from mjsim.readers import read_table, table
@@ -95,6 +96,32 @@ def test_a_damaged_file_is_read_or_told_in_one_line(suffix, tmp_path):
         refused += told is not None
         assert told is None or ("\n" not in told and len(told) < 1000)
     assert refused > 10
+
+
+def mat73(path):
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        for name, values in COLUMNS.items():
+            file.create_dataset(name, data=values, compression="gzip")
+
+
+def db3(path):
+    folder = path.with_suffix(".folder")
+    write_rosbag2(folder)
+    next(folder.glob("*.db3")).rename(path)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("suffix", "write"), [(".mat", mat73), (".bag", write_bag), (".db3", db3), (".mcap", write_mcap)])
+def test_a_damaged_log_of_a_robot_is_read_or_told_in_one_line(suffix, write, tmp_path):
+    write(tmp_path / f"whole{suffix}")
+    data, rng, refused = (tmp_path / f"whole{suffix}").read_bytes(), np.random.default_rng(21), 0
+    for i in range(60):
+        path = tmp_path / f"log{i}{suffix}"
+        path.write_bytes(mutated(data, rng))
+        told = refusal(path)
+        refused += told is not None
+        assert told is None or ("\n" not in told and len(told) < 1000)
+    assert refused > 5
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
