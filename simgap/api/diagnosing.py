@@ -268,8 +268,8 @@ def _loaded(given: Sequence[Any], held: Sequence[Any], model: Model, joint: str 
     if all(isinstance(r, str | Path) for r in (*given, *held)):
         prefer = model.axis.chain.bodies[0].joint
         return load_all([Path(r) for r in given], [Path(r) for r in held], model.path, joint, prefer)
-    groups = ([r for r in (loaded(x, model, joint=joint) for x in g) if isinstance(r, Recording)] for g in (given, held))
-    return Loaded(*map(tuple, groups))
+    fitted, kept = ([r for r in (loaded(x, model, joint=joint) for x in g) if isinstance(r, Recording)] for g in (given, held))
+    return Loaded(tuple(fitted), tuple(kept))
 
 
 def _axis(read: Loaded, model: Model, out: Path, options: Options, progress: bool, accept_log: bool, page: bool) -> AxisResult:
