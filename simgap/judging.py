@@ -14,8 +14,8 @@ import numpy as np
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged
-from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, figures, judged
+from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, starts_of, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
@@ -44,6 +44,7 @@ POLISHED = 1.02  # times the error that the engine reports, beyond which the num
 NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
 BEGINNING = 1 / 8  # of the recordings, after which a form may be given up, and by which forms are ranked
 MOST_FORM = 6e6  # of one run of all recordings (`work_of`), some 4 s: forms that need more are not tried
+TWO = 2.0  # standard errors
 SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 
 
@@ -98,7 +99,7 @@ def write_judged(
         trial.unlink(missing_ok=True)
     files = Files(
         runs, form.lacks, form.form, found, (*(() if found else _told(cause, nominal)), *_refitted(axis, out)),
-        not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(out, nominal.cases, runs, threads),
+        not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(bench, out, runs),
         fewer is not None,
     )  # fmt: skip
     return by_simulator(result, nominal, files)
@@ -305,19 +306,25 @@ def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, S
         trial.unlink(missing_ok=True)
 
 
-def _sensitive(path: Path, cases: Sequence[Case], runs: Sequence[Run | None], threads: int) -> bool:
-    """Whether a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away.
+def _sensitive(bench: _Bench, path: Path, runs: Sequence[Run | None]) -> bool:
+    """Whether the motion of a file cannot be followed.
 
-    Not asked of files that take more than `MOST_WORK`.
+    Either a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away, or the file
+    errs by no more than two standard errors of its numbers make of it. Not asked of files that take more than `MOST_WORK`.
     """
-    plant = MujocoPlant.load(path)
+    plant, cases = MujocoPlant.load(path), bench.nominal.cases
     if work_of(plant, cases) > MOST_WORK:
         return False
-    starts, targets = [], []
+    starts, targets, missed = [], [], []
     for case, run in zip(cases, runs, strict=True):
         if run is None:
             return False
         angle = NUDGE * case.spread()[0] or SMALLEST * float(np.ptp(run.angle))
         starts.append(dataclasses.replace(run.start, angle=run.start.angle + angle))
         targets.append(judged(case, run))
-    return not run_watched(plant, cases, starts, threads, too_far(cases, targets, APART))[1]
+        e = error(case, run)[case.estimation | case.held_out] / case.sigma
+        missed.append(math.sqrt(max(0.0, float(np.mean(e**2)) - MISSES**2)))
+    if not run_watched(plant, cases, starts, bench.threads, too_far(cases, targets, APART))[1]:
+        return True
+    by_numbers = uncertainties(load_axis(path), cases, [run.start for run in runs if run is not None])
+    return all(m <= TWO * u for m, u in zip(missed, by_numbers, strict=True))

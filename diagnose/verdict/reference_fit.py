@@ -22,10 +22,11 @@ from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
 from mjsim.plant import MujocoPlant, Start
 
-__all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator"]
+__all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator", "uncertainties"]
 
 ROUNDS = 8  # Gauss-Newton steps
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
+FINE = 1e-4  # the same where a slope of an unstable motion is asked, which bends within less than `STEP`
 DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls
 LARGEST = 0.3  # relative change of a number in a step
 MOST_WORK = 1e6  # of one run of all recordings (`work_of`), some .5 s: files that need more are not refitted
@@ -66,7 +67,9 @@ def _residual(cases: Sequence[Case], runs: Runs | None) -> np.ndarray | None:
     return np.concatenate([error(c, r)[c.estimation] / c.sigma for c, r in zip(cases, runs, strict=True) if r is not None])
 
 
-def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Runner) -> np.ndarray | None:
+def _jacobian(
+    axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Runner, step: float = STEP
+) -> np.ndarray | None:  # fmt: skip
     """Slope of a prediction per relative change of each number (n, p); None where it diverges."""
     at = _residual(cases, run(axis, math.inf))
     if at is None:
@@ -74,8 +77,8 @@ def _jacobian(axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Runn
     now = _free(axis)
     columns = []
     for name in names:
-        moved = _residual(cases, run(axis.with_values({name: now[name] * (1.0 + STEP)}), math.inf))
-        columns.append(np.zeros(len(at)) if moved is None else (at - moved) / STEP)
+        moved = _residual(cases, run(axis.with_values({name: now[name] * (1.0 + step)}), math.inf))
+        columns.append(np.zeros(len(at)) if moved is None else (at - moved) / step)
     return np.column_stack(columns)
 
 
@@ -128,11 +131,33 @@ def _step(
     return None
 
 
+def _covariance(gram: np.ndarray) -> np.ndarray:
+    """Covariance (p, p) of relative changes from the normal equations of whitened residuals."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return np.asarray(np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale))
+
+
 def _errors(names: Sequence[str], gram: np.ndarray) -> dict[str, float]:
     """Relative standard errors from the normal equations (p, p) of whitened residuals."""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12)
-    return {n: float(np.sqrt(max(inverse[i, i], 0.0)) / scale[i]) for i, n in enumerate(names)}
+    return {n: float(np.sqrt(max(v, 0.0))) for n, v in zip(names, np.diag(_covariance(gram)), strict=True)}
+
+
+def uncertainties(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> list[float]:
+    """Rms over the noise by which the standard errors of an axis's numbers move its free run, on each recording.
+
+    With J the slopes of the engine's free run and C = (J'J)^-1 of the estimation data, the square is the mean of diag(J C J').
+    Infinite where a run diverges.
+    """
+    slopes = []
+    for case, start in zip(cases, starts, strict=True):
+        every = replace(case, estimation=case.estimation | case.held_out)
+        J = _jacobian(axis, list(_free(axis)), [every], _in_engine([every], [start], locked=False), FINE)
+        if J is None:
+            return [math.inf] * len(cases)
+        slopes.append(J)
+    fitted = [J[c.estimation[c.estimation | c.held_out]] for J, c in zip(slopes, cases, strict=True)]
+    covariance = _covariance(sum((J.T @ J for J in fitted), np.zeros((slopes[0].shape[1],) * 2)))
+    return [math.sqrt(max(0.0, float(np.mean(np.sum((J @ covariance) * J, axis=1))))) for J in slopes]
 
 
 def refit_in_simulator(

@@ -23,7 +23,7 @@ ENTRY, PRICE = 25.0, 4.0
 class Files:
     """What MuJoCo makes of the corrected file: its runs on the cases, what it lacks, its form.
 
-    numerics: findings of that class; sensitive: whether the smallest change of the start leads elsewhere;
+    numerics: findings of that class; sensitive: whether the smallest change of the start or the numbers leads elsewhere;
     bears: whether findings were dropped since the simulator's numerics explain the recordings as well.
     """
 
@@ -103,7 +103,7 @@ def _told(x: float) -> str:
 
 def _warning(fit: FitFigures, engine: FitFigures, unit: str, sensitive: bool) -> str:
     why = (
-        "the smallest change of where it starts leads elsewhere: such a motion cannot be followed for long"
+        "the smallest change of where it starts or of its numbers leads elsewhere: such a motion cannot be followed for long"
         if sensitive
         else "MuJoCo does not step what was found as the equations say"
     )

@@ -51,11 +51,12 @@ class _Form:
 
 
 class LinearWriter:
-    """Writes the linear parameters of a target chain through an editor."""
+    """Writes the linear parameters of a target chain through an editor; ``weighed``: whether masses have weight in the file."""
 
     def __init__(self, editor: MjcfEditor, target: Chain) -> None:
         self.editor = editor
         self.target = target
+        self.weighed = bool(editor.model.opt.gravity.any())
         self._changes: dict[int, _Change] = {}
         self._authored: dict[int, dict[str, str]] = {}
 
@@ -117,7 +118,7 @@ class LinearWriter:
     def _form(self, mass: Mass, change: _Change) -> _Form:
         lever, spin = mass.lever, mass.value - mass.lever
         inertia = change.inertia * mass.value
-        weighs = self.editor.chain.motion is Motion.HINGE and lever > 0 and bool(self.editor.model.opt.gravity.any())
+        weighs = self.editor.chain.motion is Motion.HINGE and lever > 0 and self.weighed
         if not weighs:
             alone = 0 <= lever < inertia and spin > 0
             return _Form(1.0, 1.0, (inertia - lever) / spin) if alone else _Form(change.inertia, 1.0, change.inertia)

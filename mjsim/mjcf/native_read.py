@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,12 +13,13 @@ import mujoco
 import numpy as np
 
 from mjsim.effects import native as N  # noqa: N812
+from mjsim.errors import InputError
 from mjsim.mjcf.chain import Found
 from mjsim.mjcf.layout import outside
 from mjsim.quantity import Motion
 from mjsim.servo import Target
 
-__all__ = ["PassiveMotor", "passive_motors", "read_native"]
+__all__ = ["PassiveMotor", "passive_motors", "read_native", "weight_under"]
 
 _TOL = 1e-9
 
@@ -198,3 +201,15 @@ def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
         if found.chain.motion is not Motion.HINGE:
             raise outside(path, "gravity varies along a slide", "keep the slide straight")
         yield N.Weight(n - 1, weight, math.atan2(-float(cosine[-1]), -float(sine[-1])))
+
+
+def weight_under(found: Found, path: Path, gravity: tuple[float, float, float]) -> N.Weight | None:
+    """The weight on the last body under another gravity (3,) [m/s^2]; None where there is none, or others are loaded too."""
+    model = copy.copy(found.layout.model)
+    model.opt.gravity[:] = gravity
+    try:
+        values = list(_gravity(dataclasses.replace(found, layout=dataclasses.replace(found.layout, model=model)), path))
+    except InputError:
+        return None
+    weights = [v for v in values if isinstance(v, N.Weight)]
+    return weights[0] if weights else None

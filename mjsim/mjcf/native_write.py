@@ -13,7 +13,7 @@ from mjsim.effects import native as N  # noqa: N812
 from mjsim.effects.ports import BacklashLaw
 from mjsim.mjcf.editor import MjcfEditor, element, number, row
 from mjsim.mjcf.linear import LinearWriter
-from mjsim.mjcf.native_read import PassiveMotor, passive_motors
+from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
 from mjsim.mjcf.servo import bias_of
 from mjsim.quantity import Motion
 
@@ -24,6 +24,7 @@ FRICTION_STEP = 1e-4
 SLACK_STEP = 5e-5
 DELAY_STEP = 1e-4
 SLACK_ARMATURE = 5e-4
+GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], MuJoCo's own
 IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 
 NOT_ONE_JOINT = "its angle is not one joint's"
@@ -187,10 +188,14 @@ class NativeWriter:
         return ""
 
     def _weight(self, value: N.Weight) -> str:
-        """Mass and centre of the body, whose inertia stays, where the file has a weight there."""
+        """Mass and centre of the body, whose inertia stays, where the file has a weight there or has it without its gravity."""
         own = next((v for v in self.held if isinstance(v, N.Weight) and v.body == value.body), None)
         if own is None:
-            return "MJCF has no element for it where no body of the file has a weight"
+            own = weight_under(self.editor.found, self.editor.path, GRAVITY)
+            if own is None or own.body != value.body or self.editor.model.opt.gravity.any():
+                return "MJCF has no element for it where no body of the file has a weight"
+            self.editor.option(gravity=row(list(GRAVITY)))
+            self.linear.weighed = True
         turn = math.remainder(value.phase - own.phase, 2 * math.pi)
         self.linear.weigh(value.body, value.torque / own.torque, turn)
         return ""

@@ -15,7 +15,7 @@ from diagnose.options import Options
 from diagnose.result import FitFigures, Verdict
 from diagnose.verdict import numerics
 from diagnose.verdict.reference import Run, beyond, cases_of, chi_square, figures, noise_level
-from diagnose.verdict.reference_fit import refit_in_simulator
+from diagnose.verdict.reference_fit import refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far
 from diagnose.verdict.reference_stage import APART, compare_nominal
 from diagnose.verdict.reference_verdict import Files, by_simulator, nominal_stands
@@ -107,6 +107,33 @@ def test_the_difference_is_that_of_the_numerics_and_not_of_what_is_missing(nomin
     assert found.simulator
     for shift, of_clean in zip(found.shifts, clean.shifts, strict=True):
         assert np.std(shift) < 2 * np.std(of_clean)
+
+
+def test_uncertainty_of_a_run_is_that_of_its_numbers(nominal):
+    """On the data that were fitted the mean of diag(J C J') is p / n; others may be less certain."""
+    cases = cases_of([log(text(), 1, 3.0)], [log(text(), 2, 3.0)])
+    axis = load_axis(nominal)
+    fitted, held = uncertainties(axis, cases, [c.start() for c in cases])
+    assert fitted**2 * 1500 == pytest.approx(4, rel=0.05)
+    assert 0.3 * fitted < held < 3 * fitted
+
+
+def _noisy_start(first, **changes):
+    """A recording with a noisy angle that begins ``first`` standard deviations off."""
+    r = log(text(solver=STIFF), 1)
+    angle = r.angle + 0.003 * np.random.default_rng(5).standard_normal(len(r))
+    angle[0] = 0.003 * first
+    return cases_of([dataclasses.replace(r, angle=angle, **changes)], [])
+
+
+def test_a_start_is_corrected_by_what_its_noise_allows(nominal):
+    cases = _noisy_start(3.0)
+    ((run,),) = run_files([MujocoPlant.load(nominal)], cases, 1)
+    assert abs(run.start.angle) < 0.003
+    # errors that are no start's do not move it further than noise does
+    cases = _noisy_start(0.0, velocity=log(text(0.8), 3).velocity)
+    ((run,),) = run_files([MujocoPlant.load(nominal)], cases, 1)
+    assert abs(run.start.angle) < 4.1 * cases[0].spread()[0]
 
 
 def test_no_difference_is_no_cause(tmp_path):

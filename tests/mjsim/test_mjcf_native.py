@@ -151,6 +151,28 @@ def test_another_weight_acts_in_plain_mujoco(tmp_path, pendulum, weight, inertia
     assert relative(run.velocity, simulate(axis, CURVE, 1e-3).velocity) < 1e-5
 
 
+def test_a_weight_is_native_in_a_file_that_has_gravity_switched_off(tmp_path):
+    own = tmp_path / "afloat.xml"
+    own.write_text(PENDULUM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"'))
+    axis = load_axis(own)
+    assert axis.effects == ()
+    heavier = Axis(axis.chain.with_linear({"Jm": 1.3 * axis.chain.bodies[0].inertia}), (make("gravity_load", "arm"),))
+    assert write_corrected(own, heavier, tmp_path / "corrected.xml").lacks == ()
+    run = run_literal(load_model(tmp_path / "corrected.xml"), CURVE, 1e-3)
+    assert relative(run.velocity, simulate(heavier, CURVE, 1e-3).velocity) < 1e-5
+    (again,) = load_axis(tmp_path / "corrected.xml").effects
+    assert again.values == pytest.approx(heavier.effects[0].values)
+    write_corrected(tmp_path / "corrected.xml", axis, tmp_path / "back.xml")
+    assert not mujoco.MjModel.from_xml_path(str(tmp_path / "back.xml")).opt.gravity.any()
+
+
+def test_a_weight_of_a_balanced_body_is_carried(tmp_path):
+    own = tmp_path / "balanced.xml"
+    own.write_text(PENDULUM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"').replace("0.02 0 -0.3", "0 0 0"))
+    written = write_corrected(own, load_axis(own) + make("gravity_load", "arm"), tmp_path / "corrected.xml")
+    assert len(written.lacks) == 1
+
+
 def test_the_weight_along_a_slide_stays_when_its_mass_changes(tmp_path):
     own = tmp_path / "lift.xml"
     own.write_text(PENDULUM.replace('axis="0 1 0"', 'type="slide" axis="0 0 1"'))
