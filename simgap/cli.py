@@ -30,6 +30,7 @@ COMMANDS: dict[str, str] = {
     "demo": "Diagnose a simulated axis with a hidden effect and compare with the truth.",
     "check": "Say what was understood of model and log, and what is wrong with the log.",
     "diagnose": "Locate, name, model and prove the mismatch between recordings and a model.",
+    "fleet": "Diagnose many recordings of many robots, on a Dask cluster: one table, one page.",
     "gate": "Fail when a model predicts recordings worse than a baseline diagnosis.",
     "run": "Simulate a scenario, shipped or your own, and write its log.",
     "render": "Film a model or a scenario without a display.",

@@ -1,0 +1,115 @@
+"""The diagnoses of a fleet on a Dask cluster: bounded in flight, resumed, done again where a worker is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from mjsim.errors import InputError
+from simgap.fleet.plan import Job, select
+from simgap.fleet.task import diagnose_one, place, write_record
+
+__all__ = ["done", "run"]
+
+AHEAD = 3  # jobs in flight for each thread of a worker: none waits for the client, and a million jobs need no memory
+LOSSES = 3  # workers that one job may lose before it is given up: a recording that needs more memory than there is
+
+
+def done(out: Path) -> set[str]:
+    """Keys of the jobs that have a record."""
+    return {p.stem for p in (out / "records").glob("*/*.json")}
+
+
+def run(
+    all_jobs: Sequence[Job], out: Path, *, scheduler: str = "", workers: int = 2, memory: str = "auto",
+    progress: Callable[[int, int], None] = lambda finished, total: None,
+) -> int:  # fmt: skip
+    """Run what has no record yet; returns how many jobs ran. ``scheduler``: the address of a Dask scheduler, else a local
+    cluster.
+
+    Workers of a cluster need the recordings, the model and ``out`` under the same paths. Raises InputError where the scheduler
+    does not answer.
+    """
+    with contextlib.suppress(OSError):
+        for part in (out / "records").glob("*/*.part"):
+            part.unlink()
+    todo = select(all_jobs, done(out))
+    total, finished = len(all_jobs), len(all_jobs) - len(todo)
+    progress(finished, total)
+    if not todo:
+        return 0
+    (out / "records").mkdir(parents=True, exist_ok=True)
+    with _client(scheduler, workers, memory) as client:
+        for key, error in _results(client, todo, str(out)):
+            if error is not None:
+                job = next(j for j in todo if j.key == key)
+                write_record(place(out, key), {"job": job.as_dict(), "fault": error, "seconds": None})
+            finished += 1
+            progress(finished, total)
+    return len(todo)
+
+
+def _results(client: Any, todo: Sequence[Job], out: str) -> Iterator[tuple[str, str | None]]:
+    """(key, error or None) of each job as it ends, with no more than `AHEAD` of them in flight for each thread."""
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    threads = max(1, sum(client.nthreads().values()))
+    waiting = iter(todo)
+
+    def submit(job: Job) -> Any:
+        return client.submit(diagnose_one, job, out, key=f"simgap-{job.key}", pure=False, retries=1)
+
+    running = as_completed([submit(j) for _, j in zip(range(AHEAD * threads), waiting, strict=False)])
+    for future in running:
+        key = str(future.key).removeprefix("simgap-")
+        try:
+            future.result()
+            error = None
+        except KilledWorker:
+            error = f"{LOSSES} workers were lost while they diagnosed it, for want of memory or by a fault"
+        except Exception as problem:
+            error = f"{type(problem).__name__}: {problem}"
+        future.release()
+        job = next(waiting, None)
+        if job is not None:
+            running.add(submit(job))
+        yield key, error
+
+
+@contextlib.contextmanager
+def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
+    """A Dask client of a running scheduler or of a local cluster: processes of one thread each."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError(
+            "simgap fleet", "the package 'distributed' is not installed", "it", "pip install 'simgap[fleet]'"
+        ) from None
+    options = {
+        "distributed.scheduler.allowed-failures": LOSSES, "distributed.logging.distributed": "error",
+        "distributed.worker.daemon": False, "distributed.comm.timeouts.connect": "10s",
+    }  # fmt: skip
+    single = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    with dask.config.set(options):
+        if scheduler:
+            try:
+                with Client(scheduler) as client:
+                    yield client
+            except (OSError, TimeoutError) as error:
+                raise InputError(
+                    "--scheduler", f"{scheduler} does not answer ({error})", "a Dask scheduler", "check the address"
+                ) from None
+            return
+        with (
+            LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, memory_limit=memory, dashboard_address=None,
+                env=os.environ | single, silence_logs=50,
+            ) as cluster,
+            Client(cluster) as client,
+        ):  # fmt: skip
+            yield client
