@@ -1,4 +1,4 @@
-"""The self-contained page ``identification.html``: the verdict in words, the figures, the numbers."""
+"""The body of ``identification.html``: the verdict in words, the figures, the numbers."""
 
 from __future__ import annotations
 
@@ -13,62 +13,70 @@ from ident.compare import Comparison
 from ident.estimate import Estimate
 from ident.polezero import PoleZero, Root
 from ident.quality import Quality
-from ident.verdict import Verdict, excited_band
+from ident.verdict import Grade, Verdict, excited_band
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["png", "render_page"]
 
-_TEMPLATE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Identification of {{ source }}</title>
-<style>
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #111; background:
-#fff; } h1 { font-size: 1.5rem; margin-bottom: .2rem } h2 { font-size: 1.15rem; margin-top: 2rem; border-bottom: 1px solid #ccc }
-.verdict { border: 2px solid #111; padding: .8rem 1rem; margin: 1rem 0 } .verdict strong { font-size: 1.15rem }
-.grade { text-transform: uppercase; letter-spacing: .05em; font-size: .85rem; color: #444 }
-img { max-width: 100%; height: auto } table { border-collapse: collapse; margin: .5rem 0; font-size: .95rem }
-td, th { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right } td:first-child, th:first-child { text-align:
-left }
-.wide { overflow-x: auto } caption { text-align: left; color: #444; font-size: .9rem } code { background: #f3f3f3; padding: 0
-.2rem } footer { color: #555; font-size: .85rem; margin-top: 2rem }
-</style></head><body>
-<h1>Identification of {{ source }}</h1>
-<p>{{ structure }}, input {{ input }}, output {{ output }}, {{ samples }} samples of {{ dt }} s.</p>
-<div class="verdict"><span class="grade">{{ grade }}</span><br><strong>{{ verdict[0] }}</strong>
-{% for sentence in verdict[1:] %}<p>{{ sentence }}</p>{% endfor %}</div>
-<h2>Frequency response</h2>
-<img alt="Bode plot of the model with its 95 % band, spectral estimate, coherence" src="data:image/png;base64,{{ bode }}">
-<p>Where the coherence is near one, the output follows the input linearly; where it falls, noise, a nonlinearity or another input
-decides, and no linear model of any order will do there.</p>
+# classes of the pages' style sheet
+_COLOURS = {Grade.GOOD: "good", Grade.PLANT_GOOD: "info", Grade.POOR: "alarm", Grade.NO_EFFECT: "alarm"}
+
+_TEMPLATE = """<header>
+<p class="kicker">Identification of {{ source }}: {{ structure }}, input {{ input }}, output {{ output }}, {{ samples }} samples
+of {{ dt }} s</p>
+{{ switch }}
+<p class="verdict"><span class="badge {{ colour }}">{{ grade }}</span></p>
+<h1>{{ verdict[0] }}</h1>
+{% for sentence in verdict[1:] %}<p>{{ sentence }}</p>
+{% endfor %}<nav aria-label="Contents"><a href="#response">Frequency response</a><a href="#residuals">Residuals</a>
+<a href="#output">Output</a><a href="#roots">Poles and zeros</a>{% if orders %}<a href="#orders">Orders</a>{% endif %}
+<a href="#numbers">Numbers</a></nav>
+</header>
+<main id="content">
+<section id="response"><h2>Frequency response</h2>
+<figure class="photo"><img alt="Bode plot of the model with its 95 % band, spectral estimate, coherence"
+src="data:image/png;base64,{{ bode }}">
+<figcaption>Where the coherence is near one, the output follows the input linearly; where it falls, noise, a nonlinearity or
+another input decides, and no linear model of any order describes it.</figcaption></figure>
 {% if extrema %}<table><caption>Peaks and notches</caption>
-<tr><th></th><th>frequency [Hz]</th><th>magnitude [dB]</th><th></th></tr>
-{% for e in extrema %}<tr><td>{{ e.kind }}</td><td>{{ "%.2f"|format(e.frequency_hz) }}</td>
-<td>{{ "%.1f"|format(e.magnitude_db) }}</td><td>{{ "" if band[0] <= e.frequency_hz <= band[1] else "extrapolated" }}</td></tr>
-{% endfor %}</table>{% endif %}
-<h2>What is left over</h2>
-<img alt="Correlation of the residuals with themselves and with the input" src="data:image/png;base64,{{ residuals }}">
-<h2>Output, measured and simulated</h2>
-<img alt="Measured and simulated output over time" src="data:image/png;base64,{{ comparison }}">
-<h2>Poles and zeros</h2>
-<img alt="Pole-zero map with 95 % regions" src="data:image/png;base64,{{ polezero }}">
-<table><caption>Natural frequency and damping by s = ln(z) / dt, with standard errors</caption>
-<tr><th></th><th>z</th><th>frequency [Hz]</th><th>damping ratio</th><th></th></tr>
-{% for r in roots %}<tr><td>{{ r.kind }}</td><td>{{ r.z }}</td><td>{{ r.frequency }}</td><td>{{ r.damping }}</td>
-<td>{{ r.note }}</td></tr>{% endfor %}</table>
-{% if orders %}<h2>Orders</h2>
-<img alt="Criteria of every order that was tried" src="data:image/png;base64,{{ orders }}">
-{% endif %}<h2>Numbers</h2>
-<div class="wide"><table><caption>Coefficients with standard errors, rising powers of q<sup>-1</sup></caption>
-{% for row in coefficients %}<tr><td>{{ row.name }}</td>{% for c in row.cells %}<td>{{ c }}</td>{% endfor %}</tr>{% endfor
-%}</table></div> <table>{% for name, value in figures %}<tr><td>{{ name }}</td><td>{{ value }}</td></tr>{% endfor %}</table>
-<table><caption>Starts of the search</caption><tr><th>route</th><th>loss before</th><th>loss after</th><th>iterations</th></tr>
-{% for s in starts %}<tr><td>{{ s.route.replace("_", " ") }}</td><td>{{ "%.6g"|format(s.loss_before) }}</td><td>{{
-"%.9g"|format(s.loss_after) }}</td> <td>{{ s.iterations }}</td></tr>{% endfor %}</table>
-<p>Preprocessing: {{ preprocessing }}.</p>
-<footer>Written by <code>simgap identify</code>. All of it as numbers: <code>identification.json</code>.</footer>
-</body></html>
+<thead><tr><th scope="col">Kind</th><th scope="col" class="n">Frequency [Hz]</th><th scope="col" class="n">Magnitude [dB]</th>
+<th scope="col">Note</th></tr></thead>
+{% for e in extrema %}<tr><th scope="row">{{ e.kind }}</th><td class="n">{{ "%.2f"|format(e.frequency_hz) }}</td>
+<td class="n">{{ "%.1f"|format(e.magnitude_db) }}</td>
+<td>{{ "" if band[0] <= e.frequency_hz <= band[1] else "extrapolated" }}</td></tr>
+{% endfor %}</table>{% endif %}</section>
+<section id="residuals"><h2>Residuals</h2>
+<figure class="photo"><img alt="Correlation of the residuals with themselves and with the input"
+src="data:image/png;base64,{{ residuals }}"></figure></section>
+<section id="output"><h2>Output, measured and simulated</h2>
+<figure class="photo"><img alt="Measured and simulated output over time" src="data:image/png;base64,{{ comparison }}"></figure>
+</section>
+<section id="roots"><h2>Poles and zeros</h2>
+<figure class="photo"><img alt="Pole-zero map with 95 % regions" src="data:image/png;base64,{{ polezero }}"></figure>
+<div class="scroll" tabindex="0"><table><caption>Natural frequency and damping by s = ln(z) / dt, with standard errors</caption>
+<thead><tr><th scope="col">Kind</th><th scope="col" class="n">z</th><th scope="col" class="n">Frequency [Hz]</th>
+<th scope="col" class="n">Damping ratio</th><th scope="col">Note</th></tr></thead>
+{% for r in roots %}<tr><th scope="row">{{ r.kind }}</th><td class="n">{{ r.z }}</td><td class="n">{{ r.frequency }}</td>
+<td class="n">{{ r.damping }}</td><td>{{ r.note }}</td></tr>{% endfor %}</table></div></section>
+{% if orders %}<section id="orders"><h2>Orders</h2>
+<figure class="photo"><img alt="Criteria of every order that was tried"
+src="data:image/png;base64,{{ orders }}"></figure></section>
+{% endif %}<section id="numbers"><h2>Numbers</h2>
+<div class="scroll" tabindex="0"><table><caption>Coefficients with standard errors, rising powers of q<sup>-1</sup></caption>
+{% for row in coefficients %}<tr><th scope="row">{{ row.name }}</th>
+{% for c in row.cells %}<td class="n">{{ c }}</td>{% endfor %}</tr>
+{% endfor %}</table></div>
+<table>{% for name, value in figures %}<tr><th scope="row">{{ name }}</th><td class="n">{{ value }}</td></tr>{% endfor %}</table>
+<div class="scroll" tabindex="0"><table><caption>Starts of the search</caption><thead><tr><th scope="col">Route</th>
+<th scope="col" class="n">Loss before</th><th scope="col" class="n">Loss after</th>
+<th scope="col" class="n">Iterations</th></tr></thead>
+{% for s in starts %}<tr><th scope="row">{{ s.route.replace("_", " ") }}</th><td class="n">{{ "%.6g"|format(s.loss_before) }}</td>
+<td class="n">{{ "%.9g"|format(s.loss_after) }}</td><td class="n">{{ s.iterations }}</td></tr>{% endfor %}</table></div>
+<p>Preprocessing: {{ preprocessing }}.</p></section>
+</main>
+<footer><p>Written by <code>simgap identify</code>. All numbers: <code>identification.json</code>.</p></footer>
 """
 
 
@@ -110,9 +118,15 @@ def render_page(
     comparison: Comparison,
     images: dict[str, bytes],
     preprocessing: str,
+    switch: str = "",
 ) -> str:
-    """The page as text; ``images`` holds bode, residuals, comparison, polezero and, if orders were tried, orders as PNG bytes."""
+    """What stands in the body of the page.
+
+    ``images`` holds bode, residuals, comparison, polezero and, if orders were tried, orders as PNG bytes. ``switch``: markup of
+    the control that switches the colours.
+    """
     from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
 
     model, data = estimate.model, estimate.data
     std = model.std
@@ -149,6 +163,8 @@ def render_page(
         samples=len(data),
         dt=f"{data.dt:g}",
         grade=verdict.grade.value,
+        colour=_COLOURS.get(verdict.grade, "warn"),
+        switch=Markup(switch),
         verdict=verdict.sentences,
         extrema=response.extrema(),
         band=excited_band(estimate),

@@ -135,8 +135,10 @@ _STEPS = Markup("").join(
 )
 
 
-def _live(key: str, part: str, alt: str, svg: Sequence[str] = ()) -> Markup:
-    statics = Markup("").join(Markup('<div class="static">{}</div>').format(Markup(s)) for s in svg)
+def _live(key: str, part: str, alt: str, printed: Sequence[Chart] = ()) -> Markup:
+    statics = Markup("").join(
+        Markup('<div class="static">{}<p class="small">{}.</p></div>').format(Markup(draw(c)), c.alt) for c in printed
+    )
     return Markup(
         '<figure class="plot" data-part="{part}"><div class="live" id="{key}-{part}" tabindex="0" role="group" '
         'aria-label="{alt}" aria-describedby="keys"></div>{statics}<figcaption data-caption="{part}"></figcaption></figure>'
@@ -167,7 +169,7 @@ def explorer_section(explorer: Explorer, title: str, film: Markup | None = None)
     return Markup(_SECTION).format(
         key=key, title=title, recordings=recordings, models=models, states=states, modes=_MODES, steps=_STEPS, channel=channel,
         time=_live(key, "time", f"{channel} over time, measured and predicted, with the errors of the models below",
-                   [draw(c) for c in explorer.static]),
+                   explorer.static),
         frequency=_live(key, "frequency", f"Spectral density of the error in {channel} over frequency"),
         state=_live(key, "state", f"Error in {channel} over a state"), film=film or "",
         hidden=Markup(" hidden") if not states else "",

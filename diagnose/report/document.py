@@ -44,7 +44,7 @@ def document(title: str, body: str, data: Mapping[str, Any] | None = None) -> st
     if data is not None:
         scripts += [
             _resource("vendor/plotly-basic.min.js"),
-            *map(_resource, ("signals.js", "panels.js", "explorer.js", "page.js")),
+            *map(_resource, ("signals.js", "panels.js", "views.js", "explorer.js", "page.js")),
         ]
         # Plotly makes no style element of its own where it finds this one
         plotly = f'<style id="plotly.js-style-global" class="no-inline-styles">{_resource("vendor/plotly-basic.css")}</style>\n'

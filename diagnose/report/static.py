@@ -26,7 +26,7 @@ VARIABLES = (
 )  # fmt: skip
 _DRAWN = {name: f"#{2 * i + 17:02x}{2 * i + 17:02x}{2 * i + 17:02x}" for i, name in enumerate(VARIABLES)}
 _NAMED = {drawn: name for name, drawn in _DRAWN.items()}
-_WIDTH = 1000  # [px] at which charts are laid out
+_WIDTH = 860  # [px] at which charts are laid out
 _COLUMNS = 480  # of a panel that is as wide as the page: each shows the least and the greatest sample in it
 _DASHES: dict[str, Any] = {"": "-", "dash": (0, (5, 3)), "dot": (0, (1.2, 1.8))}
 
@@ -57,7 +57,7 @@ def draw(chart: Chart) -> str:
         figure = Figure(figsize=(_WIDTH / 72, height), dpi=72)
         FigureCanvasSVG(figure)
         grid = figure.add_gridspec(
-            len(chart.rows), columns, width_ratios=chart.widths or None, left=0.075, right=0.985,
+            len(chart.rows), columns, width_ratios=chart.widths or None, left=64 / _WIDTH, right=1 - 14 / _WIDTH,
             bottom=0.62 / height, top=1 - (0.62 if _titled(chart) else 0.4) / height, wspace=0.16, hspace=0.18,
         )  # fmt: skip
         handles: dict[str, Any] = {}
@@ -72,8 +72,8 @@ def draw(chart: Chart) -> str:
         figure.align_ylabels(left)
         if len(handles) > 1:
             figure.legend(
-                handles.values(), handles, loc="upper left", bbox_to_anchor=(0.06, 1.0), ncols=len(handles), handlelength=2.2,
-                columnspacing=1.6, borderaxespad=0.0,
+                handles.values(), handles, loc="upper left", bbox_to_anchor=(52 / _WIDTH, 1.0), ncols=len(handles),
+                handlelength=2.2, columnspacing=1.6, borderaxespad=0.0,
             )  # fmt: skip
         return _svg(figure, chart)
 

@@ -37,6 +37,8 @@ def test_writes_model_figures_and_page(log, tmp_path):
     page = (out / "identification.html").read_text()
     assert "The model is good" in page
     assert "http" not in page.replace("http-equiv", "")
+    assert "default-src 'none'; script-src 'sha256-" in page
+    assert " style=" not in page
 
 
 def test_json_goes_to_standard_output(log, tmp_path):

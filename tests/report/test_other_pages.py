@@ -1,0 +1,44 @@
+"""The pages of a check and of an identification in a real browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import opened
+
+import simgap
+
+N = 4_000
+DT = 5e-4
+
+
+@pytest.fixture(scope="module")
+def log() -> dict[str, np.ndarray]:
+    t = DT * np.arange(N)
+    torque = 1.2 * np.sin(2 * np.pi * (0.5 + 4 * t) * t)
+    run = simgap.simulate("robot_axis1", torque, dt=DT)
+    noise = np.random.default_rng(2).standard_normal(N)
+    return {"time_s": t, "torque_Nm": torque, "velocity_rad_s": run.velocity + 0.05 * noise, "angle_rad": run.angle}
+
+
+@pytest.fixture(scope="module")
+def pages(log: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("pages")
+    fitted = simgap.identify(log, orders=(2, 2, 2, 2, 1), decimate=10)
+    simgap.check(log, "robot_axis1", out=folder)
+    return {"identification": fitted.report(folder / "identification.html"), "check": folder / "check.html"}
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("name", ["identification", "check"])
+def test_opens_from_disk_and_fits_the_window(browser: Any, pages: dict[str, Path], name: str, width: int) -> None:
+    with opened(browser, pages[name], width) as w:
+        w.see_all()
+        if name == "check":
+            w.until("document.querySelectorAll('.plot.on').length >= 3")
+        assert w.page.evaluate("document.documentElement.scrollWidth") <= width
+        w.page.click("#theme")
+        w.clean()
