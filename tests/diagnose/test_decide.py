@@ -14,7 +14,7 @@ from diagnose.options import Options
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Verdict
 from diagnose.structure.budget import SearchOptions
-from diagnose.thresholds import ALIKE_C, TWO_SIDED
+from diagnose.thresholds import TWO_SIDED
 from diagnose.verdict.decide import decide, equivalents, estimates, only_repeated_rows, p_values
 from diagnose.verdict.witnesses import RepeatedRows
 from mjsim.effects import effect_class
@@ -24,6 +24,7 @@ COULOMB = effect_class("coulomb_friction")(torque_Nm=0.1)
 DELAY = effect_class("time_delay")(place="actuator", delay_s=1e-3)
 OFFSET = effect_class("torque_offset")(torque_Nm=0.02)
 SEARCH = SearchOptions()
+(MARGIN,) = equivalents.__defaults__  # in C
 
 
 class Entry(SimpleNamespace):
@@ -49,8 +50,9 @@ def search(*structures, residual=None, held=0.5):
         hypothesis=lambda effects: SimpleNamespace(start="start"),
         noise=KnownNoise(), nominal=SimpleNamespace(chain=SimpleNamespace(motion=Motion.HINGE)),
     )  # fmt: skip
+    fits = {f.key: f for f in structures}
     return SimpleNamespace(
-        fitter=fitter, options=SEARCH, pool={f.key: f for f in structures}, criterion=lambda f: f.criterion,
+        fitter=fitter, options=SEARCH, pool=fits, fits=fits, criterion=lambda f: f.criterion,
         context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, held)),
     )  # fmt: skip
 
@@ -117,14 +119,14 @@ def test_p_values_of_the_likelihood_ratio(more, freedom):
 
 def test_equivalents_are_as_near_by_the_criterion_and_replace_one_effect():
     best = structure(COULOMB, DELAY, criterion=100.0, numbers=5)
-    near = structure(OFFSET, DELAY, criterion=100.0 + ALIKE_C)
-    far = structure(effect_class("quadratic_friction")(coefficient_Nm_s2_rad2=1.0), DELAY, criterion=100.01 + ALIKE_C)
+    near = structure(OFFSET, DELAY, criterion=100.0 + MARGIN)
+    far = structure(effect_class("quadratic_friction")(coefficient_Nm_s2_rad2=1.0), DELAY, criterion=100.01 + MARGIN)
     more = structure(COULOMB, DELAY, OFFSET, criterion=90.0)
     other = structure(COULOMB, OFFSET, criterion=90.0)
     both = structure(OFFSET, effect_class("viscous_friction")(place="arm", coefficient_Nms_rad=1.0), criterion=90.0)
     found = search(best, near, far, more, other, both)
     assert equivalents(found, best, COULOMB) == ("torque_offset",)
-    assert equivalents(found, best, COULOMB, margin=ALIKE_C + 1.0) == ("torque_offset", "quadratic_friction")
+    assert equivalents(found, best, COULOMB, margin=MARGIN + 1.0) == ("torque_offset", "quadratic_friction")
     assert equivalents(found, best, DELAY) == ("torque_offset",)
 
 

@@ -1,0 +1,166 @@
+"""What is named of the best structure: compounds, effects whose sizes are determined, evidence against the structure without."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnose.evidence.held_out import Comparison
+from diagnose.evidence.intervals import Open
+from diagnose.problem.noise_model import KnownNoise
+from diagnose.verdict import determined as determined_module
+from diagnose.verdict import findings as findings_module
+from diagnose.verdict.determined import determined
+from diagnose.verdict.findings import findings, merged, nominal_effect
+from mjsim.effects import effect_class
+from mjsim.quantity import Quantity
+
+COULOMB = effect_class("coulomb_friction")(torque_Nm=0.1)
+STRIBECK = effect_class("stribeck_friction")(torque_Nm=0.1, extra_static_torque_Nm=0.01, stribeck_velocity_rad_s=1.0)
+DELAY = effect_class("time_delay")(place="actuator", delay_s=1e-3)
+OFFSET = effect_class("torque_offset")(torque_Nm=0.02)
+
+
+def structure(*effects, chi2=1000.0, criterion=0.0, ok=True):
+    return SimpleNamespace(
+        effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=1000, criterion=criterion, ok=ok, linear={}, own={},
+        hypothesis=SimpleNamespace(entries=()), fit=SimpleNamespace(x=np.zeros(0)), standard_errors=lambda noise: np.zeros(0),
+    )  # fmt: skip
+
+
+def search_of(robot, without=None, simpler=(), limits=(), admitted=lambda ids: True):
+    """The parts of a search that are asked; ``without``: the structure without an effect, by its key."""
+    fits = {}
+    pruning = SimpleNamespace(
+        without=lambda best, effect: without[effect.key], simpler=lambda best, effect: [lambda f=f: f for f in simpler],
+        limits=lambda best: list(limits), fit_confounders=lambda best, effect: asked.append(effect.key),
+    )  # fmt: skip
+    pruning.simplified, asked = pruning.simpler, []
+    return SimpleNamespace(
+        fitter=SimpleNamespace(
+            noise=KnownNoise(), nominal=robot, map=lambda tasks: [t() for t in tasks], refined=lambda f: f,
+            hypothesis=lambda effects, linear=None, own=None: effects, fit=lambda effects, iterations: fits["next"],
+        ),
+        reduction=pruning, pruning=pruning, starts=pruning, polish=lambda f: f, criterion=lambda f: f.criterion, asked=asked,
+        state=SimpleNamespace(admitted=admitted, candidates=()), pool=fits, fits=fits, tested=0,
+        keep=lambda f: fits.__setitem__(f.key, f), held_out=lambda f: SimpleNamespace(rms=f.chi2 / 1000),
+        context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, 0.02)),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def open_in(monkeypatch):
+    """Effects that count as undetermined, wherever they are."""
+
+    def these(*effects):
+        def found(f, noise):
+            return tuple(Open(e, e.amplitudes[0], 0.01, (-0.02, 0.04)) for e in f.effects if e in effects)
+
+        monkeypatch.setattr(determined_module, "open_sizes", found)
+
+    return these
+
+
+def test_an_undetermined_effect_gives_way_to_the_least_criterion(robot, open_in):
+    open_in(STRIBECK)
+    best = structure(STRIBECK, DELAY)
+    bare, plain, worse = (
+        structure(DELAY, criterion=5.0),
+        structure(COULOMB, DELAY, criterion=1.0),
+        structure(OFFSET, criterion=2.0),
+    )
+    found, said = determined(search_of(robot, {STRIBECK.key: bare}, simpler=(plain,), limits=(worse,)), best)
+    assert found is plain
+    assert said == (
+        "Stribeck friction at the motor is not named: the 95 % interval of its torque_Nm, [-0.02, 0.04], contains zero; "
+        "coulomb friction is fitted in its place.",
+    )
+    found, said = determined(search_of(robot, {STRIBECK.key: bare}), best)
+    assert found is bare
+    assert said[0].endswith("contains zero; it is left out.")
+
+
+def test_what_keeps_the_effect_or_is_not_admitted_does_not_take_its_place(robot, open_in):
+    open_in(STRIBECK)
+    best = structure(STRIBECK)
+    failed, same = structure(criterion=-9.0, ok=False), structure(STRIBECK, OFFSET, criterion=-8.0)
+    barred, left = structure(COULOMB, criterion=-7.0), structure(OFFSET, criterion=3.0)
+    search = search_of(
+        robot, {STRIBECK.key: failed}, simpler=(same, barred), limits=(same, left), admitted=lambda ids: COULOMB.id not in ids
+    )
+    assert determined(search, best)[0] is left
+    nothing = search_of(robot, {STRIBECK.key: failed})
+    assert determined(nothing, best) == (best, ()), "none can be fitted"
+
+
+def test_each_undetermined_effect_is_taken_in_turn(robot, open_in):
+    open_in(STRIBECK, OFFSET)
+    best, one, none = structure(STRIBECK, OFFSET, DELAY), structure(OFFSET, DELAY), structure(DELAY)
+    search = search_of(robot, {STRIBECK.key: one, OFFSET.key: none})
+    found, said = determined(search, best)
+    assert found is none
+    assert len(said) == 2
+    open_in()
+    assert determined(search, best) == (best, ())
+    open_in(STRIBECK)
+    failed = structure(STRIBECK, ok=False)
+    assert determined(search, failed) == (failed, ()), "nothing is known of a fit that failed"
+
+
+def test_exchange_of_undetermined_effects_ends(robot, open_in):
+    """Each step may bring in another effect: three for each effect of the best structure, and no more."""
+    open_in(STRIBECK, COULOMB)
+    turn = {STRIBECK.key: structure(COULOMB), COULOMB.key: structure(STRIBECK)}
+    found, said = determined(search_of(robot, turn), structure(STRIBECK))
+    assert len(said) == 3
+    assert found.key == (COULOMB.key,)
+
+
+@pytest.mark.parametrize(("behind", "ok", "is_merged"), [(10.0, True, True), (10.01, True, False), (0.0, False, False)])
+def test_one_compound_effect_for_two_that_are_not_told_apart(robot, monkeypatch, behind, ok, is_merged):
+    """Within a margin of 10 in C, a likelihood ratio of 150."""
+    name = "put_together" if hasattr(findings_module, "put_together") else "compounds"
+    monkeypatch.setattr(findings_module, name, lambda candidates, effects: [(STRIBECK,)])
+    best, simpler = structure(COULOMB, OFFSET, criterion=1.0), structure(STRIBECK, criterion=1.0 + behind, ok=ok)
+    search = search_of(robot)
+    search.pool["next"] = simpler
+    assert merged(search, best) is (simpler if is_merged else best)
+    assert (simpler.key in search.pool) is is_merged
+
+
+@pytest.mark.parametrize(("tested", "corrected"), [(0, 0.02), (1, 0.02), (5, 0.1), (80, 1.0)])
+def test_findings_come_by_their_gain_each_against_the_structure_without_it(robot, tested, corrected):
+    best = structure(COULOMB, DELAY, chi2=1000.0)
+    search = search_of(robot, {COULOMB.key: structure(DELAY, chi2=1100.0), DELAY.key: structure(COULOMB, chi2=3000.0)})
+    search.tested = tested
+    delay, friction = findings(search, best)
+    assert (delay.effect, delay.place, friction.effect) == ("time_delay", "actuator", "coulomb_friction")
+    assert friction.form == ""
+    assert friction.element == "motor"
+    assert friction.evidence["delta_chi2"] == pytest.approx(1000 * math.log(1.1))
+    assert (friction.evidence["held_out_error_before"], friction.evidence["held_out_error_after"]) == (1.1, 1.0)
+    assert friction.evidence["p_value"] == pytest.approx(corrected)
+    assert friction.evidence["hypotheses"] == tested
+    assert search.asked == [COULOMB.key, DELAY.key], "confounders are fitted first"
+    search.held_out = lambda f: None
+    assert math.isnan(findings(search, best)[0].evidence["held_out_error_after"])
+
+
+def test_parameters_of_a_nominal_effect_that_no_sample_shows_are_left_out(robot):
+    """The rows of the prior stand below the samples' and tell nothing of the recordings."""
+    entries = [
+        SimpleNamespace(owner=STRIBECK.key, name=n, quantity=Quantity.TORQUE, recording=-1, si=lambda x: x)
+        for n in ("torque_Nm", "extra_static_torque_Nm")
+    ]
+    J = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 5.0]])
+    best = SimpleNamespace(
+        fit=SimpleNamespace(residual=np.zeros(3), J=J, x=np.array([0.2, 0.3])),
+        hypothesis=SimpleNamespace(entries=entries, told=(1, 1), prior_terms=(1, 1)), standard_errors=lambda noise: np.ones(2),
+    )  # fmt: skip
+    search = search_of(robot)
+    found = nominal_effect(search.fitter, best, STRIBECK)
+    assert list(found.parameters) == ["torque_Nm"]
+    assert found.nominal == STRIBECK.values
