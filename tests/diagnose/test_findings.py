@@ -26,7 +26,8 @@ OFFSET = effect_class("torque_offset")(torque_Nm=0.02)
 
 def structure(*effects, chi2=1000.0, criterion=0.0, ok=True):
     return SimpleNamespace(
-        effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=1000, criterion=criterion, ok=ok, linear={}, own={},
+        effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=1000, criterion=criterion, ok=ok,
+        linear={}, own={},
         hypothesis=SimpleNamespace(entries=()), fit=SimpleNamespace(x=np.zeros(0)), standard_errors=lambda noise: np.zeros(0),
     )  # fmt: skip
 
