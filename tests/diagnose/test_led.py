@@ -392,8 +392,7 @@ def test_what_stays_when_led_is_led_closely_first(fitter, monkeypatch, on_the_wa
 
     def led(by, f, gain, iterations):
         asked.append(gain)
-        direct = len(asked) == 1
-        return leaving(1.10 if direct else on_the_way)
+        return leaving(1.10 if len(asked) == 1 else on_the_way)
 
     monkeypatch.setattr(path, "observed", led)
     assert search.path.lacks_law(wrong) is lacks
