@@ -4,12 +4,16 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test proof lint clean
+.PHONY: demo test coverage proof lint clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
 test: $(STAMP) lint
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# the tests of `make test`, slower, with the lines of mjsim, ident and diagnose that none of them runs
+coverage: $(STAMP) lint
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov
 
 proof: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal --ignore tests/benchmark/test_quick_grade.py
