@@ -112,6 +112,7 @@ def tables(records: Sequence[Record]) -> str:
     """The score as Markdown tables: the bars, by level of each factor, and every case that is not right."""
     clean = [r for r in records if r["group"] in ("nothing", "number")]
     effects, outside = ([r for r in records if r["group"] == g] for g in ("effect", "outside"))
+    delayed = [r for r in records if r["kind"] == "delay"]
     rows: list[tuple[str, Count]] = [
         ("false alarms (physics named where nothing or a number is off)", _count(clean, lambda r: bool(r.get("found")))),
         ("clean cases with the right verdict", _count(clean, lambda r: outcome(r) == Outcome.RIGHT)),
@@ -123,7 +124,9 @@ def tables(records: Sequence[Record]) -> str:
         (f"own run of `corrected.xml` within {MISSES} x of the fitting engine's error", _count(records, _as_engine)),
         (f"own run of `corrected.xml` within {MISSES} x of the true machine's error", _count(records, _at_truth)),
         ("diverging corrected files", _count(records, lambda r: not r["exit"] and not math.isfinite(r["own_error"]))),
-        ("tracebacks or refusals", _count(records, lambda r: bool(r["exit"]))),
+        ("tracebacks or one-line errors", _count(records, lambda r: bool(r["exit"]))),
+        ("logs that the check wants fixed first: a delay of the drive is a skew of clocks as well", _count(delayed, _refused)),
+        ("the same of all other kinds", _count([r for r in records if r not in delayed], _refused)),
     ]
     lines = ["| measure | count | share | 95 % (Wilson) |", "|---|---|---|---|", *(f"| {name} | {c} |" for name, c in rows)]
     lines += ["", "| level | clean | false alarms | effects | named right |", "|---|---|---|---|---|"]
@@ -143,6 +146,10 @@ def tables(records: Sequence[Record]) -> str:
     if cpu:
         lines += ["", f"CPU seconds of a case: median {cpu[len(cpu) // 2]:.0f}, largest {cpu[-1]:.0f}."]
     return "\n".join(lines) + "\n"
+
+
+def _refused(r: Record) -> bool:
+    return bool(r.get("refused"))
 
 
 def _among(r: Record) -> bool:
