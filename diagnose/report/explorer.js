@@ -11,6 +11,10 @@ class Explorer {
     this.plots = {};
     for (const part of ["time", "frequency", "state"]) this.plots[part] = new Panels.Plot(section.querySelector(`[data-part="${part}"] .live`));
     this.film = section.querySelector("video");
+    if (this.film) {
+      this.film.controls = false; // the slider moves it
+      this.film.addEventListener("loadeddata", () => this.mark());
+    }
     this.hidden = new Set(); // models that the legend switches off
     this.selection = null;
     this.moment = 0;

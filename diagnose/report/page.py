@@ -14,6 +14,7 @@ from diagnose.report.answer import false_alarm, sentences, tiles
 from diagnose.report.charts import explorer_of, map_chart, spectrum_chart, states_chart
 from diagnose.report.document import document, write_page
 from diagnose.report.figures import number, p_value, percent, prose, unit
+from diagnose.report.film import Film, film_figure
 from diagnose.report.plots import Chart, page_data
 from diagnose.report.words import VERDICTS, effect_name, formula, placed, structure_name, where
 from diagnose.result import Diagnosis, Finding
@@ -30,17 +31,21 @@ _CARRIED = '<text name="simgap"'
 
 
 def write_report(
-    diagnosis: Diagnosis, path: Path, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None
+    diagnosis: Diagnosis, path: Path, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None,
+    film: Film | str | None = None,
 ) -> None:  # fmt: skip
     """Write the page.
 
     ``corrected_diff``: unified diff of ``corrected.xml`` to the nominal model. ``truth``: what was concealed, by the keys of the
-    practice set (``effects``, ``where``, ``parameters``, ``linear_parameters``). Nothing half-written is left under ``path``.
+    practice set (``effects``, ``where``, ``parameters``, ``linear_parameters``). ``film``: of the model, or why there is none.
+    Nothing half-written is left under ``path``.
     """
-    write_page(render_report(diagnosis, corrected_diff=corrected_diff, truth=truth), path)
+    write_page(render_report(diagnosis, corrected_diff=corrected_diff, truth=truth, film=film), path)
 
 
-def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None) -> str:
+def render_report(
+    diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapping[str, Any] | None = None, film: Film | str | None = None
+) -> str:  # fmt: skip
     """The page as text; the same diagnosis gives the same bytes."""
     from jinja2 import Environment, StrictUndefined
 
@@ -59,7 +64,9 @@ def render_report(diagnosis: Diagnosis, *, corrected_diff: str = "", truth: Mapp
     body = template.render(
         d=d, verdict=VERDICTS[d.verdict], placed=placed(d), first=first, rest=rest, tiles=tiles(d), where=where(d), drawn=drawn,
         theme=components.theme_button(),
-        explorer=components.explorer_section(explorer, "Recording and models") if explorer else None,
+        explorer=components.explorer_section(
+            explorer, "Recording and models", film_figure(explorer, film) if film is not None else None
+        ) if explorer else None,
         halves=len({t.source for t in d.traces}) < len(d.traces), elsewhere=_elsewhere(d, drawn),
         places=tables.place_table(d) if placed(d) else None, findings=[_finding(f, d.unit) for f in d.findings],
         map=_map(d, drawn.get("map")), linear=tables.linear_table(d), errors=tables.error_table(d) if d.fit else None,

@@ -156,8 +156,11 @@ class Diagnosis:
 
         return of_robot(self._result) if isinstance(self._result, RobotDiagnosis) else of_axis(self._result)
 
-    def report(self, path: str | Path) -> Path:
-        """Write the report, one HTML file; returns its path."""
+    def report(self, path: str | Path, *, film_of: Sequence[str | Path] = ()) -> Path:
+        """Write the report, one HTML file; returns its path.
+
+        ``film_of``: the files of the recordings, for a film of the model with a recording as a ghost; of one axis only.
+        """
         path = Path(path)
         if isinstance(self._result, RobotDiagnosis):
             from diagnose.robot.page import write_page
@@ -166,7 +169,12 @@ class Diagnosis:
         else:
             from diagnose.report import write_report
 
-            write_report(self._result, path, corrected_diff=self._difference())
+            film = None
+            if film_of:
+                from simgap.filming import film_of as filmed
+
+                film = filmed(self._result, self._model.path, [Path(f) for f in film_of])
+            write_report(self._result, path, corrected_diff=self._difference(), film=film)
         return path
 
     def save(self, folder: str | Path) -> Path:

@@ -50,6 +50,7 @@ __all__ = ["command"]
     multiple=True,
     help="The joint to diagnose, of a log that holds several; of a robot repeatable; default: the driven one, or all that move.",
 )
+@click.option("--film", is_flag=True, help="Put a short film of the model and a recording into the report; some seconds more.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def command(
@@ -65,6 +66,7 @@ def command(
     effort: float,
     accept_log: bool,
     joints: tuple[str, ...],
+    film: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -88,6 +90,8 @@ def command(
         left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"
         click.echo(f"simgap: interrupted; {left}", err=True)
         raise SystemExit(130) from None
+    if film:
+        found.report(out / "report.html", film_of=[*recordings, *held_out])
     if as_json:
         click.echo(json.dumps(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")), indent=2))
     else:
