@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnose.options import Options
-from diagnose.result import Diagnosis, Finding
+from diagnose.result import Diagnosis, Finding, Verdict
 from diagnose.verdict import numerics
 from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, figures, judged
 from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator, uncertainties
@@ -84,7 +84,7 @@ def write_judged(
     if fewer is not None:
         result, form, runs = fewer
     elif cause is not None and not nominal.simulator:
-        form, runs, found = _author_or_mended(bench, cause)
+        form, runs, found = _mended_alone(bench, cause) or _author_or_mended(bench, cause)
     else:
         form, runs = _polished(bench, *_write(bench, out))
     if fewer is None and not found and not at_noise(nominal.cases, runs):
@@ -97,8 +97,9 @@ def write_judged(
             trial.replace(out)
             result, form, runs = fewer
         trial.unlink(missing_ok=True)
+    notes = () if found else (*_told(cause, nominal), *_refitted(axis, out))
     files = Files(
-        runs, form.lacks, form.form, found, (*(() if found else _told(cause, nominal)), *_refitted(axis, out)),
+        runs, form.lacks, form.form, found, notes,
         not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(bench, out, runs),
         fewer is not None,
     )  # fmt: skip
@@ -278,6 +279,35 @@ def _soft_or_not(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> t
         return Faithful(AUTHOR, math.nan, lacks, write), after
     finally:
         trial.unlink(missing_ok=True)
+
+
+def _mended_alone(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]] | None:
+    """The file as given with its setting mended, where its numbers stand by the equations and that alone leaves noise.
+
+    None where it does not: then numbers may stand in for the setting.
+    """
+    nominal, out = bench.nominal, bench.out
+    if bench.result.verdict is not Verdict.NO_MISMATCH or at_noise(nominal.cases, nominal.runs):
+        return None
+
+    def write(axis: Axis, path: Path) -> tuple[str, ...]:
+        lacks = write_as_author(bench.model, axis, path)
+        change = mended(MujocoPlant.load(path).model, cause.setting.id)
+        if change is not None:
+            adjust(path, change[1], f"Mended: {cause.setting.sentence}")
+        return lacks
+
+    try:
+        lacks = write(bench.given, out)
+    except InputError:  # elements without names: the setting cannot be written
+        return None
+    runs = bench.run(out)
+    gain, p = numerics.gain_of(nominal.cases, nominal.runs, runs)
+    if not (gain > 0 and p < numerics.SURE and at_noise(nominal.cases, runs)):
+        return None
+    before, after = (figures(nominal.cases, r).held_out_rms for r in (nominal.runs, runs))
+    form = Faithful(f"{cause.setting.id.replace('_', ' ')} mended", math.nan, lacks, write)
+    return form, runs, (numerics.finding(cause, "motor", before, after, p),)
 
 
 def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:

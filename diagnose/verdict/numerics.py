@@ -96,7 +96,10 @@ def gain_of(cases: Sequence[Case], before: Sequence[Run | None], after: Sequence
 
 
 def finding(cause: Cause, place: str, before: float, after: float, p_value: float) -> Finding:
-    """A finding of class numerics; errors: held-out rms of the file as it is, and mended."""
+    """A finding of class numerics; errors: held-out rms of the file as it is, and mended.
+
+    Its size is the difference from the equations that the setting makes, over the noise.
+    """
     return Finding(
         effect=cause.setting.id, place=place, element=cause.element,
         sentence=f"{cause.setting.sentence} Mended, the model follows the recording; this is no physics.",
@@ -104,6 +107,7 @@ def finding(cause: Cause, place: str, before: float, after: float, p_value: floa
         evidence={
             "held_out_error_before": before, "held_out_error_after": after, "p_value": p_value,
             "p_value_estimation": p_value, "hypotheses": float(len(SETTINGS)),
+            "difference_over_noise": cause.apart, "difference_over_noise_mended": cause.left,
         },
         kind="numerics",
     )  # fmt: skip

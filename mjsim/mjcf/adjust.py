@@ -14,16 +14,29 @@ from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.custom import Carried, Edit
 from mjsim.mjcf.xmltext import Node, XmlText
 
-__all__ = ["FRICTION_SETTINGS", "adjust", "author_friction"]
+__all__ = ["FRICTION_SETTINGS", "LIMIT_SETTINGS", "adjust", "author_settings"]
 
 FRICTION_SETTINGS = ("solreffriction", "solimpfriction")
+LIMIT_SETTINGS = ("solreflimit", "solimplimit", "armature")  # armature: of the slack joint
 _SHORTENS = ("solreflimit", "delay")  # attributes whose forms need a short timestep too, as added actuators do
 
 
-def author_friction(carried: Carried) -> list[Edit]:
-    """Edits that give dry friction back the solver settings and the timestep that the author's file has."""
-    back = [(kind, name, key, old) for kind, name, key, old in carried.undo if key in FRICTION_SETTINGS]
-    short = any(key in _SHORTENS for _, _, key, _ in carried.undo) or any(kind == "actuator" for kind, _ in carried.added)
+def author_settings(carried: Carried) -> list[Edit]:
+    """Edits that give dry friction and limits back the solver settings and the timestep that the author's file has.
+
+    Limits: of joints that the author's file limits already, and does not hold within their limits.
+    """
+    held = any((kind, key) == ("equality", "active") for kind, _, key, _ in carried.undo)
+    ranges = {name for kind, name, key, old in carried.undo if (kind, key) == ("joint", "range") and old is not None}
+    limited = set() if held else ranges
+    back = [
+        (kind, name, key, old)
+        for kind, name, key, old in carried.undo
+        if key in FRICTION_SETTINGS or (name in limited and key in LIMIT_SETTINGS)
+    ]
+    given = {edit[:3] for edit in back}
+    short = any(key in _SHORTENS and (kind, name, key) not in given for kind, name, key, _ in carried.undo)
+    short = short or any(kind == "actuator" for kind, _ in carried.added)
     if not short:
         back += [edit for edit in carried.undo if edit[0] == "option" and edit[2] == "timestep"]
     oldest: dict[tuple[str, str, str], Edit] = {}

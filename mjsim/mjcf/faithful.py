@@ -18,8 +18,8 @@ from pathlib import Path
 from mjsim.axis import Axis
 from mjsim.effects import BacklashLaw, Effect
 from mjsim.effects.native import Slack
-from mjsim.effects.ports import Friction
-from mjsim.mjcf.adjust import adjust, author_friction
+from mjsim.effects.ports import Friction, Gap
+from mjsim.mjcf.adjust import adjust, author_settings
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.custom import Edit
 from mjsim.mjcf.load import effect_of, load_model
@@ -94,8 +94,9 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
     def coarser(axis: Axis, at: Path, step: float) -> tuple[str, ...]:
         return write_corrected(model, axis, at, friction_step=step).lacks
 
-    if has_dry_friction(axis):
+    if has_dry_friction(axis) or any(isinstance(port, Gap) for e in own for port in e.ports(axis.chain)):
         yield AUTHOR, partial(write_as_author, model)
+    if has_dry_friction(axis):
         step = float(compile_file(model).opt.timestep)
         for parts in SHORTER:
             if step / parts > FRICTION_STEP * (1 + EXACT):
@@ -134,9 +135,9 @@ def as_plain(axis: Axis, lacks: Container[str]) -> Axis:
 
 
 def write_as_author(model: Path, axis: Axis, out: Path) -> tuple[str, ...]:
-    """`write_corrected` with the solver settings of the author's dry friction; what plain MuJoCo lacks."""
+    """`write_corrected` with the solver settings of the author's dry friction and limits; what plain MuJoCo lacks."""
     lacks = write_corrected(model, axis, out).lacks
     carried = load_model(out, bound={}).carried
     if carried is not None:
-        adjust(out, author_friction(carried))
+        adjust(out, author_settings(carried))
     return lacks
