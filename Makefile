@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test coverage proof lint clean
+.PHONY: demo test coverage proof lint docs lowest clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
@@ -19,6 +19,17 @@ proof: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal --ignore tests/benchmark/test_quick_grade.py
 	$(BIN)/python -m pytest -m slow tests/benchmark/test_quick_grade.py
 	$(BIN)/python -m lab.panel kernels --quick
+
+docs: $(STAMP)
+	$(BIN)/python -m mkdocs build --strict
+
+# the lowest versions that pyproject.toml declares, in an environment of their own
+lowest:
+	$(PYTHON) -m venv $(VENV)-lowest
+	$(PYTHON) .ci/lowest.py > $(VENV)-lowest/constraints.txt
+	$(VENV)-lowest/bin/python -m pip install --quiet -e '.[formats]' -c $(VENV)-lowest/constraints.txt
+	$(VENV)-lowest/bin/python -m pip install --quiet pytest hypothesis pandas pytest-xdist hatchling
+	$(VENV)-lowest/bin/python -m pytest -n auto tests/test_api.py tests/readers tests/ident tests/mjsim/test_mjcf.py tests/test_cli.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -240,9 +241,11 @@ def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
 @click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="0.2 is slow motion.")
 @click.option("--fps", type=click.FloatRange(1, 120), default=25.0, show_default=True, help="Pictures a second.")
 @click.option("--size", default="960x720", show_default=True, help="Size of each picture with its traces [pixels].")
+@click.option("--json", "as_json", is_flag=True, help="Print the file and what it shows as JSON.")
 def command(
     source: str, out: Path, recording: Path | None, simulation: Path | None, style: str, camera: str | None, joint: str | None,
     view: str, magnify: float, start: float | None, duration: float | None, speed: float, fps: float, size: str,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Film SCENARIO_OR_MODEL without a display.
 
@@ -270,4 +273,4 @@ def command(
         drawn = _film_model(path, out, view, wanted) if is_model else _film_scenario(source, out, view, wanted)
     except DivergedError as error:
         raise InputError(source, str(error)) from None
-    click.echo(printable(f"{out}: {drawn}"))
+    click.echo(json.dumps({"file": str(out), "shows": drawn}) if as_json else printable(f"{out}: {drawn}"))

@@ -1,0 +1,170 @@
+"""Pages of the documentation that are generated while MkDocs builds it: commands from click, effects from the registry with a
+picture each, the keys of the JSON files, and the notebooks as pages.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+from mkdocs.structure.files import File, Files
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+
+    from mjsim.axis import Axis
+    from mjsim.effects import Effect
+
+DT, SECONDS = 5e-4, 3.0
+DRIVE = {"robot_axis1": (1.0, 0.5, 30.0), "pendulum": (0.5, 0.3, 4.0)}  # amplitude and band of the chirp [N m | rad, Hz]
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add what is generated to the files of the site."""
+    root = Path(config.docs_dir)
+    pages = {"reference/commands.md": commands(), "reference/json.md": json_keys(), **dict(notebooks(root / "notebooks"))}
+    pictures = dict(effect_pictures())
+    pages["reference/effects.md"] = effects({name.partition("@")[0] for name in pictures})
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    for name, data in pictures.items():
+        files.append(File.generated(config, f"reference/effects/{name.partition('@')[0]}.png", content=data))
+    return files
+
+
+def commands() -> str:
+    """The reference of the command line: of each command its text, arguments and options."""
+    from simgap.cli import COMMANDS, cli
+
+    out = ["# Commands", "Generated from the commands themselves; `simgap COMMAND --help` prints the same.", ""]
+    group = click.Context(cli, info_name="simgap")
+    for name, about in COMMANDS.items():
+        command = cli.get_command(group, name)
+        assert command is not None
+        context = click.Context(command, info_name=name, parent=group)
+        help_text = "\n\n".join(p.replace("\n", " ") for p in (command.help or "").split("\n\n"))
+        example = (command.epilog or "").removeprefix("Example: ")
+        out += [f"## simgap {name}", about, "", f"    {command.get_usage(context).removeprefix('Usage: ')}", "", help_text, ""]
+        if example:
+            out += ["Example:", "", *(f"    {line.strip()}" for line in example.split("; ")), ""]
+        options = [p for p in command.get_params(context) if isinstance(p, click.Option) and not p.hidden]
+        out += ["| option | meaning |", "|---|---|", *(_option(p, context) for p in options), ""]
+    return "\n".join(out)
+
+
+def _option(option: click.Option, context: click.Context) -> str:
+    names, text = option.get_help_record(context) or ("", "")
+    return f"| `{_cell(names)}` | {_cell(text)} |"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+
+
+def effects(pictured: set[str]) -> str:
+    """The library of effects: law, places, parameters, source, and what each does to the motion of a known axis."""
+    from simgap.commands.effects import described, library
+
+    out = [
+        "# Effects",
+        "Generated from the registry of effects; `simgap effects NAME` prints the same. Each picture shows an axis without the "
+        "effect and with it, at a size with which a fit begins: the robot axis on a chirp of torque, for effects of a servo a "
+        "pendulum on a chirp of its command.",
+        "",
+    ]
+    for name, forms in library().items():
+        out += [f"## {name}", ""]
+        for i, cls in enumerate(forms):
+            about = described(cls)
+            if i:
+                out += [f"**Another law of the same effect: `{cls.id}`**", ""]
+            out += [about["title"], "", *(f"    {line}" for line in about["law"].splitlines()), ""]
+            if cls.id in pictured:
+                out += [f"![{about['title']}](effects/{cls.id}.png)", ""]
+            out += [
+                f"Places: {', '.join(f'`{p}`' for p in about['places'])}.",
+                "",
+                "| parameter | unit | meaning |",
+                "|---|---|---|",
+            ]
+            for key, p in about["parameters"].items():
+                units = p["unit"] if p["unit"] == p["unit_slide"] else f"{p['unit']}; {p['unit_slide']} on a slide"
+                out.append(f"| `{key}` | {_cell(units)} | {_cell(p['about'])} |")
+            out += ["", f"Source: {_cell(about['source'])}", ""]
+    return "\n".join(out)
+
+
+def effect_pictures() -> Iterator[tuple[str, bytes]]:
+    """(effect@place, PNG) of each effect at the first place that an axis has for it."""
+    from mjsim.crosscheck.cases import effect_cases
+    from mjsim.excitation import chirp
+    from mjsim.mjcf import load_axis
+    from mjsim.models import shipped_model
+    from simgap import Model
+
+    done: set[str] = set()
+    spec = Model("pendulum").spec
+    spec.actuator("torque").set_to_position(kp=20.0, kv=1.0)
+    axes = {"robot_axis1": load_axis(shipped_model("robot_axis1")), "pendulum": Model(spec).axis}
+    for name, axis in axes.items():
+        amplitude, low, high = DRIVE[name]
+        u = chirp(SECONDS, DT, amplitude, low, high)
+        for case in effect_cases(axis, u, DT)[0]:
+            effect = case.axis.effects[-1]
+            if effect.id not in done and (name == "robot_axis1") == (axis.chain.servo is None):
+                done.add(effect.id)
+                yield f"{effect.id}@{effect.place}", picture(axis, effect, u)
+
+
+def picture(axis: Axis, effect: Effect, u: np.ndarray) -> bytes:
+    """PNG of the motor's velocity without and with an effect, and of their difference."""
+    from matplotlib.figure import Figure
+
+    from mjsim.axis import Axis as AxisOf
+    from mjsim.ode import DivergedError, simulate
+
+    bare = AxisOf(axis.chain, (), axis.backlash_law)
+    before = simulate(bare, u, DT)
+    try:
+        after = simulate(bare + effect, u, DT)
+    except DivergedError:
+        after = before
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+    left.plot(before.time, before.velocity, color="#999999", label="without")
+    left.plot(after.time, after.velocity, color="#2a7ab9", linewidth=0.9, label=f"with {effect.id.replace('_', ' ')}")
+    left.set(xlabel="time [s]", ylabel="velocity [rad/s]")
+    left.legend(loc="upper left", fontsize="small")
+    right.plot(after.velocity, after.velocity - before.velocity, color="#c44e52", linewidth=0.6)
+    right.set(xlabel="velocity [rad/s]", ylabel="change [rad/s]")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=80)
+    return buffer.getvalue()
+
+
+def json_keys() -> str:
+    """The keys of the JSON files, from the contract's classes: what a program may rely on."""
+    from simgap.api.keys import FILES
+
+    out = ["# JSON", "A program may rely on these keys; more may be added. `null` stands for a number that is not known.", ""]
+    for name, (about, keys) in FILES.items():
+        rows = [f"| `{k}` | {_cell(v)} |" for k, v in keys.items()]
+        out += [f"## {name}", about, "", "| key | holds |", "|---|---|", *rows, ""]
+    return "\n".join(out)
+
+
+def notebooks(folder: Path) -> Iterator[tuple[str, str]]:
+    """(page, Markdown) of each notebook: its text and its code."""
+    for path in sorted(folder.glob("*.ipynb")):
+        content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        parts = []
+        for cell in content["cells"]:
+            text = "".join(cell["source"])
+            parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        parts.append(f"[The notebook]({path.name})")
+        yield f"notebooks/{path.stem}.md", "\n\n".join(parts) + "\n"
