@@ -15,8 +15,14 @@ SPARING = 15.0  # seconds between two lines of one stage, where lines stay
 
 
 @contextmanager
-def following(on: bool, recalled: int = 0) -> Iterator[Callable[[Step], None]]:
-    """What to call with each step; ``on``: else nothing is written; ``recalled``: fits that an earlier run left."""
+def following(on: bool | None, recalled: int = 0) -> Iterator[Callable[[Step], None]]:
+    """What to call with each step; ``on``: True: all of them, None: that something is compiled, once, False: nothing.
+
+    ``recalled``: fits that an earlier run left.
+    """
+    if on is None:
+        yield _compiling()
+        return
     if not on:
         yield lambda _: None
         return
@@ -33,6 +39,19 @@ def following(on: bool, recalled: int = 0) -> Iterator[Callable[[Step], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)
         yield lambda step: bar.update(task, description=escape(str(step)))
+
+
+def _compiling() -> Callable[[Step], None]:
+    """One line when something is compiled, which takes long enough to wonder."""
+    told = False
+
+    def tell(step: Step) -> None:
+        nonlocal told
+        if step.stage == "compile" and not told:
+            told = True
+            print(f"simgap: {step}", file=sys.stderr, flush=True)
+
+    return tell
 
 
 def _lines() -> Callable[[Step], None]:

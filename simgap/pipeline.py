@@ -81,7 +81,7 @@ def diagnose_files(
     held_out: Sequence[Path] = (),
     options: Options | None = None,
     *,
-    progress: bool = True,
+    progress: bool | None = True,
     truth: Mapping[str, Any] | None = None,
     accept_log: bool = False,
     joint: str | None = None,
@@ -118,7 +118,7 @@ def diagnose_recordings(
     held_out: Sequence[Recording] = (),
     options: Options | None = None,
     *,
-    progress: bool = True,
+    progress: bool | None = True,
     truth: Mapping[str, Any] | None = None,
     page: bool = True,
     accept_log: bool = False,
@@ -196,30 +196,34 @@ def _written(
 
 @contextmanager
 def _compiling_told(say: Callable[[Step], None]) -> Iterator[None]:
-    """Say so when the simulation has to be compiled: who waits for the first answer on a machine waits half a minute longer."""
-    with _when_compiling(
-        lambda: say(Step("compile", "the simulation of such an axis, once on this machine: about half a minute"))
-    ):
+    """Say so when the simulation has to be compiled, and how far: the first diagnosis on a machine waits for it."""
+
+    def tell(done: int) -> None:
+        so_far = f"; {done} functions so far" if done else ""
+        say(Step("compile", f"the simulation of such an axis, once on this machine: half a minute to a few{so_far}"))
+
+    with _when_compiling(lambda: tell(0), tell):
         yield
 
 
 @contextmanager
-def _when_compiling(do: Callable[[], None]) -> Iterator[None]:
-    """Call ``do`` once, when something begins to be compiled."""
+def _when_compiling(begin: Callable[[], None], ended: Callable[[int], None] = lambda done: None) -> Iterator[None]:
+    """Call ``begin`` once, when something begins to be compiled, and ``ended`` with how many functions are."""
     from numba.core import event
 
-    class Once(event.Listener):
-        done = False
+    class Told(event.Listener):
+        begun, done = False, 0
 
         def on_start(self, event: Any) -> None:
-            if not self.done:
-                self.done = True
-                do()
+            if not self.begun:
+                self.begun = True
+                begin()
 
         def on_end(self, event: Any) -> None:
-            """Of no interest."""
+            self.done += 1
+            ended(self.done)
 
-    with event.install_listener("numba:compile", Once()):
+    with event.install_listener("numba:compile", Told()):
         yield
 
 

@@ -16,7 +16,7 @@ from numba import njit
 from lab.benchmark.friction import bristle_step, dry_step
 from lab.benchmark.joints import joint_torque, slip_step
 
-__all__ = ["run"]
+__all__ = ["integrate", "run"]
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -42,8 +42,16 @@ def _motor_level(p, v, t, angle, load):
     return level
 
 
-@njit(cache=True, nogil=True)
 def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop, fs, substeps):
+    """`integrate` on arguments of one type each: numba compiles a function anew, which takes half a minute, for every other."""
+    return integrate(
+        type(p)(*map(float, p)), np.array(torque, float), np.array(speed_set, float), float(kp), float(ki), bool(closed),
+        bool(feed_noise), np.array(noise_v, float), np.array(noise_a, float), np.array(drop, np.int8), float(fs), int(substeps),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def integrate(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop, fs, substeps):
     """Simulate from rest; returns logged torque [Nm], then measured and true motor velocity [rad/s] and angle [rad],
     and the state at the end: angles [rad] of motor, gearbox, arm and the mass split off it, then their speeds [rad/s].
 

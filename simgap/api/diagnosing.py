@@ -224,7 +224,7 @@ def diagnose(
     budget: float = math.inf,
     effort: float = 1.0,
     accept_log: bool = False,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Diagnosis:
     """Locate, name, model and prove the mismatch between recordings and a model of an axis or of a robot.
 
@@ -234,7 +234,7 @@ def diagnose(
     recording's binding says. ``effects``: identifiers to consider, all when empty. ``joints``: of a robot, those to diagnose, all
     that move when empty; of one axis, the one of a log that holds several. ``jobs``: threads. ``budget`` [s]: after which no
     further fit starts. ``effort``: limit of the simulations, 0 for none. ``accept_log``: search even where the check of
-    the log says that it has to be fixed. ``progress``: on standard error.
+    the log says that it has to be fixed. ``progress``: on standard error; None: only that something is compiled.
 
     Raises `InputError` for recordings or a model that cannot be used.
 
@@ -280,7 +280,9 @@ def _loaded(given: Sequence[Any], held: Sequence[Any], model: Model, joint: str 
     return Loaded(tuple(fitted), tuple(kept))
 
 
-def _axis(read: Loaded, model: Model, out: Path, options: Options, progress: bool, accept_log: bool, page: bool) -> AxisResult:
+def _axis(
+    read: Loaded, model: Model, out: Path, options: Options, progress: bool | None, accept_log: bool, page: bool
+) -> AxisResult:
     from simgap.pipeline import diagnose_recordings
 
     return diagnose_recordings(
@@ -291,7 +293,7 @@ def _axis(read: Loaded, model: Model, out: Path, options: Options, progress: boo
 
 def _robot(
     recordings: Sequence[Recording | RobotRecording], model: Model, out: Path, held: Sequence[Recording | RobotRecording],
-    joints: Sequence[str], effects: Sequence[str], seed: int, *, progress: bool, page: bool,
+    joints: Sequence[str], effects: Sequence[str], seed: int, *, progress: bool | None, page: bool,
 ) -> RobotDiagnosis:  # fmt: skip
     import sys
 

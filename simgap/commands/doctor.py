@@ -12,7 +12,9 @@ from typing import Any
 
 import click
 
-__all__ = ["command", "examine"]
+__all__ = ["command", "compile_all", "examine"]
+
+BODIES = range(1, 5)  # of the axes whose simulation is compiled ahead: up to three inertias and a further mode
 
 REQUIRED = ("mujoco", "numpy", "scipy", "numba", "matplotlib", "control", "pydantic", "click", "rich", "jinja2", "imageio-ffmpeg")
 OPTIONAL = {
@@ -110,6 +112,19 @@ def _compiled() -> dict[str, Any]:
     return out
 
 
+def compile_all() -> None:
+    """Compile the simulation of axes of one to four bodies, and keep it on disk; tells each on standard error."""
+    import time
+
+    from mjsim.ode import load_kernel
+
+    for bodies in BODIES:
+        began = time.monotonic()
+        click.echo(f"simgap: simulation {bodies} of {BODIES[-1]} ...", err=True, nl=False)
+        load_kernel(bodies)
+        click.echo(f" {time.monotonic() - began:.0f} s", err=True)
+
+
 def _data() -> dict[str, Any]:
     from simgap.commands.data import DATA_SETS, _cache
 
@@ -136,7 +151,8 @@ def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
     blas = found["linear_algebra"].get("blas", ())
     rows += [("BLAS", f"{b['library']} {b['version']}, kernel {b['kernel']}, {b['threads']} threads ({b['file']})") for b in blas]
     if "folder" in c:
-        state = "compiled" if c["simulation"] else "not compiled yet: the first diagnosis takes about a minute longer"
+        later = "not compiled yet: the first diagnosis takes about a minute longer; simgap doctor --compile does it now"
+        state = "compiled" if c["simulation"] else later
         rows.append(("simulation", f"{state}; {c['files']} files, {c['megabytes']} MB in {c['folder']}"))
     if "folder" in found["data"]:
         rows.append(("recordings", f"{', '.join(found['data']['sets'])}; downloads in {found['data']['folder']}"))
@@ -146,8 +162,9 @@ def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 @click.command("doctor", epilog="Example: simgap doctor --json")
+@click.option("--compile", "do_compile", is_flag=True, help="Compile the simulation now, for axes of one to four bodies.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def command(as_json: bool) -> None:
+def command(do_compile: bool, as_json: bool) -> None:
     """Report what simgap runs on, for a bug report or a slow or failing installation.
 
     Versions, cores, the OpenGL back end for films, the BLAS library and its kernel, the folder of the compiled simulation and
@@ -156,6 +173,8 @@ def command(as_json: bool) -> None:
     from mjsim.errors import CheckError
     from simgap.terminal import one_line, printable
 
+    if do_compile:
+        compile_all()
     found = examine()
     problems = [
         f"{name.replace('_', ' ')}: {one_line(part['problem']).removeprefix(f'{name}: ')}"

@@ -143,3 +143,17 @@ def test_a_recording_that_friction_holds_is_recorded_again(monkeypatch: pytest.M
     assert len(draws) == 3
     noise = case.truth["measurement"]["velocity_noise"]  # type: ignore[index]
     assert min(rms(case.estimation.velocity_true), rms(case.held_out.velocity_true)) > 3 * noise
+
+
+def test_the_solver_is_compiled_for_one_kind_of_arguments():
+    """Another dtype, another flag of an array, an int for a float: each would be compiled anew, which takes half a minute."""
+    from lab.benchmark.laws import Laws
+    from lab.benchmark.solver import integrate, run
+
+    zero, wave = np.zeros(50), np.sin(np.arange(50) * 0.1)
+    locked = wave.copy()
+    locked.flags.writeable = False
+    one = run(Laws(), wave, zero, 0.0, 0.0, False, False, zero, zero, np.zeros(50, np.int8), 2000.0, 20)
+    two = run(Laws(coulomb_m=0), locked, zero, 0, 0, np.bool_(False), False, zero, zero, np.zeros(50, bool), 2000, 20)
+    assert len(integrate.signatures) == 1
+    np.testing.assert_array_equal(one[1], two[1])

@@ -117,14 +117,24 @@ def test_the_command_is_quiet_when_asked(pair, tmp_path):
     assert "best so far coulomb_friction@motor" in said[()]
 
 
-def test_compiling_is_told_once():
+def test_compiling_is_told_and_how_far():
     """Where compiled code is not on disk yet the first answer takes a minute longer, and a silent tool would look stuck."""
     told: list[Step] = []
     with _compiling_told(told.append):
         for factor in (2.0, 3.0):
             njit(lambda x, factor=factor: factor * x)(1.0)
-    assert [s.stage for s in told] == ["compile"]
+    assert {s.stage for s in told} == {"compile"}
+    assert "so far" not in told[0].what
+    assert told[-1].what.endswith("2 functions so far")
+    count = len(told)
     with _compiling_told(told.append):
         pass
     njit(lambda x: x)(1.0)
-    assert len(told) == 1
+    assert len(told) == count
+
+
+def test_one_line_says_that_something_is_compiled_where_nothing_else_is_followed(capsys):
+    with following(None) as say:
+        for step in (Step("compare"), Step("compile", "the simulation"), Step("compile", "more"), Step("search")):
+            say(step)
+    assert capsys.readouterr().err == "simgap: compile: the simulation\n"
