@@ -111,7 +111,7 @@ def test_an_error_of_the_encoder_is_what_repeats_each_turn():
     found = _encoder_error(error, angle, counts, DT)
     assert np.diff(found) / DT == pytest.approx(error, abs=1e-8)
     spoilt = error.copy()
-    spoilt[100:110] = 1e3
+    spoilt[99:111] = 1e3  # each between two samples, one of which does not count
     counts[100:111] = False
     assert _encoder_error(spoilt, angle, counts, DT) == pytest.approx(found, abs=1e-9)
     small = 0.5 * angle / (8 * np.pi) * 1.5
