@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import enum
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from diagnose.check.types import LogCheck
+from diagnose.json_file import write_json
 from diagnose.mismatch import Mismatch, Place, Share, StateShare
 from mjsim.effects import Effect
 from mjsim.torque_map import TorqueMap
@@ -345,19 +344,4 @@ class Diagnosis:
 
     def write_json(self, path: Path) -> None:
         """Write ``diagnosis.json`` in one move."""
-        scratch = path.with_suffix(".json.part")
-        scratch.write_text(json.dumps(_finite(self.as_dict()), indent=2) + "\n", encoding="utf-8")
-        scratch.replace(path)
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinities and no numpy numbers."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+        write_json(path, self.as_dict())

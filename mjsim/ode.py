@@ -199,13 +199,7 @@ def _run(
 
     n, count = s.n, len(torque)
     u, slope, before = _input(s, np.asarray(torque, float), dt, hold, before)
-    x0 = np.zeros((2, n))
-    if initial is not None:
-        given = np.asarray(initial, float)
-        x0[:, : given.shape[1]] = given
-        for i in range(given.shape[1], n):  # bodies that an effect added start undeflected
-            ratio = s.f[2, i - 1]
-            x0[:, i] = ratio * x0[:, i - 1]
+    x0 = s.initial(initial)
     s0 = np.zeros(s.n_states) if states is None else _own(states)
     delay = s.input_delay / dt
     shift = math.floor(delay + 1e-12)

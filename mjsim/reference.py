@@ -77,12 +77,7 @@ def simulate(
     n, count = s.n, len(torque)
     levels, torques = _constants(axis, n)
     u = np.array(apply_input(s, np.asarray(torque, float)), float)
-    x0 = np.zeros((2, n))
-    if initial is not None:
-        given = np.asarray(initial, float)
-        x0[:, : given.shape[1]] = given
-        for i in range(given.shape[1], n):
-            x0[:, i] = s.f[2, i - 1] * x0[:, i - 1]
+    x0 = s.initial(initial)
     shift, split = _parts(s.input_delay / dt)
     back = math.ceil(s.output_delay / dt - 1e-9)
     late = max(0.0, back - s.output_delay / dt)

@@ -60,6 +60,16 @@ class System:
         """Number of bodies."""
         return len(self.chain.bodies)
 
+    def initial(self, given: np.ndarray | None) -> np.ndarray:
+        """Angles and velocities (2, n) at the start, zero where None is given; bodies that an effect added start undeflected."""
+        x = np.zeros((2, self.n))
+        if given is not None:
+            first = np.asarray(given, float)
+            x[:, : first.shape[1]] = first
+            for i in range(first.shape[1], self.n):
+                x[:, i] = self.f[2, i - 1] * x[:, i - 1]
+        return x
+
     def substeps(self, dt: float, max_speed: float, target: float = STEP) -> int:
         """RK4 steps per sample that keep (h w) under ``target`` for the chain, three times that for position-locked laws."""
         eventful = self.has_friction.any() or self.f[5].any() or np.isfinite(self.servo[2:4]).any() or self.servo[5]

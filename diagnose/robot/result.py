@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.json_file import write_json
 from diagnose.result import Estimate, FitFigures, Verdict
 
 __all__ = ["BaseParameter", "JointResult", "RobotDiagnosis", "RobotFinding", "Trace"]
@@ -142,19 +141,4 @@ class RobotDiagnosis:
 
     def write_json(self, path: Path) -> None:
         """Write ``diagnosis.json`` in one move."""
-        scratch = path.with_suffix(".json.part")
-        scratch.write_text(json.dumps(_finite(self.as_dict()), indent=2) + "\n", encoding="utf-8")
-        scratch.replace(path)
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinities and no numpy numbers."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+        write_json(path, self.as_dict())

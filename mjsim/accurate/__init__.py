@@ -51,12 +51,7 @@ def simulate(
     mine = native_model(s)
     m, d = mine.model, mine.data
     u = np.array(apply_input(s, np.asarray(torque, float)), float)
-    x0 = np.zeros((2, n))
-    if initial is not None:
-        given = np.asarray(initial, float)
-        x0[:, : given.shape[1]] = given
-        for i in range(given.shape[1], n):
-            x0[:, i] = s.f[2, i - 1] * x0[:, i - 1]
+    x0 = s.initial(initial)
     delay = s.input_delay / dt
     shift = math.floor(delay + 1e-12)
     split = max(0.0, delay - shift)

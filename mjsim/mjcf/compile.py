@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import mujoco
 
 from mjsim.errors import InputError
 
-__all__ = ["caught_warnings", "compile_file"]
+__all__ = ["caught_warnings", "compile_file", "save_compiled"]
 
 
 @contextlib.contextmanager
@@ -36,3 +37,18 @@ def compile_file(path: str | Path) -> mujoco.MjModel:
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(path, f"MuJoCo does not load it ({said})", "an MJCF model", "correct the element it names") from None
+
+
+def save_compiled(content: bytes, out: Path, load: Callable[[Path], object] = compile_file) -> None:
+    """Write a file beside its final name, load it, then move it there: what does not load is not left behind."""
+    part = out.with_name(f".{out.name}.part.xml")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(content)
+        load(part)
+        os.replace(part, out)
+    except OSError as error:
+        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another one") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

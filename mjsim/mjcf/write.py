@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
 import tempfile
 import textwrap
 from collections.abc import Container, Iterator
@@ -17,7 +16,7 @@ from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, registered
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
-from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.compile import save_compiled
 from mjsim.mjcf.editor import MjcfEditor
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.load import Model, load_model
@@ -74,7 +73,7 @@ def write_corrected(
         lines = _head(editor, axis, [line for _, line in lacks], comment)
         editor.xml.append(editor.xml.root, ["<custom>", *(f"  {x}" for x in lines), *(f"  {x}" for x in custom.element(carried)),
                                             "</custom>"])  # fmt: skip
-        _save(editor.xml, out)
+        save_compiled(editor.xml.raw, out)
     return Written(out, tuple(line for _, line in lacks))
 
 
@@ -193,18 +192,3 @@ def _head(editor: MjcfEditor, axis: Axis, lacks: list[str], comment: str) -> lis
     parts.append("simgap reads the effects from the text below, and from there only.")
     lines = [line for p in parts for line in textwrap.wrap(p.replace("--", "- -"), 120, subsequent_indent="  ")]
     return ["<!--", *(f"  {line}" for line in lines), "-->"]
-
-
-def _save(xml: XmlText, out: Path) -> None:
-    """Write beside the final name, let MuJoCo load it, then move it there."""
-    part = out.with_name(f".{out.name}.part.xml")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(xml.raw)
-        compile_file(part)
-        os.replace(part, out)
-    except OSError as error:
-        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another one") from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)

@@ -5,7 +5,6 @@ The author's file keeps its text: only attributes of joints and the ``<inertial>
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -19,7 +18,7 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
-from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.compile import compile_file, save_compiled
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.robot.inertia import to_body
 from mjsim.robot.model import Robot, load_robot
@@ -58,7 +57,7 @@ def write_robot(
     if effects:
         xml.append(xml.root, _custom(effects))
     _relocate(xml, source, out)
-    _save(xml.text, out)
+    save_compiled(xml.text.encode(), out, load_robot)
 
 
 def carried_effects(path: Path) -> list[dict[str, Any]]:
@@ -178,18 +177,3 @@ def _relocate(xml: XmlText, source: Path, out: Path) -> None:
         assert compiler is not None
         if key == "assetdir" or key in compiler.attributes:
             xml.set(compiler, key, str(relative / compiler.attributes.get(key, ".")))
-
-
-def _save(text: str, out: Path) -> None:
-    """Write beside the final name, let MuJoCo load it, then move it there."""
-    part = out.with_name(f".{out.name}.part.xml")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        load_robot(part)
-        os.replace(part, out)
-    except OSError as error:
-        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another one") from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)

@@ -156,10 +156,10 @@ def test_parameters_of_a_nominal_effect_that_no_sample_shows_are_left_out(robot)
         SimpleNamespace(owner=STRIBECK.key, name=n, quantity=Quantity.TORQUE, recording=-1, si=lambda x: x)
         for n in ("torque_Nm", "extra_static_torque_Nm")
     ]
-    J = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 5.0]])
+    J = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 5.0]])
     best = SimpleNamespace(
         fit=SimpleNamespace(residual=np.zeros(3), J=J, x=np.array([0.2, 0.3])),
-        hypothesis=SimpleNamespace(entries=entries, told=(1, 1), prior_terms=(1, 1)), standard_errors=lambda noise: np.ones(2),
+        hypothesis=SimpleNamespace(entries=entries, told=(1, 3), prior_terms=(1, 3)), standard_errors=lambda noise: np.ones(2),
     )  # fmt: skip
     search = search_of(robot)
     found = nominal_effect(search.fitter, best, STRIBECK)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -159,10 +160,10 @@ def test_inertia_from_geoms_is_written_out(tmp_path):
 def test_nothing_half_written_is_left(tmp_path, nominal, monkeypatch):
     from mjsim.mjcf import write as module
 
-    def fail(*_):
-        raise InputError("x", "MuJoCo does not load it")
+    def fail(path):
+        raise InputError(path, "MuJoCo does not load it")
 
-    monkeypatch.setattr(module, "compile_file", fail)
+    monkeypatch.setattr(module, "save_compiled", partial(module.save_compiled, load=fail))
     with pytest.raises(InputError):
         write_corrected(nominal, load_axis(nominal), tmp_path / "corrected.xml")
     assert list(tmp_path.iterdir()) == []
