@@ -107,7 +107,11 @@ def test_a_place_that_the_system_refuses(simgap, name):
 
 @pytest.mark.parametrize(
     "words",
-    [("run", "step", "--duration", "2", "--out", "out"), ("render", "step", "--out", "out/film.png"), ("demo", "--out", "out")],
+    [
+        ("run", "step", "--duration", "2", "--out", "out"),
+        ("render", "step", "--out", "out/film.png"),
+        pytest.param(("demo", "--out", "out"), marks=pytest.mark.slow),  # a whole diagnosis, to a page and a model
+    ],
 )
 def test_a_full_disk(tmp_path, words):
     """A limit on the size of a file fails a write half-way, as a full disk does: one line, no half file under a final name."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, stats
 
 from ident import IOData, amplitude_test, detection_lines, odd_multisine
 from mjsim.errors import InputError
@@ -14,8 +14,19 @@ _POLES = [r * np.exp(s * 1j * w) for r, w in ((0.995, 0.55), (0.99, 0.8)) for s 
 _ZEROS = [0.995 * np.exp(s * 1j * 0.65) for s in (1, -1)]
 RESONANT = (np.r_[0, np.real(np.poly(_ZEROS))], np.real(np.poly(_POLES)))
 """Two peaks and a notch, each narrower than a block of lines."""
+SYSTEMS = {"first order": FIRST_ORDER, "resonant": RESONANT}
 COLOURS = {"white": ([1], [1]), "low": ([1], [1, -0.9]), "peaked": ([1], [1, -1.8 * np.cos(0.9), 0.81])}
-RUNS, RATE, LIMIT = 300, 0.05, 0.095  # 99.9 % binomial limit on 300 runs of 5 %
+RATE = 0.05
+RUNS = pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.slow)])
+SOME, ALL = ("first order", "low"), [(system, colour) for system in ("first order", "resonant") for colour in COLOURS]
+NOISES = pytest.mark.parametrize(
+    ("system", "colour"), [pytest.param(*pair, marks=() if pair == SOME else pytest.mark.slow) for pair in ALL]
+)
+
+
+def most(runs):
+    """99.9 % binomial limit on the false alarms of so many runs."""
+    return stats.binom.ppf(0.999, runs, RATE)
 
 
 def coloured(rng, n, colour):
@@ -54,16 +65,16 @@ def test_detection_lines_name_the_kind_of_distortion():
     assert "odd" in detection_lines(data, ms).sentence
 
 
-@pytest.mark.parametrize("colour", list(COLOURS))
-@pytest.mark.parametrize("system", [FIRST_ORDER, RESONANT], ids=["first order", "resonant"])
-def test_detection_lines_keep_their_false_alarm_rate(system, colour):
+@NOISES
+@RUNS
+def test_detection_lines_keep_their_false_alarm_rate(system, colour, runs):
     """Noise of any colour: each line is judged against its own noise."""
-    skip, periods = (4, 9) if system is RESONANT else (1, 6)
+    skip, periods = (4, 9) if system == "resonant" else (1, 6)
     alarms = sum(
         detection_lines(d, m, RATE, skip=skip).nonlinear
-        for m, d in (multisine_record(s, system, colour, periods=periods) for s in range(RUNS))
+        for m, d in (multisine_record(s, SYSTEMS[system], colour, periods=periods) for s in range(runs))
     )
-    assert alarms / RUNS < LIMIT
+    assert alarms <= most(runs)
 
 
 def test_detection_lines_see_weak_distortion():
@@ -92,18 +103,19 @@ def test_amplitude_test_finds_a_dead_band_and_passes_a_linear_system():
     assert not amplitude_test(*chirps(0, sigma=0.0)).nonlinear
 
 
-@pytest.mark.parametrize("colour", list(COLOURS))
-@pytest.mark.parametrize("system", [FIRST_ORDER, RESONANT], ids=["first order", "resonant"])
-def test_amplitude_test_keeps_its_false_alarm_rate(system, colour):
+@NOISES
+@RUNS
+def test_amplitude_test_keeps_its_false_alarm_rate(system, colour, runs):
     """However sharp the resonances: what both levels share cancels, it is not smoothed."""
-    alarms = sum(amplitude_test(*chirps(s, system=system, colour=colour), RATE).nonlinear for s in range(RUNS))
-    assert alarms / RUNS < LIMIT
+    alarms = sum(amplitude_test(*chirps(s, system=SYSTEMS[system], colour=colour), RATE).nonlinear for s in range(runs))
+    assert alarms <= most(runs)
 
 
-def test_amplitude_test_keeps_its_rate_when_the_inputs_are_not_proportional():
+@RUNS
+def test_amplitude_test_keeps_its_rate_when_the_inputs_are_not_proportional(runs):
     shape = 1 + 0.5 * np.sin(np.pi * np.arange(4000) / 2000)
-    alarms = sum(amplitude_test(*chirps(s, system=RESONANT, shape=shape), RATE).nonlinear for s in range(RUNS))
-    assert alarms / RUNS < LIMIT
+    alarms = sum(amplitude_test(*chirps(s, system=RESONANT, shape=shape), RATE).nonlinear for s in range(runs))
+    assert alarms <= most(runs)
 
 
 def test_amplitude_test_measures_the_change():
