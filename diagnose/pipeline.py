@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from diagnose.data.channels import with_common_channels
 from diagnose.data.experiment import corrected, without_derived_velocity
 from diagnose.data.servo import as_servo
 from diagnose.data.split import Split, split
@@ -53,13 +54,13 @@ def diagnose(
     """
     options = options or Options()
     began = time.monotonic()
+    recordings, held_out, alike = with_common_channels(recordings, held_out)
     nominal, recordings, held_out, said = as_servo(nominal, recordings, held_out)
     given = recordings[0].velocity is not None and nominal.chain.servo is None
     recordings, held_out = ([without_derived_velocity(r) for r in group] for group in (recordings, held_out))
     derived = given and recordings[0].velocity is None
     view = choose_view(recordings, options.judge or recordings[0].judge or ("motion" if derived else None), nominal)
     varies = _varies(nominal, recordings[0])
-
     taken = 0
 
     def by(experiments: Split) -> Diagnosis:
@@ -75,8 +76,7 @@ def diagnose(
             fitter.close()
 
     result = by(split(recordings, held_out))
-    if derived:
-        said = (*said, DERIVED)
+    said = (*alike, *said, *((DERIVED,) if derived else ()))
     result = dataclasses.replace(result, notes=(*said, *result.notes))
     if held_out and _only_held_out_shows(result):
         shared = by(split((*recordings, *held_out), ()))

@@ -54,6 +54,17 @@ NOISE_STANDS_OUT = _number("NOISE_STANDS_OUT", LEVEL, 4.0, "standard errors", "6
 NOISE_COLOURED = _number(
     "NOISE_COLOURED", LEVEL, 1.5, "of the white level", "the white level itself is known to some percent", "noise"
 )
+FILTERED_RISE = _number(
+    "FILTERED_RISE",
+    LEVEL,
+    3.0,
+    "times the noise by the fastest part",
+    "a whitening filter of a few lags makes up for less",
+    "content",
+)
+FILTERED_NOISE = _number(
+    "FILTERED_NOISE", LEVEL, 0.02, "of the spread", "what is more is motion at the end of a filter's band", "content"
+)
 REPEATS_BY_CHANCE = _number(
     "REPEATS_BY_CHANCE",
     LEVEL,

@@ -16,6 +16,8 @@ from typing import Any
 
 from diagnose.check import LogVerdict, Machine, check_log
 from diagnose.check.answer import wrong_log
+from diagnose.data.channels import with_common_channels
+from diagnose.data.content import at_content_rate
 from diagnose.data.experiment import without_derived_velocity
 from diagnose.data.servo import as_servo
 from diagnose.data.split import split
@@ -137,10 +139,13 @@ def diagnose_recordings(
     check_writable(model, nominal)
     for name in options.effects:
         _need_place(name, nominal, model)
+    recordings, held_out, alike = with_common_channels(recordings, held_out)
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
     log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*recordings, *held_out])
     if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
+    recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
+    said += [*alike, *slower]
     memory = Memory(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     try:
         with following(progress, memory.recalled) as say, _compiling_told(say):
@@ -163,6 +168,17 @@ def diagnose_recordings(
     result = _written(result, nominal, model, out, truth, page, given, options.jobs)
     memory.discard()
     return result
+
+
+def _at_content_rate(
+    recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options
+) -> tuple[list[Recording], list[Recording], tuple[str, ...]]:
+    """Filtered recordings that are judged by motion at the rate that their content needs, and a sentence that says so."""
+    first = recordings[0]
+    if first.command is None and ("force" in (options.judge, first.judge) or first.velocity is None):
+        return list(recordings), list(held_out), ()
+    slower, said = at_content_rate([*recordings, *held_out])
+    return slower[: len(recordings)], slower[len(recordings) :], said
 
 
 def _usable(

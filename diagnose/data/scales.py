@@ -14,7 +14,7 @@ from mjsim.quantity import Motion
 from mjsim.recording import Recording
 from mjsim.system import assemble
 
-__all__ = ["PLACES", "scales_by_place", "value_steps"]
+__all__ = ["PLACES", "reversals", "scales_by_place", "value_steps"]
 
 
 PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
@@ -22,6 +22,12 @@ PLACES = ("motor", "gearbox", "arm", "actuator", "sensor")
 
 def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
+
+
+def reversals(v: np.ndarray, slow: float = 0.2) -> int:
+    """How often a velocity (N,) changes its sign, from faster than ``slow`` times its rms to as fast the other way."""
+    signs = np.sign(v[np.abs(v) > slow * _rms(v)])
+    return int(np.sum(signs[1:] != signs[:-1]))
 
 
 def _drive(axis: Axis, r: Recording, run: Trajectory | None) -> np.ndarray:
@@ -126,5 +132,6 @@ def scales_by_place(
             dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
             following=0.0 if r.command is None else _rms(r.command - q), asked=asked,
+            move=r.duration / (1 + reversals(v)),
         )  # fmt: skip
     return out

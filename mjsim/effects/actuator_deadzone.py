@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_torque_input, parameter
 from mjsim.effects.ports import InputMap, Port, StaticMap
 from mjsim.effects.registry import register
@@ -41,6 +42,10 @@ class ActuatorDeadzone(Effect):
         """Where the law acts."""
         need_torque_input(chain)
         return (InputMap(StaticMap.DEAD, self.half_width_Nm),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("half width", self.half_width_Nm, 0.0, scales.max_input, "the largest command"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.native import DriveLag, Native, Value
 from mjsim.effects.ports import InputLag, Port
@@ -48,6 +49,10 @@ class ActuatorLag(Effect):
     def read(cls, value: Value, chain: Chain) -> Self | None:
         """The effect that a native value of a file stands for, or None."""
         return cls(time_constant_s=value.time_constant) if isinstance(value, DriveLag) else None
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("time constant in s", self.time_constant_s, 0.0, 5.0 * scales.move, "a few moves"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

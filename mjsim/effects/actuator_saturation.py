@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.native import DriveLimit, Native, Value
 from mjsim.effects.ports import DriveLimit as ForceLimit
@@ -51,6 +52,11 @@ class ActuatorSaturation(Effect):
     def read(cls, value: Value, chain: Chain) -> Self | None:
         """The effect that a native value of a file stands for, or None."""
         return cls(limit_Nm=value.limit) if isinstance(value, DriveLimit) else None
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        most = scales.asked[0] if scales.asked else scales.max_input
+        return (Range("limit", self.limit_Nm, 0.0, most, "the largest force that was asked for"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

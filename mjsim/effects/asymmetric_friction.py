@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import DIRECTION, law
 from mjsim.effects.native import DriveTorque, DryFriction, Native
@@ -72,6 +73,12 @@ class AsymmetricFriction(Effect):
         """Values of MJCF's own elements that stand for it."""
         # F sign(v) + A, also at rest, is Coulomb friction F beside a constant torque -A
         return Native((DryFriction(need_body(chain, self.place), self.torque_Nm), DriveTorque(-self.asymmetry_Nm)))
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (
+            Range("asymmetry", abs(self.asymmetry_Nm), 0.0, self.torque_Nm, "the mean level: friction opposes both directions"),
+        )
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.native import Native, Slack, Value
 from mjsim.effects.ports import Gap, Port
@@ -54,6 +55,10 @@ class Backlash(Effect):
         if not isinstance(value, Slack):
             return None
         return cls(place=chain.couplings[value.coupling].place, gap_rad=value.width)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("gap", self.gap_rad, 0.0, scales.travel, "the travel"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import POSITION, RATE, law
 from mjsim.effects.ports import CouplingTorque, Gap, Port
@@ -55,6 +56,10 @@ class BacklashWithImpact(Effect):
         """Where the law acts."""
         j = need_coupling(chain, self.place)
         return Gap(j, self.gap_rad), CouplingTorque(j, torque, (self.impact_s_rad, chain.couplings[j].stiffness))
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("gap", self.gap_rad, 0.0, scales.travel, "the travel"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

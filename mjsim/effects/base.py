@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 from mjsim.chain import Chain
+from mjsim.effects.admissible import Range
 from mjsim.effects.native import Native, Value
 from mjsim.effects.ports import CouplingTorque, Gap, Port, Twist
 from mjsim.quantity import Motion, Quantity
@@ -125,7 +126,8 @@ class Scales:
     show, which what is fixed to the motor is likely to have; steps: those in which the measured output comes, where
     its values show any; following: rms error of a servo between command and angle [rad | m]; asked: levels of the force that
     the input, or a servo's law without its limit, asks of the actuator [N m | N]: the largest, and those exceeded in a tenth
-    and in three tenths of the time.
+    and in three tenths of the time; move: mean time between reversals of the velocity [s],
+    the duration where it does not reverse.
     """
 
     torque: float
@@ -147,6 +149,7 @@ class Scales:
     steps: tuple[float, ...] = ()
     following: float = 0.0
     asked: tuple[float, ...] = ()
+    move: float = 0.0
 
 
 def bristle_stiffnesses(level: float, scales: Scales, count: int = 4) -> list[float]:
@@ -253,6 +256,10 @@ class Effect(abc.ABC):
     @abc.abstractmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Values to start a fit from, physical multiples of the scales; several where the law has local minima."""
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """Ranges in which numbers of it have to lie on a recording of such scales for it to be named; () for none."""
+        return ()
 
     def parts(self) -> tuple[Effect, ...]:
         """Simpler effects that together make the same motion, the one that others refine first; () for none."""

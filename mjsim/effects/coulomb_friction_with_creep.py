@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
 from mjsim.effects.law import RATE, law
 from mjsim.effects.native import DryFriction, Native
@@ -65,6 +66,10 @@ class CoulombFrictionWithCreep(Effect):
         """Values of MJCF's own elements that stand for it."""
         level = DryFriction(need_body(chain, self.place), self.torque_Nm)
         return Native((level,), f"how the friction at the {self.place} fades in: frictionloss holds at rest")
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("creep velocity", self.creep_velocity_rad_s, 0.0, scales.max_velocity, "the speeds that were reached"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from mjsim.effects.admissible import Range, mode
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.native import Native, SplitBody
 from mjsim.effects.ports import Port, SplitInertia
@@ -58,6 +59,10 @@ class ExtraFlexibleMode(Effect):
         """Values of MJCF's own elements that stand for it."""
         body = need_body(chain, self.place)
         return Native((SplitBody(body, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad),))
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return mode(self.inertia_kgm2, self.stiffness_Nm_rad, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

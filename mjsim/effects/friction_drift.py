@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import WARMS_UP, Range
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import FADED, TIME, law
 from mjsim.effects.native import DryFriction, Native
@@ -60,6 +61,21 @@ class FrictionDrift(Effect):
         """Values of MJCF's own elements that stand for it."""
         level = DryFriction(need_body(chain, self.place), self.torque_Nm)
         return Native((level,), "the drift of friction: frictionloss has its final level")
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        low, high = max(scales.move, 0.02 * scales.duration), 10.0 * scales.duration
+        # from tenfold at the start to a tenth of the final level
+        return (
+            Range("time constant in s", self.time_constant_s, low, high, "slower than a move, and seen in the recording"),
+            Range(
+                "level at the start over that in the end",
+                1.0 + self.relative_change,
+                1.0 / WARMS_UP,
+                WARMS_UP,
+                "as lubricants warm up",
+            ),
+        )
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from mjsim.effects.admissible import Range, bristles
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.native import CouplingBristle, Native, Value
@@ -65,6 +66,10 @@ class Hysteresis(Effect):
         if not isinstance(value, CouplingBristle):
             return None
         return cls(place=chain.couplings[value.coupling].place, torque_Nm=value.level, stiffness_Nm_rad=value.stiffness)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return bristles(self.torque_Nm, self.stiffness_Nm_rad, 8.0 * scales.deflection)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range, bristles
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.ports import CouplingTorque, Port
@@ -60,6 +61,10 @@ class HysteresisWithCorner(Effect):
         """Where the law acts."""
         p = (self.torque_Nm, self.stiffness_Nm_rad, self.sharpness)
         return (CouplingTorque(need_coupling(chain, self.place), torque, p, state=True),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return bristles(self.torque_Nm, self.stiffness_Nm_rad, 8.0 * scales.deflection)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

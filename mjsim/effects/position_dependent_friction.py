@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range, wave
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import ANGLE, law
 from mjsim.effects.native import DryFriction, Native
@@ -62,6 +63,10 @@ class PositionDependentFriction(Effect):
         """Values of MJCF's own elements that stand for it."""
         level = DryFriction(need_body(chain, self.place), self.torque_Nm)
         return Native((level,), "the variation of friction over the angle: frictionloss has its mean")
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return wave(self.cycles_per_rev, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from mjsim.effects.admissible import Range, bristles
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.native import BodyBristle, Native, Value
@@ -63,6 +64,10 @@ class PreslidingFriction(Effect):
         if not isinstance(value, BodyBristle) or value.damping or value.extra:
             return None
         return cls(place=chain.bodies[value.body].place, torque_Nm=value.level, stiffness_Nm_rad=value.stiffness)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return bristles(self.torque_Nm, self.stiffness_Nm_rad, scales.travel)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from mjsim.effects.admissible import Range, bristles
 from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.native import BodyBristle, Native, Value
@@ -71,6 +72,10 @@ class PreslidingFrictionWithDamping(Effect):
             return None
         place = chain.bodies[value.body].place
         return cls(place=place, torque_Nm=value.level, stiffness_Nm_rad=value.stiffness, damping_Nms_rad=value.damping)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return bristles(self.torque_Nm, self.stiffness_Nm_rad, scales.travel)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.ports import OutputLag, Port
 from mjsim.effects.registry import register
@@ -38,6 +39,10 @@ class SensorLag(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (OutputLag(self.time_constant_s),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("time constant in s", self.time_constant_s, 0.0, 5.0 * scales.move, "a few moves"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.ports import OutputMap, Port, StaticMap
 from mjsim.effects.registry import register
@@ -39,6 +40,13 @@ class SensorQuantisation(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (OutputMap(StaticMap.ROUND, self.step),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        if not scales.steps:
+            return (Range("step", self.step, 0.0, 0.0, "since the samples come in no steps"),)
+        near = min(scales.steps, key=lambda step: abs(step - self.step))
+        return (Range("step", self.step, near / 1.25, near * 1.25, "the steps in which the samples come"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

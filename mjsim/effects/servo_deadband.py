@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_servo, parameter
 from mjsim.effects.ports import CommandDeadBand, Port
 from mjsim.effects.registry import register
@@ -39,6 +40,10 @@ class ServoDeadband(Effect):
         """Where the law acts."""
         need_servo(chain, position=True)
         return (CommandDeadBand(self.half_width_rad),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("half width", self.half_width_rad, 0.0, scales.travel, "the travel"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

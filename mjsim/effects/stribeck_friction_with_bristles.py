@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from mjsim.effects.admissible import Range, bristles
 from mjsim.effects.base import Effect, Scales, bristle_stiffnesses, need_body, parameter
 from mjsim.effects.law import FADED, RATE, STATE, law
 from mjsim.effects.native import BodyBristle, Native, Value
@@ -81,6 +82,11 @@ class StribeckFrictionWithBristles(Effect):
             place=chain.bodies[value.body].place, torque_Nm=value.level, extra_static_torque_Nm=value.extra,
             stribeck_velocity_rad_s=value.speed, stiffness_Nm_rad=value.stiffness, damping_Nms_rad=value.damping,
         )  # fmt: skip
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        fades = Range("Stribeck velocity", self.stribeck_velocity_rad_s, 0.0, scales.max_velocity, "the speeds that were reached")
+        return (fades, *bristles(self.torque_Nm, self.stiffness_Nm_rad, scales.travel))
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

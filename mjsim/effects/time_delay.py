@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.native import DriveDelay, Native, SensorDelay, Value
 from mjsim.effects.ports import InputDelay, OutputDelay, Port
@@ -54,6 +55,10 @@ class TimeDelay(Effect):
             case SensorDelay(delay):
                 return cls(place="sensor", delay_s=delay)
         return None
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("delay in s", self.delay_s, 0.0, max(scales.move, scales.dt), "the time of a move"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_torque_input, parameter
 from mjsim.effects.ports import InputMap, Port, StaticMap
 from mjsim.effects.registry import register
@@ -41,6 +42,11 @@ class TorqueGainDroop(Effect):
         """Where the law acts."""
         need_torque_input(chain)
         return (InputMap(StaticMap.DROOP, self.coefficient_per_Nm2),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        lost = self.coefficient_per_Nm2 * scales.max_input**2
+        return (Range("relative loss at the largest command", lost, 0.0, 1.0, "beyond which more command gives less torque"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from mjsim.effects.admissible import Range, wave
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.law import ANGLE, law
 from mjsim.effects.native import Cogging, Native, Value
@@ -68,6 +69,10 @@ class TorqueRipple(Effect):
         if not isinstance(value, Cogging):
             return None
         return cls(amplitude_Nm=value.amplitude, cycles_per_rev=value.cycles, phase_rad=value.phase - math.pi)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return wave(self.cycles_per_rev, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

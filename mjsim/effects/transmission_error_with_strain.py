@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range, wave
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import ANGLE, law
 from mjsim.effects.ports import Port, Twist
@@ -62,6 +63,10 @@ class TransmissionErrorWithStrain(Effect):
         """Where the law acts."""
         p = (self.amplitude_rad, self.cycles_per_rev, self.phase_rad, self.strain_rad)
         return (Twist(need_coupling(chain, self.place), error, p, spatial=self.cycles_per_rev),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return wave(self.cycles_per_rev, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

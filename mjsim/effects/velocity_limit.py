@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_servo, parameter
 from mjsim.effects.ports import CommandSlew, Port
 from mjsim.effects.registry import register
@@ -39,6 +40,10 @@ class VelocityLimit(Effect):
         """Where the law acts."""
         need_servo(chain, position=True)
         return (CommandSlew(self.limit_rad_s),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("speed", self.limit_rad_s, 0.0, 2.0 * scales.max_velocity, "twice the speeds that were reached"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

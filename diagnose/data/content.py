@@ -1,0 +1,85 @@
+"""Recordings cut to the rate that their content needs.
+
+Of a low-passed or interpolated channel the fastest part of its spectrum tells nothing of its noise: it is what the filter left.
+Sampled at twice the frequency at which its content ends, the noise is nearly white again, and its level is that of what a model
+can be compared with.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.check.content import content_end
+from diagnose.data.experiment import plain_step
+from diagnose.data.noise import white_noise_level
+from diagnose.thresholds import FILTERED_NOISE, FILTERED_RISE
+from mjsim.recording import ARRAYS, Recording
+
+__all__ = ["at_content_rate", "decimated"]
+
+_FEWEST = 250  # samples that must be left
+_FACTORS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40, 50, 64, 80, 100)
+_AS_FLAT = 0.5  # difference of growth exponents within which two factors are as good: the level is known to some percent
+
+
+def at_content_rate(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """The recordings, sampled as slowly as the content of their judged channel asks for, and a sentence where they were.
+
+    The judged channel is the velocity, else the angle. All are left as they are where one of them is not filtered, or where its
+    noise does not show at the slower rate either.
+    """
+    each = [_factor(r) for r in recordings]
+    every = min(each, default=1)
+    if every < 2:
+        return list(recordings), ()
+    name = "velocity" if recordings[0].velocity is not None else "angle"
+    said = (
+        f"The {name} holds nothing above {0.5 / recordings[0].dt / max(each):.3g} Hz (it was filtered or interpolated), so that "
+        f"its noise does not show in its fastest part. Every {_ordinal(every)} sample is used, and the mean of the input between."
+    )
+    return [decimated(r, every) for r in recordings], (said,)
+
+
+def decimated(recording: Recording, every: int) -> Recording:
+    """Every so-manyth sample of a recording; the input is the mean over each of the longer samples."""
+    n = len(recording) // every
+
+    def cut(x: np.ndarray) -> np.ndarray:
+        return np.asarray(x[: n * every : every])
+
+    arrays = {name: cut(x) for name in ARRAYS if (x := getattr(recording, name)) is not None}
+    for name in ("torque", "command", "known_torque"):
+        x = getattr(recording, name)
+        if x is not None:
+            if recording.hold == "linear":
+                x = 0.5 * (x + np.append(x[1:], x[-1]))
+            arrays[name] = x[: n * every].reshape(n, every).mean(axis=1)
+    columns = {k: cut(v) for k, v in recording.columns.items()}
+    return dataclasses.replace(recording, **arrays, columns=columns, dt=recording.dt * every, hold="mean")
+
+
+def _factor(recording: Recording) -> int:
+    """By how much a recording may be sampled more slowly; 1 where its noise shows as it is, or does not show then either.
+
+    Below the end of a filter's band the level of the noise hardly depends on the rate at which it is sampled: there the level
+    grows least with the factor. Beyond that what is taken for noise is motion.
+    """
+    x = recording.angle if recording.velocity is None else recording.velocity
+    if x is None or plain_step(x) > 0 or content_end(x, recording.dt) is None:
+        return 1
+    factors = [k for k in _FACTORS if k * _FEWEST <= len(x)]
+    levels = np.array([np.mean([white_noise_level(x[at::k]) for at in range(min(k, 4))]) for k in factors])
+    growth = np.diff(np.log(levels)) / np.diff(np.log(factors))
+    shown = (levels > FILTERED_RISE * levels[0]) & (levels < FILTERED_NOISE * float(np.std(x)))
+    at = np.flatnonzero(shown[:-1])
+    if len(at) == 0:
+        return 1
+    return factors[at[growth[at] <= np.min(growth[at]) + _AS_FLAT][0]]
+
+
+def _ordinal(k: int) -> str:
+    ending = "th" if k % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(k % 10, "th")
+    return f"{k}{ending}"

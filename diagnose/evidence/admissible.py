@@ -1,0 +1,36 @@
+"""Which effects of a structure have numbers that the recording cannot show, by the ranges that they declare themselves."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import final
+
+from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
+from mjsim.effects import Effect, Scales
+from mjsim.effects.admissible import Range
+
+__all__ = ["Outside", "out_of_range", "scales_of"]
+
+
+@final
+@dataclass(frozen=True)
+class Outside:
+    """An effect, and a range that it declares and does not keep."""
+
+    effect: Effect
+    range: Range
+
+
+def scales_of(fitter: Fitter, effect: Effect) -> Scales:
+    """Scales where an effect stands, with the motion of the angle that its law follows."""
+    cls = type(effect)
+    turning = fitter.scales[cls.angle_of or effect.place]
+    own = fitter.scales_for(cls, effect.place)
+    return dataclasses.replace(own, travel=turning.travel, velocity=turning.velocity, turns=turning.turns)
+
+
+def out_of_range(f: Fitted, fitter: Fitter) -> tuple[Outside, ...]:
+    """The ranges that supposed effects of a structure leave."""
+    return tuple(Outside(e, r) for e in f.effects for r in e.admissible(scales_of(fitter, e)) if not r.holds)

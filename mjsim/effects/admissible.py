@@ -1,0 +1,60 @@
+"""What the scales of a recording allow the numbers of an effect to be.
+
+A number beyond them is no finding of an engineer: a wave longer than the travel, bristles that never slide, a drift that is over
+within one move. Each effect declares such ranges (`Effect.admissible`); they are checked once, before an effect is named.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+if TYPE_CHECKING:
+    from mjsim.effects.base import Scales
+
+__all__ = ["Range", "bristles", "mode", "wave"]
+
+WHOLE = 0.03  # relative distance to a whole order of the motor's turn within which an order is that one
+WARMS_UP = 10.0  # ratio of the friction of a cold and a warm machine: viscosity of grease over some 40 K
+
+
+@final
+@dataclass(frozen=True)
+class Range:
+    """A quantity of an effect, in words, its value and the range [low, high] that the recording allows, and why, in words."""
+
+    what: str
+    value: float
+    low: float
+    high: float
+    why: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value is in the range, to 1 %."""
+        return self.low * 0.99 <= self.value <= self.high * 1.01
+
+
+def wave(cycles: float, scales: Scales) -> tuple[Range, ...]:
+    """Of ``cycles`` [1/rev | rad/m] over the angle: a whole period within the travel, and two samples a period at the usual speed.
+
+    Half a period is enough for a whole order of the motor's turn, which what is fixed to the motor is likely to have.
+    """
+    whole = any(abs(cycles / turn - 1.0) < WHOLE for turn in scales.turns)
+    least = (math.pi if whole else 2.0 * math.pi) / max(scales.travel, 1e-300)
+    most = math.pi / (scales.dt * max(scales.velocity, 1e-300))
+    return (Range("spatial frequency", cycles, least, max(most, least), "which the travel and the sampling show"),)
+
+
+def bristles(torque: float, stiffness: float, way: float) -> tuple[Range, ...]:
+    """Of bristles that yield at a torque: they slide both ways within a ``way`` [rad | m]."""
+    bend = torque / stiffness if stiffness > 0 else math.inf
+    return (Range("deflection at which it slides", bend, 0.0, 0.5 * way, "half the way that was moved"),)
+
+
+def mode(inertia: float, stiffness: float, scales: Scales) -> tuple[Range, ...]:
+    """Of a spring before an inertia: a frequency [rad/s] that the recording is long enough and sampled often enough to show."""
+    frequency = math.sqrt(stiffness / inertia) if inertia > 0 else math.inf
+    low, high = 2.0 * math.pi / scales.duration, math.pi / scales.dt
+    return (Range("frequency in rad/s", frequency, low, high, "one period in the recording to two samples a period"),)
