@@ -54,6 +54,15 @@ NOISE_STANDS_OUT = _number("NOISE_STANDS_OUT", LEVEL, 4.0, "standard errors", "6
 NOISE_COLOURED = _number(
     "NOISE_COLOURED", LEVEL, 1.5, "of the white level", "the white level itself is known to some percent", "noise"
 )
+FOLLOWS_WEIGHT = _number(
+    "FOLLOWS_WEIGHT",
+    LEVEL,
+    0.9,
+    "correlation",
+    "four fifths of the variation: one stands for the other",
+    "weight",
+)
+VARIES = _number("VARIES", LEVEL, 0.05, "of the mean", "a friction level that varies by less is constant", "weight")
 FILTERED_RISE = _number(
     "FILTERED_RISE",
     LEVEL,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -25,7 +26,7 @@ def with_common_channels(
         if lacking and len(lacking) < len(everything):
             gone.append(name)
             said.append(f"The {name} is not used: {', '.join(lacking)} {'has' if len(lacking) == 1 else 'have'} none.")
-    nothing = dict.fromkeys(gone)
+    nothing: dict[str, Any] = dict.fromkeys(gone)
     if not gone:
         return list(recordings), list(held_out), ()
     out = [[dataclasses.replace(r, **nothing) for r in group] for group in (recordings, held_out)]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def decimated(recording: Recording, every: int) -> Recording:
     def cut(x: np.ndarray) -> np.ndarray:
         return np.asarray(x[: n * every : every])
 
-    arrays = {name: cut(x) for name in ARRAYS if (x := getattr(recording, name)) is not None}
+    arrays: dict[str, Any] = {name: cut(x) for name in ARRAYS if (x := getattr(recording, name)) is not None}
     for name in ("torque", "command", "known_torque"):
         x = getattr(recording, name)
         if x is not None:

@@ -11,7 +11,9 @@ from diagnose.problem.noise_model import NoiseModel
 from diagnose.thresholds import TWO_SIDED
 from mjsim.effects import Effect
 
-__all__ = ["Open", "open_sizes", "sizes_of"]
+__all__ = ["Open", "at_bounds", "open_sizes", "sizes_of"]
+
+AT_BOUND = 1e-6  # log of a ratio
 
 
 @final
@@ -42,3 +44,10 @@ def open_sizes(f: Fitted, noise: NoiseModel, sizes: Mapping[str, tuple[str, ...]
         if not abs(value) >= half:
             out.append(Open(effects[entry.owner], entry.name, value, (value - half, value + half)))
     return tuple(out)
+
+
+def at_bounds(best: Fitted) -> tuple[str, ...]:
+    """Inertias and stiffnesses of the model that a fit has at a bound of what it may be."""
+    low, high = best.hypothesis.bounds
+    entries = zip(best.hypothesis.entries, best.fit.x, low, high, strict=True)
+    return tuple(e.name for e, x, a, b in entries if e.owner == "" and e.log and not a + AT_BOUND < x < b - AT_BOUND)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from diagnose.evidence.intervals import at_bounds
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
@@ -17,11 +18,11 @@ __all__ = ["decide", "equivalents", "estimates", "only_repeated_rows", "p_values
 
 
 def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> Verdict:
-    """Unexplained when a material part of the held-out residual is left; else by what was found.
+    """Unexplained when a material part of the held-out residual is left, or a parameter at its bound; else by what was found.
 
     Without effects the refitted parameters must gain more than their price, by the criterion, to count as changed.
     """
-    if remaining.unexplained:
+    if remaining.unexplained or (not best.effects and at_bounds(best)):
         return Verdict.UNEXPLAINED
     if best.effects:
         return Verdict.MISSING_PHYSICS

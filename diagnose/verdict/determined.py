@@ -21,7 +21,8 @@ def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
     """The best structure without undetermined effects, and a sentence for each that was left out or replaced."""
     said: list[str] = []
     for _ in range(len(best.effects) * 3):
-        found = (*out_of_range(best, search.fitter), *open_sizes(best, search.fitter.noise)) if best.ok else ()
+        found: list[Open | Outside] = [*out_of_range(best, search.fitter)] if best.ok else []
+        found += open_sizes(best, search.fitter.noise) if best.ok else ()
         if not found:
             break
         first = found[0]
@@ -46,10 +47,8 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | Non
     least = min(usable, key=search.criterion, default=None)
     if least is None or isinstance(found, Open):
         return least
-    others = [
-        f for f in search.pool.values() if f.ok and effect.key not in f.key and search.criterion(f) < search.criterion(least)
-    ]
-    for f in sorted(others, key=search.criterion):
+    others = [f for f in search.pool.values() if f.ok and effect.key not in f.key]
+    for f in sorted((f for f in others if search.criterion(f) < search.criterion(least)), key=search.criterion):
         if not out_of_range(f, search.fitter) and f.effects and search.significance.significant(search.nominal(), f):
             return f
     return least

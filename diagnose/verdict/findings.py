@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from functools import partial
 
+from diagnose.explain.weight_friction import follows_weight, load_effects
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding, NominalEffect
 from diagnose.structure.moves import put_together
 from diagnose.structure.search import ALIKE_C, Search
+from diagnose.thresholds import FOLLOWS_WEIGHT
 from diagnose.verdict.decide import equivalents, estimates, p_values
 from mjsim.effects import Effect
 
 __all__ = ["element_of", "findings", "merged", "nominal_effect"]
+
+SOME = 200  # angles at which laws are compared
 
 
 def merged(search: Search, best: Fitted) -> Fitted:
@@ -54,11 +58,22 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
                     "delta_chi2": gain,
                     "hypotheses": float(search.tested),
                 },
-                equivalents=equivalents(search, best, effect),
+                equivalents=(*equivalents(search, best, effect), *_by_weight(search.fitter, best, effect)),
             )
         )
     out.sort(key=lambda f: -f.evidence["delta_chi2"])
     return tuple(out)
+
+
+def _by_weight(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
+    """Friction by the load, where the friction that was found follows the torque of a weight over the angle."""
+    chain, r = fitter.nominal.chain, fitter.experiments[0].recording
+    if chain.couplings or r.angle is None:
+        return ()
+    others = [e for e in (*best.carried, *best.effects) if e.key != effect.key]
+    some = r.angle[:: max(1, len(r.angle) // SOME)]
+    alike = follows_weight(effect, others, chain, some, fitter.scales["motor"].velocity)
+    return load_effects(effect) if alike > FOLLOWS_WEIGHT else ()
 
 
 def nominal_effect(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from diagnose.evidence.intervals import at_bounds
 from diagnose.explain.second_encoder import judge_second_encoder
 from diagnose.fit.fitted import Fitted
 from diagnose.options import Options
@@ -13,6 +14,8 @@ from diagnose.result import Finding, Verdict
 from diagnose.structure.search import Search
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.axis import Axis
+from mjsim.effects import effect_class
+from mjsim.effects.registry import registered
 
 __all__ = ["DERIVED", "SHARED", "Outcome", "notes", "unphysical"]
 
@@ -51,6 +54,7 @@ def notes(outcome: Outcome, options: Options) -> tuple[str, ...]:
     said = [
         *outcome.undetermined,
         *_of_the_model(outcome),
+        *_of_the_numbers(outcome),
         *_of_the_residual(outcome, options),
         *_of_the_search(outcome, options),
     ]
@@ -78,6 +82,24 @@ def _of_the_model(outcome: Outcome) -> Iterator[str]:
         )
 
 
+def _of_the_numbers(outcome: Outcome) -> Iterator[str]:
+    for name in at_bounds(outcome.best):
+        yield (
+            f"{name} stands at its bound: the recording asks for more than the model's value may be off. This is no finding: "
+            "check unit, gear side and the model's value."
+        )
+    experiments = (*outcome.search.fitter.experiments, *outcome.search.fitter.held_out)
+    if any(e.recording.second_velocity is not None for e in experiments):
+        yield "The velocity behind the gear (second_velocity) is not used: the motor's side is judged."
+    loads = {f.effect: [n for n in f.equivalents if n in registered() and effect_class(n).by_load] for f in outcome.found}
+    for effect, names in loads.items():
+        if names and not outcome.search.fitter.nominal.chain.couplings:
+            yield (
+                f"{effect.replace('_', ' ').capitalize()} follows the torque of the weight over the angle: "
+                f"{names[0].replace('_', ' ')} makes the same motion. Another load (a known mass added) tells them apart."
+            )
+
+
 def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
     remaining, fitter = outcome.remaining, outcome.search.fitter
     structure, missed = remaining.structure, remaining.motion[1]
@@ -90,6 +112,13 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
         yield (
             f"Structure remains that no known effect accounts for: the recorded input and motion predict "
             f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
+        )
+    if remaining.beyond_sensors:
+        held = outcome.search.held_out(outcome.best)
+        assert held is not None
+        yield (
+            f"The model misses the held-out force by {100 * held.nrmse:.3g} % of its variation, which is more than the noise of "
+            "the sensors can be: a torque acts that it does not know of."
         )
     if remaining.unexplained and not outcome.mapped:
         yield "No torque map over one or two state variables lowers the held-out error for sure: none is given."

@@ -39,6 +39,11 @@ def summary(
                 f"The simulation left out {names}: adding it lowers the held-out error "
                 f"from {before:.4g} to {after:.4g} {unit}{closed}."
             )
+        case Verdict.UNEXPLAINED if not known and not findings:
+            return (
+                "The mismatch is not explained: with its parameters adjusted the nominal structure misses the held-out force by "
+                f"{100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and no known effect reliably lowers that."
+            )
         case Verdict.UNEXPLAINED:
             accounts = "accounts" if len(findings) == 1 else "account"
             part = f" {names} {accounts} for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""

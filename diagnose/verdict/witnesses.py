@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.data.experiment import held_rows
+from diagnose.data.noise import white_noise_level
 from diagnose.evidence.encoder import fit_beside_encoder
 from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.fit.fitted import Fitted, HeldOut
@@ -24,6 +25,8 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.validation import error_on, observed_error, pooled, predicted_samples
 from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
+from diagnose.problem.choose_view import SHARE
+from diagnose.problem.view import ForceView
 from diagnose.structure.search import Search
 from diagnose.thresholds import EVENTS, POWER, TAKEN
 
@@ -37,7 +40,8 @@ class Remaining:
     structure: the part of the held-out residual that input and motion predict; motion: mean square of the motion that the
     refitted nominal model and the best structure miss, over the noise variance, None where it cannot be told; unexplained: a
     material error is left that is no effect of the library; diverges: it is that of a free run whose events come at other
-    moments; by_parameters: parameters fitted to every recording leave nothing; by_encoder: it repeats with the encoder's turn.
+    moments; by_parameters: parameters fitted to every recording leave nothing; by_encoder: it repeats with the encoder's turn;
+    beyond_sensors: judged by force, it is more than the noise of angle and torque can be.
     """
 
     structure: Structure
@@ -46,6 +50,7 @@ class Remaining:
     diverges: bool = False
     by_parameters: bool = False
     by_encoder: bool = False
+    beyond_sensors: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,11 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
     motion = motion_errors(fitter, base, best)
     now = Remaining(structure, motion, _is_unexplained(search, base, search.held_out(best), structure, motion, options))
     now = dataclasses.replace(now, unexplained=now.unexplained or _is_left_behind(fitter, base, best, options))
+    beyond = _beyond_sensors(fitter, search.held_out(best), options)
+    # an effect that earned its name by force keeps it: what is left beside it is said
+    now = dataclasses.replace(now, beyond_sensors=beyond, unexplained=now.unexplained or (beyond and not best.effects))
+    if beyond:
+        return now
     if not now.unexplained:
         if not _far_from_noise(fitter, best, search.held_out(best), motion[1]):
             return now
@@ -156,6 +166,23 @@ def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: 
             return True
     levels = [level for e in fitter.held_out if (level := fitter.view.noise(e))]
     return held is not None and bool(levels) and held.rms**2 > TAKEN * float(np.mean(np.square(levels)))
+
+
+def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> bool:
+    """Whether the force that a model misses is more than sensors make of it: over `options.left` of its variance.
+
+    The band is such that the noise of the angle, differentiated twice, is `SHARE` of the torque's power; that of the torque is
+    the white part of its own in the same band. `TAKEN` times their sum is allowed.
+    """
+    view = fitter.view
+    if held is None or not isinstance(view, ForceView):
+        return False
+    sensors = 0.0
+    for e in fitter.held_out:
+        u, dt = e.recording.torque, e.recording.dt
+        band = min(1.0, 2.0 * dt * (view.cutoff_hz or 0.1 / dt))
+        sensors = max(sensors, SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
+    return held.nrmse**2 > max(options.left, TAKEN * sensors)
 
 
 def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:

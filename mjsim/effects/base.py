@@ -177,7 +177,8 @@ class Effect(abc.ABC):
     whose angle a periodic law follows, its own when empty), ``form_of`` (the contract identifier that it is named by, where it is
     another law for the same effect), ``once`` (whether its places cannot be told apart, so that a model has it at one of them
     only), ``shown_by_angle`` (whether a measured velocity contradicts the measured angle by it), ``taken_for`` (identifiers of
-    such effects that make the same change of a velocity: where the angle shows one, this effect explains nothing without it).
+    such effects that make the same change of a velocity: where the angle shows one, this effect explains nothing without it), ``by_load``
+    (whether it grows with the transmitted torque).
     """
 
     id: ClassVar[str]
@@ -197,6 +198,7 @@ class Effect(abc.ABC):
     once: ClassVar[bool] = False
     shown_by_angle: ClassVar[bool] = False
     taken_for: ClassVar[tuple[str, ...]] = ()
+    by_load: ClassVar[bool] = False
 
     place: str = ""
 

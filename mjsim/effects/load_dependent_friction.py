@@ -42,6 +42,7 @@ class LoadDependentFriction(Effect):
     tolerance: ClassVar[float] = 1e-4
     amplitudes: ClassVar[tuple[str, ...]] = ("coefficient",)
     family: ClassVar[str] = "friction"
+    by_load: ClassVar[bool] = True
 
     coefficient: float = parameter(Quantity.RATIO, "friction torque over transmitted torque", lower=0.0, upper=1.0)
 

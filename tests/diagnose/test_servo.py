@@ -61,6 +61,15 @@ def told(seed, **how):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_answer_to_unknown_torques_is_named_nothing(seed):
     result = told(seed, unknown=0.4)
+    assert not result.findings
+    assert result.verdict is Verdict.UNEXPLAINED
+    assert "no known effect reliably lowers that" in result.summary
+    assert any("a torque acts that it does not know of" in n for n in result.notes)
+
+
+def test_a_small_error_of_force_is_an_all_clear():
+    result = told(3, unknown=0.04)
+    assert not result.findings
     assert result.verdict is Verdict.PARAMETERS_ONLY
     assert "No missing physics can be named" in result.summary
 

@@ -80,7 +80,7 @@ def test_the_input_of_a_slower_log_is_its_mean(hold, first):
 @pytest.mark.parametrize("level", [0.0, 0.06])
 def test_a_filtered_log_gets_no_false_all_clear_and_no_false_alarm(level):
     logs, _ = at_content_rate([filtered(s, level) for s in (1, 2)])
-    only = ("coulomb_friction", "torque_offset", "quadratic_friction")
+    only = ("coulomb_friction", "torque_offset")
     result = diagnose(NOMINAL, logs[:1], logs[1:], Options(jobs=1, effects=only))
     names = {f.effect for f in result.findings}
     assert names == set() if not level else names & {"coulomb_friction", "presliding_friction"}

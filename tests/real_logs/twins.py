@@ -1,7 +1,7 @@
 """Small machines with laws of their own, and the ways in which their logs are taken: twins of logs that misled a diagnosis.
 
-Friction here is that of Dahl and LuGre in closed form over a step, friction of a mesh, play by a dead zone; nothing is shared with
-`mjsim`. Everything is integrated by small semi-implicit Euler steps.
+Friction here is that of Dahl and LuGre in closed form over a step; nothing is shared with `mjsim`. Integration is by small
+semi-implicit Euler steps.
 """
 
 from __future__ import annotations
