@@ -27,22 +27,32 @@ DEFAULT_COLUMNS = {"time": "time_s", "torque": "torque_Nm", "velocity": "velocit
 DEFAULT_SOURCE = "default column names"
 DEFAULT_UNITS = {"time": "s", "torque": "Nm", "velocity": "rad/s", "angle": "rad"}
 
+INCH, POUND, KILOPOND = 0.0254, 4.4482216152605, 9.80665  # [m], [N], [N]: NIST SP 811, exact
+
 # unit -> (factor to SI, what it measures)
 UNITS: dict[str, tuple[float, str]] = {
     "s": (1.0, "time"), "ms": (1e-3, "time"), "us": (1e-6, "time"), "ns": (1e-9, "time"),
     "rad": (1.0, "angle"), "deg": (math.pi / 180, "angle"), "rev": (2 * math.pi, "angle"), "mrad": (1e-3, "angle"),
     "m": (1.0, "angle"), "mm": (1e-3, "angle"), "um": (1e-6, "angle"),
+    "cm": (1e-2, "angle"), "in": (INCH, "angle"), "ft": (12 * INCH, "angle"),
     "rad/s": (1.0, "velocity"), "deg/s": (math.pi / 180, "velocity"), "rpm": (math.pi / 30, "velocity"),
-    "m/s": (1.0, "velocity"), "mm/s": (1e-3, "velocity"),
+    "rev/s": (2 * math.pi, "velocity"),
+    "m/s": (1.0, "velocity"), "mm/s": (1e-3, "velocity"), "in/s": (INCH, "velocity"), "ft/s": (12 * INCH, "velocity"),
     "Nm": (1.0, "torque"), "N m": (1.0, "torque"), "mNm": (1e-3, "torque"), "kNm": (1e3, "torque"),
-    "N": (1.0, "torque"), "kN": (1e3, "torque"),
+    "Ncm": (1e-2, "torque"), "lbf in": (POUND * INCH, "torque"), "lbf ft": (12 * POUND * INCH, "torque"),
+    "ozf in": (POUND * INCH / 16, "torque"), "kgf cm": (KILOPOND * 1e-2, "torque"),
+    "N": (1.0, "torque"), "kN": (1e3, "torque"), "lbf": (POUND, "torque"), "kip": (1e3 * POUND, "torque"),
+    "kgf": (KILOPOND, "torque"),
     "V": (math.nan, "torque"), "A": (math.nan, "torque"), "1": (math.nan, "torque"), "mA": (math.nan, "torque"),
     "mV": (math.nan, "torque"),
 }  # fmt: skip
 _OWN = {"current": {"A": 1.0, "mA": 1e-3}, "voltage": {"V": 1.0, "mV": 1e-3}}  # of channels that are no input
 
 SI_UNITS = {
-    "m": "m", "mm": "m", "um": "m", "m/s": "m/s", "mm/s": "m/s", "N": "N", "kN": "N",
+    "m": "m", "mm": "m", "um": "m", "cm": "m", "in": "m", "ft": "m",
+    "m/s": "m/s", "mm/s": "m/s", "in/s": "m/s", "ft/s": "m/s",
+    "N": "N", "kN": "N", "lbf": "N", "kip": "N", "kgf": "N",
+    "Ncm": "Nm", "lbf in": "Nm", "lbf ft": "Nm", "ozf in": "Nm", "kgf cm": "Nm", "rev/s": "rad/s",
     "V": "", "A": "", "1": "", "mA": "", "mV": "",
     "Nm": "Nm", "N m": "Nm", "mNm": "Nm", "kNm": "Nm", "rad/s": "rad/s", "deg/s": "rad/s", "rpm": "rad/s",
     "rad": "rad", "deg": "rad", "rev": "rad", "mrad": "rad", "s": "s", "ms": "s", "us": "s", "ns": "s",
