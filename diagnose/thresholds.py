@@ -269,6 +269,7 @@ SECOND_SPLIT = _number(
 RUNS = _number("RUNS", COST, 14_000, "runs", "some 20 s for 10 s at 2 kHz on two cores", "led_search")
 
 # Numerics: tolerances, grids and filters
+CLUSTERS = _number("CLUSTERS", NUMERIC, 40, "stretches", "a standard error to 11 %; longer than errors remember", "intervals")
 SEGMENT = _number("SEGMENT", NUMERIC, 1024, "samples", "2 Hz apart at 2 kHz", "noise")
 BANDS = _number("BANDS", NUMERIC, 16, "bands", "of the spectrum, up to half the Nyquist frequency", "noise")
 FEWEST_SEGMENTS = _number("FEWEST_SEGMENTS", NUMERIC, 8, "segments", "at least, for a coherence", "noise")

@@ -12,7 +12,7 @@ import numpy as np
 from diagnose.fit.least_squares import Fit, Status
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
-from diagnose.thresholds import ENGINE, UNEXPLAINED
+from diagnose.thresholds import CLUSTERS, ENGINE, UNEXPLAINED
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 
@@ -113,8 +113,22 @@ class Fitted:
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
         s = np.maximum(s, 1e-10 * s[0] + 1e-300)
         slope = np.array([abs(e.slope(v)) for e, v in zip(self.hypothesis.entries, self.fit.x, strict=True)])
+        left = self.chi2 > UNEXPLAINED * self.n or (noise is not None and not noise.absolute)
         with np.errstate(over="ignore"):  # what the data do not answer to at all has no bound
-            return slope * np.sqrt(variance * np.sum((vt.T / s) ** 2, axis=1)) / scale
+            squares = variance * np.sum((vt.T / s) ** 2, axis=1)
+            if left and not self.rough:
+                squares = np.maximum(squares, self._clustered((vt.T / s) @ (vt.T / s).T, scale))
+            return slope * np.sqrt(squares) / scale
+
+    def _clustered(self, inverse: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """Variances (p,) of the scaled numbers where errors are correlated: by the scores of `CLUSTERS` stretches.
+
+        V = H^-1 (sum of g_b g_b') H^-1, g_b = J_b' r_b; a residual that is the model's own error tells less than so many samples.
+        Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13.
+        """
+        J, r = self.fit.J[: self.n] / scale, self.fit.residual[: self.n]
+        scores = np.array([a.T @ b for a, b in zip(np.array_split(J, CLUSTERS), np.array_split(r, CLUSTERS), strict=True)])
+        return np.asarray(np.sum((scores @ inverse) ** 2, axis=0)) * CLUSTERS / (CLUSTERS - 1)
 
 
 @dataclass(frozen=True)
