@@ -12,6 +12,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.options import Options
 from diagnose.result import Finding, Verdict
 from diagnose.structure.search import Search
+from diagnose.verdict.refusals import refusals, refused_in_words
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
@@ -153,6 +154,7 @@ def _of_the_search(outcome: Outcome, options: Options) -> Iterator[str]:
             f"--effort {4 * options.effort:g} looks four times as long."
         )
     yield from _steps(search, best, outcome.unit)
+    yield from refused_in_words(refusals(search, best))
     for f in outcome.found:
         if search.significance.hardly_exercised(best, f"{f.form or f.effect}@{f.place}"):
             yield (

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from diagnose.fit.fitted import Fitted
 from diagnose.result import Refused
 from diagnose.structure.search import Search
 from diagnose.thresholds import LEADING
 
-__all__ = ["refusals"]
+__all__ = ["refusals", "refused_in_words"]
+
+TOLD = 3  # refusals in words
+_TESTS = {
+    "gain": "its gain in the criterion, {gain:.3g}, is less than {needed:.3g}",
+    "law": "its gain, {gain:.3g}, may be the error of a law ({needed:.3g})",
+    "encoder": "an encoder that errs over its turn does as much (gain beside it {gain:.3g}, needed {needed:.3g})",
+    "events": "it gains by the moment of an event (gain apart from that {gain:.3g}, needed {needed:.3g})",
+    "few_periods": "a law of so few periods takes {share:.0%} of the squared error, {needed:.0%} is needed",
+    "servo": "a servo's answer to unknown torques does as much ({share:.0%} of the squared error, {needed:.0%} is needed)",
+    "held_out": (
+        "it changes the held-out squared error by {change:+.1%} with p = {p_value:.2g} (needed: {least:+.2%}, p below "
+        "{largest_p_value:.2g})"
+    ),
+}
 
 
 def refusals(search: Search, best: Fitted) -> tuple[Refused, ...]:
@@ -18,6 +34,20 @@ def refusals(search: Search, best: Fitted) -> tuple[Refused, ...]:
     """
     ranked = sorted((f for f in search.pool.values() if f.key != best.key), key=search.criterion)[:LEADING]
     return tuple(_refused(search, best, f) for f in ranked)
+
+
+def refused_in_words(found: Sequence[Refused]) -> tuple[str, ...]:
+    """A sentence for each rival that a test refused although it may be ahead by the criterion, at most `TOLD`."""
+    said = []
+    for r in found:
+        if r.test not in _TESTS:
+            continue
+        n = dict(r.numbers)
+        if r.test == "held_out":
+            n |= {"change": -n["relative_gain"], "least": -n["needed"]}
+        name = " and ".join(key.partition("@")[0].replace("_", " ") + f" at the {key.partition('@')[2]}" for key in r.effects)
+        said.append(f"{name[:1].upper()}{name[1:]} is refused: {_TESTS[r.test].format(**n)}.")
+    return tuple(said[:TOLD])
 
 
 def _refused(search: Search, best: Fitted, rival: Fitted) -> Refused:
