@@ -60,19 +60,30 @@ FOLLOWS_WEIGHT = _number(
     0.9,
     "correlation",
     "four fifths of the variation: one stands for the other",
-    "weight",
+    "real_logs/test_weight",
 )
-VARIES = _number("VARIES", LEVEL, 0.05, "of the mean", "a friction level that varies by less is constant", "weight")
+VARIES = _number("VARIES", LEVEL, 0.05, "of the mean", "less is constant", "real_logs/test_weight")
+AS_FLAT = _number(
+    "AS_FLAT", LEVEL, 0.5, "of an exponent", "a level known to some percent grows as little", "real_logs/test_content"
+)
+SENSOR_SHARE = _number(
+    "SENSOR_SHARE", LEVEL, 1e-3, "of the torque's power", "that the encoder's noise may make in the band of a force view", "view"
+)
 FILTERED_RISE = _number(
     "FILTERED_RISE",
     LEVEL,
     3.0,
     "times the noise by the fastest part",
     "a whitening filter of a few lags makes up for less",
-    "content",
+    "real_logs/test_content",
 )
 FILTERED_NOISE = _number(
-    "FILTERED_NOISE", LEVEL, 0.02, "of the spread", "what is more is motion at the end of a filter's band", "content"
+    "FILTERED_NOISE",
+    LEVEL,
+    0.02,
+    "of the spread",
+    "more is motion at the end of the band",
+    "real_logs/test_content",
 )
 REPEATS_BY_CHANCE = _number(
     "REPEATS_BY_CHANCE",
@@ -262,6 +273,7 @@ MAP_RUNS = _number("MAP_RUNS", COST, 1500, "runs", "after which no further map i
 TRIED = _number("TRIED", COST, 3, "maps", "that are fitted in the model", "torque_map")
 TELLING = _number("TELLING", COST, 5000, "samples", "by which maps are screened", "torque_map")
 JUDGED = _number("JUDGED", COST, 8, "rivals", "whose held-out error is computed for the report", "report/test_page")
+TOLD = _number("TOLD", COST, 3, "refusals", "that are told in words", "real_logs/test_refusals")
 LEADING = _number("LEADING", COST, 8, "rivals", "whose refusal is told", "flow")
 SECOND_SPLIT = _number(
     "SECOND_SPLIT", COST, 1 / 3, "of the budget", "for a search of another split, whatever the first took", "flow"
@@ -269,7 +281,18 @@ SECOND_SPLIT = _number(
 RUNS = _number("RUNS", COST, 14_000, "runs", "some 20 s for 10 s at 2 kHz on two cores", "led_search")
 
 # Numerics: tolerances, grids and filters
-CLUSTERS = _number("CLUSTERS", NUMERIC, 40, "stretches", "a standard error to 11 %; longer than errors remember", "intervals")
+CLUSTERS = _number("CLUSTERS", NUMERIC, 40, "stretches", "standard errors to 11 %", "real_logs/test_coverage")
+FACTORS = _number(
+    "FACTORS",
+    NUMERIC,
+    (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40, 50, 64, 80, 100),
+    "samples",
+    "by which a filtered log is sampled more slowly",
+    "real_logs/test_content",
+)
+FEWEST_LEFT = _number("FEWEST_LEFT", NUMERIC, 250, "samples", "of a slower recording", "real_logs/test_content")
+AT_BOUND = _number("AT_BOUND", NUMERIC, 1e-6, "log of a ratio", "a number stands at its bound", "real_logs/test_bounds")
+SOME_ANGLES = _number("SOME_ANGLES", NUMERIC, 200, "angles", "at which laws are compared", "real_logs/test_weight")
 SEGMENT = _number("SEGMENT", NUMERIC, 1024, "samples", "2 Hz apart at 2 kHz", "noise")
 BANDS = _number("BANDS", NUMERIC, 16, "bands", "of the spectrum, up to half the Nyquist frequency", "noise")
 FEWEST_SEGMENTS = _number("FEWEST_SEGMENTS", NUMERIC, 8, "segments", "at least, for a coherence", "noise")

@@ -58,7 +58,7 @@ def _spread(x: np.ndarray, length: int) -> float:
 def _edge(f: np.ndarray, density: np.ndarray) -> float | None:
     """Frequency [Hz] from which a density (K,) falls by `EDGE_DROP` or more, without a rest, steeper than `EDGE_SLOPE`.
 
-    The highest such edge; None without one.
+    The highest such edge, with nothing but the floor of the top above it; None without one.
     """
     at, level = np.log(f), np.log(density)
     centres = np.arange(at[0], at[-1], math.log(2) / _PARTS)
@@ -69,6 +69,7 @@ def _edge(f: np.ndarray, density: np.ndarray) -> float | None:
     begins = np.flatnonzero(steep & ~np.concatenate([[False], steep[:-1]]))
     ends = np.flatnonzero(steep & ~np.concatenate([steep[1:], [False]]))
     for a, b in reversed(list(zip(begins, ends, strict=True))):
-        if smooth[a] - smooth[b + half] > math.log(EDGE_DROP):
+        foot = smooth[b + half]  # beneath which there is no plateau of noise
+        if smooth[a] - foot > math.log(EDGE_DROP) and foot - smooth[-1] < 0.5 * math.log(EDGE_DROP):
             return float(np.exp(centres[a]))
     return None

@@ -16,14 +16,10 @@ import numpy as np
 from diagnose.check.content import content_end
 from diagnose.data.experiment import plain_step
 from diagnose.data.noise import white_noise_level
-from diagnose.thresholds import FILTERED_NOISE, FILTERED_RISE
+from diagnose.thresholds import AS_FLAT, FACTORS, FEWEST_LEFT, FILTERED_NOISE, FILTERED_RISE
 from mjsim.recording import ARRAYS, Recording
 
 __all__ = ["at_content_rate", "decimated"]
-
-_FEWEST = 250  # samples that must be left
-_FACTORS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40, 50, 64, 80, 100)
-_AS_FLAT = 0.5  # difference of growth exponents within which two factors are as good: the level is known to some percent
 
 
 def at_content_rate(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
@@ -71,14 +67,14 @@ def _factor(recording: Recording) -> int:
     x = recording.angle if recording.velocity is None else recording.velocity
     if x is None or plain_step(x) > 0 or content_end(x, recording.dt) is None:
         return 1
-    factors = [k for k in _FACTORS if k * _FEWEST <= len(x)]
+    factors = [k for k in FACTORS if k * FEWEST_LEFT <= len(x)]
     levels = np.array([np.mean([white_noise_level(x[at::k]) for at in range(min(k, 4))]) for k in factors])
     growth = np.diff(np.log(levels)) / np.diff(np.log(factors))
     shown = (levels > FILTERED_RISE * levels[0]) & (levels < FILTERED_NOISE * float(np.std(x)))
     at = np.flatnonzero(shown[:-1])
     if len(at) == 0:
         return 1
-    return factors[at[growth[at] <= np.min(growth[at]) + _AS_FLAT][0]]
+    return factors[at[growth[at] <= np.min(growth[at]) + AS_FLAT][0]]
 
 
 def _ordinal(k: int) -> str:

@@ -8,12 +8,10 @@ from typing import final
 
 from diagnose.fit.fitted import Fitted
 from diagnose.problem.noise_model import NoiseModel
-from diagnose.thresholds import TWO_SIDED
+from diagnose.thresholds import AT_BOUND, TWO_SIDED
 from mjsim.effects import Effect
 
 __all__ = ["Open", "at_bounds", "open_sizes", "sizes_of"]
-
-AT_BOUND = 1e-6  # log of a ratio
 
 
 @final

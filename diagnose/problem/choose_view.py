@@ -10,15 +10,13 @@ import numpy as np
 from diagnose.data.experiment import measured_velocity
 from diagnose.data.noise import white_noise_level
 from diagnose.problem.view import ForceView, MotionView, View
-from diagnose.thresholds import SWING
+from diagnose.thresholds import SENSOR_SHARE, SWING
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.system import assemble, state_matrix
 
-__all__ = ["SHARE", "choose_view", "clean_band", "growth_when_held"]
-
-SHARE = 1e-3  # of the recorded torque's power, that the encoder's noise may make in the band of a force view
+__all__ = ["choose_view", "clean_band", "growth_when_held"]
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axis | None = None) -> View:
@@ -58,7 +56,7 @@ def growth_when_held(axis: Axis) -> float:
     return float(np.max(np.linalg.eigvals(state_matrix(s.f)[np.ix_(behind, behind)]).real))
 
 
-def clean_band(axis: Axis, recording: Recording, share: float = SHARE) -> float:
+def clean_band(axis: Axis, recording: Recording, share: float = SENSOR_SHARE) -> float:
     """Highest frequency [Hz], up to a tenth of the sampling rate, below which the encoder's noise is no torque to speak of.
 
     Twice differentiated and multiplied by the inertia, the noise of the angle (from its sixth differences, at least its rounding)

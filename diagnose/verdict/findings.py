@@ -11,13 +11,11 @@ from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding, NominalEffect
 from diagnose.structure.moves import put_together
 from diagnose.structure.search import ALIKE_C, Search
-from diagnose.thresholds import FOLLOWS_WEIGHT
+from diagnose.thresholds import FOLLOWS_WEIGHT, SOME_ANGLES
 from diagnose.verdict.decide import equivalents, estimates, p_values
 from mjsim.effects import Effect
 
 __all__ = ["element_of", "findings", "merged", "nominal_effect"]
-
-SOME = 200  # angles at which laws are compared
 
 
 def merged(search: Search, best: Fitted) -> Fitted:
@@ -71,7 +69,7 @@ def _by_weight(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
     if chain.couplings or r.angle is None:
         return ()
     others = [e for e in (*best.carried, *best.effects) if e.key != effect.key]
-    some = r.angle[:: max(1, len(r.angle) // SOME)]
+    some = r.angle[:: max(1, len(r.angle) // SOME_ANGLES)]
     alike = follows_weight(effect, others, chain, some, fitter.scales["motor"].velocity)
     return load_effects(effect) if alike > FOLLOWS_WEIGHT else ()
 

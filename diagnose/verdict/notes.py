@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from diagnose.evidence.intervals import at_bounds
 from diagnose.explain.second_encoder import judge_second_encoder
 from diagnose.fit.fitted import Fitted
+from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.result import Finding, Verdict
 from diagnose.structure.search import Search
+from diagnose.thresholds import TAKEN
 from diagnose.verdict.refusals import refusals, refused_in_words
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.axis import Axis
@@ -114,8 +116,15 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
             f"Structure remains that no known effect accounts for: the recorded input and motion predict "
             f"{100 * structure.share:.1f} % of the held-out residual energy (p = {structure.p_value:.1g})."
         )
+    held = outcome.search.held_out(outcome.best)
+    level = noise_rms(fitter, fitter.experiments[0])
+    far = held is not None and fitter.noise.absolute and held.rms**2 > TAKEN * level**2
+    if far and held is not None and outcome.verdict is Verdict.MISSING_PHYSICS and not remaining.diverges:
+        yield (
+            f"What is left on held-out data is {held.rms / level:.3g} times the noise: the effects named are most of the "
+            "mismatch, not all of it."
+        )
     if remaining.beyond_sensors:
-        held = outcome.search.held_out(outcome.best)
         assert held is not None
         yield (
             f"The model misses the held-out force by {100 * held.nrmse:.3g} % of its variation, which is more than the noise of "

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from diagnose.fit.fitted import Fitted
 from diagnose.result import Refused
 from diagnose.structure.search import Search
-from diagnose.thresholds import LEADING
+from diagnose.thresholds import LEADING, TOLD
 
 __all__ = ["refusals", "refused_in_words"]
 
-TOLD = 3  # refusals in words
 _TESTS = {
     "gain": "its gain in the criterion, {gain:.3g}, is less than {needed:.3g}",
     "law": "its gain, {gain:.3g}, may be the error of a law ({needed:.3g})",

@@ -25,10 +25,9 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.validation import error_on, observed_error, pooled, predicted_samples
 from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
-from diagnose.problem.choose_view import SHARE
 from diagnose.problem.view import ForceView
 from diagnose.structure.search import Search
-from diagnose.thresholds import EVENTS, POWER, TAKEN
+from diagnose.thresholds import EVENTS, POWER, SENSOR_SHARE, TAKEN
 
 __all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
 
@@ -171,8 +170,8 @@ def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: 
 def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> bool:
     """Whether the force that a model misses is more than sensors make of it: over `options.left` of its variance.
 
-    The band is such that the noise of the angle, differentiated twice, is `SHARE` of the torque's power; that of the torque is
-    the white part of its own in the same band. `TAKEN` times their sum is allowed.
+    The band is such that the noise of the angle, differentiated twice, has `SENSOR_SHARE` of the torque's power; the torque's
+    is the white part of it in the same band. `TAKEN` times their sum is allowed.
     """
     view = fitter.view
     if held is None or not isinstance(view, ForceView):
@@ -181,7 +180,7 @@ def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> b
     for e in fitter.held_out:
         u, dt = e.recording.torque, e.recording.dt
         band = min(1.0, 2.0 * dt * (view.cutoff_hz or 0.1 / dt))
-        sensors = max(sensors, SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
+        sensors = max(sensors, SENSOR_SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
     return held.nrmse**2 > max(options.left, TAKEN * sensors)
 
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
-if TYPE_CHECKING:
-    from mjsim.effects.base import Scales
+from mjsim.effects.scales import Scales
 
 __all__ = ["Range", "bristles", "mode", "wave"]
 

@@ -18,6 +18,7 @@ from mjsim.chain import Chain
 from mjsim.effects.admissible import Range
 from mjsim.effects.native import Native, Value
 from mjsim.effects.ports import CouplingTorque, Gap, Port, Twist
+from mjsim.effects.scales import Scales
 from mjsim.quantity import Motion, Quantity
 from mjsim.servo import Target
 from mjsim.site import Site
@@ -111,45 +112,6 @@ def parameter(
     if default is dataclasses.MISSING:
         return field(metadata=meta)
     return field(default=default, metadata=meta)
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Typical sizes at a place, from the recording and the nominal model; starts of a fit are multiples of these.
-
-    torque, max_torque: rms and largest input or transmitted torque at the place [N m | N]; velocity, max_velocity: of the
-    body at the place [rad/s | m/s]; deflection: rms elastic deflection of the coupling at the place [rad | m] (1 when
-    there is none); inertia, stiffness: nominal values at the place; travel: range of the body's angle [rad | m];
-    input, max_input: rms and largest input; output: rms measured output; dt, duration [s]; orders: dominant spatial
-    frequencies of the residual over the body's angle [1/rev | rad/m]; swung: those at which an inertia that varies over the
-    angle would leave it; turns: whole orders of the motor's turn that its travel can
-    show, which what is fixed to the motor is likely to have; steps: those in which the measured output comes, where
-    its values show any; following: rms error of a servo between command and angle [rad | m]; asked: levels of the force that
-    the input, or a servo's law without its limit, asks of the actuator [N m | N]: the largest, and those exceeded in a tenth
-    and in three tenths of the time; move: mean time between reversals of the velocity [s],
-    the duration where it does not reverse.
-    """
-
-    torque: float
-    max_torque: float
-    velocity: float
-    max_velocity: float
-    deflection: float
-    inertia: float
-    stiffness: float
-    travel: float
-    input: float
-    max_input: float
-    output: float
-    dt: float
-    duration: float
-    orders: tuple[float, ...] = ()
-    swung: tuple[float, ...] = ()
-    turns: tuple[float, ...] = ()
-    steps: tuple[float, ...] = ()
-    following: float = 0.0
-    asked: tuple[float, ...] = ()
-    move: float = 0.0
 
 
 def bristle_stiffnesses(level: float, scales: Scales, count: int = 4) -> list[float]:
