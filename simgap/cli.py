@@ -38,6 +38,7 @@ COMMANDS: dict[str, str] = {
     "replay": "Simulate a model, with the physics found in it, on a recorded input.",
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
     "effects": "List the effects that a diagnosis can name, or describe one.",
+    "schema": "Print the JSON Schema of diagnosis.json.",
     "data": "Find or download a public recording and verify its hash.",
     "benchmark": "Diagnose many simulated recordings with hidden effects and score the answers.",
     "proof": "Diagnose recordings of real machines and compare with published values.",
