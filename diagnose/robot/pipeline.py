@@ -28,7 +28,7 @@ from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
 
-__all__ = ["Outcome", "diagnose_robot"]
+__all__ = ["ORDER", "Outcome", "diagnose_robot", "overall", "summary"]
 
 SHOWN = 2  # changed numbers in the summary
 DRAWN = 1500  # points of a trace at most
@@ -134,7 +134,7 @@ def _told(
     worst = max((r.verdict for r in joints.values()), key=ORDER.index)
     changed = decide.changes(search) if worst is not Verdict.NO_MISMATCH else ()
     return RobotDiagnosis(
-        worst, _summary(worst, joints, changed), joints, _overall(joints), links,
+        worst, summary(worst, joints, changed), joints, overall(joints), links,
         {k: float(v) for k, v in zip(p.names, p.nominal, strict=True)}, decide.base_parameters(p, s, V), changed,
         _notes(search, recordings, joints), search.hypotheses, cutoff,
         tuple(
@@ -163,7 +163,8 @@ def _sentence(answer: Verdict, fit: FitFigures, remains: tuple[float, float]) ->
     return f"{start} The noise is not known by force: {left} is left, and {black}."
 
 
-def _summary(worst: Verdict, joints: Mapping[str, JointResult], changed: Sequence[str]) -> str:
+def summary(worst: Verdict, joints: Mapping[str, JointResult], changed: Sequence[str]) -> str:
+    """In words: what is missing where, where structure remains, and which numbers differ."""
     found = [f for r in joints.values() for f in r.findings]
     named = [f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at {f.joint}" for f in found]
     open_ = [r.joint for r in joints.values() if r.verdict is Verdict.UNEXPLAINED]
@@ -178,7 +179,7 @@ def _summary(worst: Verdict, joints: Mapping[str, JointResult], changed: Sequenc
     return " ".join(parts) or "The model as given agrees with the log as well as one with its numbers refitted."
 
 
-def _overall(joints: Mapping[str, JointResult]) -> dict[str, FitFigures]:
+def overall(joints: Mapping[str, JointResult]) -> dict[str, FitFigures]:
     """Root mean square over the joints of the errors over the spread; rms is the same number, since units differ."""
     out = {}
     for key in next(iter(joints.values())).fit:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,12 @@ class RobotFinding:
     equivalents: tuple[str, ...] = ()
     form: str = ""
     source: str = ""
+    place: str = "motor"
 
     def as_dict(self) -> dict[str, Any]:
         """As in the contract."""
         return {
-            "effect": self.effect, "joint": self.joint, "place": "motor", "element": self.element, "sentence": self.sentence,
+            "effect": self.effect, "joint": self.joint, "place": self.place, "element": self.element, "sentence": self.sentence,
             "parameters": {k: v.as_dict() for k, v in self.parameters.items()}, "evidence": dict(self.evidence),
             "equivalents": list(self.equivalents), "form": self.form, **({"from": self.source} if self.source else {}),
         }  # fmt: skip
@@ -109,6 +110,8 @@ class RobotDiagnosis:
     seed: int
     seconds: float
     versions: Mapping[str, str]
+    judged_on: Mapping[str, Any] = field(default_factory=lambda: {"channel": "torque", "unit": "N m", "view": "force"})
+    closed_loop: Mapping[str, Any] | None = None
 
     @property
     def findings(self) -> tuple[RobotFinding, ...]:
@@ -129,7 +132,8 @@ class RobotDiagnosis:
             "base_parameters": [{"combination": b.combination, "nominal": b.nominal, **b.estimate.as_dict()} for b in self.base],
             "changed": list(self.changed),
             "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": None}},
-            "judged_on": {"channel": "torque", "unit": "N m", "view": "force", "cutoff_hz": self.cutoff_hz},
+            "judged_on": {**self.judged_on, "cutoff_hz": self.cutoff_hz},
+            **({"closed_loop": dict(self.closed_loop)} if self.closed_loop is not None else {}),
             "notes": list(self.notes),
             "next_experiment": None,
             "hypotheses": self.hypotheses,

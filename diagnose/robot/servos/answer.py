@@ -1,0 +1,219 @@
+"""From the search at a servo joint to an answer: findings with intervals, the joint's own numbers, verdict, and changes in words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.evidence.held_out import compare
+from diagnose.result import Estimate, FitFigures, Verdict
+from diagnose.robot.result import JointResult, RobotFinding, Trace
+from diagnose.robot.servos.fit import Fit, Number, covariance, slots_of
+from diagnose.robot.servos.library import ServoLaw
+from diagnose.robot.servos.remains import black_box
+from diagnose.robot.servos.search import JointSearch, Structure, held_out
+from mjsim.quantity import Motion, Quantity
+from mjsim.robot.joint_kernel import SLOT, SLOTS
+
+__all__ = ["Scale", "answer", "changed", "scale_of"]
+
+KNOWN = 0.25  # standard deviation of a gain's logarithm below which the data tell the gain, and not only its ratios
+DRAWN = 3000  # points of a trace at most
+OWN = {
+    "kp": ("kp", Quantity.STIFFNESS), "kv": ("kv", Quantity.DAMPING), "damp": ("kv + damping", Quantity.DAMPING),
+    "damping": ("damping", Quantity.DAMPING), "armature": ("armature", Quantity.INERTIA), "zero": ("zero", Quantity.ANGLE),
+    "friction": ("frictionloss", Quantity.TORQUE), "payload": ("payload", Quantity.INERTIA),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Whether the data tell the torque scale of a joint; gain: coded kp (kv of a velocity servo) and its standard deviation."""
+
+    told: bool
+    gain: float
+    error: float
+
+
+def scale_of(s: JointSearch) -> Scale:
+    """From the covariance of the search's fit."""
+    V = covariance(s.problem, s.now.fit)
+    k = next(i for i, n in enumerate(s.now.fit.numbers) if n.slot == ("kv" if s.problem.drive.velocity else "kp"))
+    error = math.sqrt(V[k, k])
+    return Scale(error < KNOWN, float(s.now.fit.x[k]), error)
+
+
+def nominal_fit(s: JointSearch) -> Fit:
+    """The file as given, counted in the weights of the search."""
+    p = s.problem
+    return Fit((), np.zeros(0), p.nominal, p.error(p.nominal), math.nan, s.weights)
+
+
+def figures(s: JointSearch, fit: Fit) -> FitFigures:
+    """Errors [rad | m], and over the spread of the measured position, on fitted and held-out samples."""
+    p = s.problem
+    held = held_out(p, fit.error, s.weights)
+    rms = fit.rms(p.fitted)
+    spread = math.sqrt(_spread(s, p.fitted))
+    return FitFigures(rms, rms / spread, held.rms, held.nrmse)
+
+
+def _spread(s: JointSearch, mask: np.ndarray) -> float:
+    """Mean square of the measured position about the mean of each recording."""
+    p, total, count = s.problem, 0.0, 0
+    for k in range(len(p.sources)):
+        a = p.angle[p.part(k)][mask[p.part(k)]]
+        if len(a):
+            total, count = total + float(np.sum((a - np.mean(a)) ** 2)), count + len(a)
+    return total / max(count, 1) + 1e-300
+
+
+def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
+    """The result of one joint; ``borrowed``: in words, where its gain comes from if its own data do not tell it."""
+    p = s.problem
+    V = covariance(p, s.now.fit)
+    given = nominal_fit(s)
+    found = tuple(_finding(s, law, V) for law in s.now.laws)
+    remains = black_box(p, s.now.fit)
+    verdict = _verdict(s, given, bool(found), remains)
+    fit = {"nominal": figures(s, given), "refitted": figures(s, s.refitted.fit), "corrected": figures(s, s.now.fit)}
+    refused = tuple(f"{k}: {v}" for k, v in s.refusals.items() if k not in {x.key for x in s.now.laws})
+    motion = Motion.SLIDE if p.slide else Motion.HINGE
+    own = {OWN[n.slot][0]: _estimate(p, n, float(x), float(V[i, i]), motion)
+           for i, (n, x) in enumerate(zip(s.now.fit.numbers, s.now.fit.x, strict=True)) if n.slot in OWN}  # fmt: skip
+    own |= _ratios(s, V, motion)
+    nominal = {OWN[n.slot][0]: _file_value(s, n) for n in s.now.fit.numbers if n.slot in OWN}
+    return JointResult(
+        p.name, "m" if p.slide else "rad", verdict, _sentence(verdict, fit["corrected"], remains, borrowed, p.slide), found, fit, own,
+        {**nominal}, remains, refused, tuple(_traces(s, given)),
+    )  # fmt: skip
+
+
+def _file_value(s: JointSearch, n: Number) -> float:
+    p = s.problem.nominal
+    return float(p[SLOT["kv"]] + p[SLOT["damping"]]) if n.slot == "damp" else float(p[SLOT[n.slot]])
+
+
+def _estimate(problem: object, n: Number, x: float, variance: float, motion: Motion) -> Estimate:
+    half = 1.96 * math.sqrt(max(variance, 0.0))
+    return Estimate(n.value(x), (n.value(x - half), n.value(x + half)), OWN[n.slot][1].unit(motion))
+
+
+def _ratios(s: JointSearch, V: np.ndarray, motion: Motion) -> dict[str, Estimate]:
+    """Friction and damping over the gain, which command and position tell without a scale."""
+    at = {n.slot: i for i, n in enumerate(s.now.fit.numbers)}
+    out: dict[str, Estimate] = {}
+    if "kp" not in at:
+        return out
+    for slot, name, unit in (("friction", "friction / kp", Quantity.ANGLE), ("damp", "(kv + damping) / kp", Quantity.TIME)):
+        if slot in at and s.now.fit.numbers[at[slot]].log:
+            i, k = at[slot], at["kp"]
+            half = 1.96 * math.sqrt(max(V[i, i] + V[k, k] - 2 * V[i, k], 0.0))
+            value = float(s.now.fit.x[i] - s.now.fit.x[k])
+            out[name] = Estimate(math.exp(value), (math.exp(value - half), math.exp(value + half)), unit.unit(motion))
+    return out
+
+
+def _values(s: JointSearch, law: ServoLaw, x: np.ndarray) -> dict[str, tuple[float, Quantity]]:
+    p = slots_of(s.problem, s.now.fit.numbers, x, s.now.fit.slots)
+    return law.values(dict(zip(SLOTS, map(float, p), strict=True)))
+
+
+def _finding(s: JointSearch, law: ServoLaw, V: np.ndarray) -> RobotFinding:
+    """A law with the intervals of its parameters by the delta method, its evidence and its equivalents."""
+    x = s.now.fit.x
+    motion = Motion.SLIDE if s.problem.slide else Motion.HINGE
+    parameters: dict[str, Estimate] = {}
+    for name, (value, quantity) in _values(s, law, x).items():
+        gradient = np.zeros(len(x))
+        for i in range(len(x)):
+            step = np.zeros(len(x))
+            step[i] = 1e-4
+            high, low = (_values(s, law, y)[name][0] for y in (x + step, x - step))
+            change = math.remainder(high - low, 2 * math.pi) if quantity is Quantity.PHASE else high - low
+            gradient[i] = change / 2e-4
+        half = 1.96 * math.sqrt(max(float(gradient @ V @ gradient), 0.0))
+        logs = value > 0 and quantity is not Quantity.PHASE and half < value * 3
+        low, high = (value * math.exp(-half / value), value * math.exp(half / value)) if logs else (value - half, value + half)
+        parameters[name] = Estimate(value, (low, high), quantity.unit(motion))
+    without = _without(s, law)
+    step_ = s.step(without, s.now)
+    before, after = (held_out(s.problem, y.fit.error, s.weights) for y in (without, s.now))
+    evidence = {
+        "held_out_error_before": before.rms, "held_out_error_after": after.rms,
+        "p_value": min(1.0, step_.held.p_value * s.multiplicity(law)), "delta_chi2": s.gain(without.fit, s.now.fit, "fitted"),
+        "hypotheses": s.multiplicity(law),
+    }  # fmt: skip
+    name = s.problem.name
+    return RobotFinding(
+        law.id, name, name, law.sentence, parameters, evidence, tuple(s.alike.get(law.key, ())), law.form, "", law.place
+    )
+
+
+def _without(s: JointSearch, law: ServoLaw) -> Structure:
+    """The structure without one law, fitted."""
+    rest = tuple(x for x in s.now.laws if x is not law)
+    return s.without.get(law.key) or s.fitted(rest, s.refitted.fit.slots if not rest else s.cleared(rest))
+
+
+def _verdict(s: JointSearch, given: Fit, found: bool, remains: tuple[float, float]) -> Verdict:
+    """Structure that a black-box model predicts, else effects, changed numbers, or nothing."""
+    p = s.problem
+    noisy = s.now.fit.rms(p.held) < 1.5 * p.noise and s.now.fit.rms(p.fitted) < 1.5 * p.noise
+    if remains[0] > s.options.remains and remains[1] < 0.05 and not noisy:
+        return Verdict.UNEXPLAINED
+    if found:
+        return Verdict.MISSING_PHYSICS
+    best = s.refitted.fit
+    test = compare(*(held_out(p, x.error, s.weights, given.error - best.error, best.error) for x in (given, best)))
+    if test.relative_gain > s.options.material and test.p_value < s.options.p_enter:
+        return Verdict.PARAMETERS_ONLY
+    return Verdict.NO_MISMATCH
+
+
+def _sentence(verdict: Verdict, fit: FitFigures, remains: tuple[float, float], borrowed: str, slide: bool) -> str:
+    """Why a joint has its verdict, with the error that is left."""
+    start = {
+        Verdict.NO_MISMATCH: "The file as given does as well as one with its numbers refitted.",
+        Verdict.PARAMETERS_ONLY: "The structure is right, its numbers are not.",
+        Verdict.MISSING_PHYSICS: "Physics is missing at this joint.",
+        Verdict.UNEXPLAINED: "Structure remains that none of the known effects accounts for.",
+    }[verdict]
+    unit, factor = ("mm", 1e3) if slide else ("mrad", 1e3)
+    left = f"{factor * fit.rms:.2f} {unit} rms is left on the fitted samples and {factor * fit.held_out_rms:.2f} {unit} held out"
+    black = f"a black-box model predicts {100 * max(remains[0], 0.0):.1f} % of the held-out squared error"
+    return f"{start} {left}; {black}.{' ' + borrowed if borrowed else ''}"
+
+
+def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...]:
+    """In words, which of the file's numbers at this joint differ; ratios only where the scale is not told."""
+    if result.verdict is Verdict.NO_MISMATCH:
+        return ()
+    out = []
+    for name, e in result.linear_parameters.items():
+        if name not in result.nominal_parameters:
+            continue
+        was = result.nominal_parameters[name]
+        if e.ci95[0] <= was <= e.ci95[1] or (not scale.told and name == "armature"):
+            continue
+        only = "" if scale.told or name == "zero" else " (by the scale that is assumed)"
+        out.append(f"{name} of {result.joint}: {was:.4g} -> {e.value:.4g} {e.unit} [{e.ci95[0]:.4g}, {e.ci95[1]:.4g}]{only}")
+    return tuple(out)
+
+
+def _traces(s: JointSearch, given: Fit) -> list[Trace]:
+    """Measured position and what the models give, by recording."""
+    p, out = s.problem, []
+    for k, (source, role) in enumerate(p.sources):
+        part = p.part(k)
+        if not (p.fitted[part].any() or p.held[part].any()):
+            continue
+        every = max(1, (part.stop - part.start) // DRAWN)
+        keep = slice(part.start, part.stop, every)
+        t = np.arange(part.stop - part.start)[::every] * p.dt
+        out.append(
+            Trace(source, role, t, p.angle[keep], *(p.angle[keep] - f.error[keep] for f in (given, s.refitted.fit, s.now.fit)))
+        )
+    return out

@@ -1,0 +1,247 @@
+"""Least squares of one joint's free run: Levenberg-Marquardt on scaled numbers, the samples weighted by recording.
+
+Positive numbers are fitted as their logarithm. Differences are wide (1 % of a number), since a run that sticks and slips is rough at
+small scale. Source: J. Nocedal, S. J. Wright, Numerical Optimization (2006), ch. 10.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.robot.servos.motion import JointProblem
+from diagnose.robot.solve import autocorrelation
+from mjsim.robot.joint_kernel import SLOT
+
+__all__ = [
+    "BLOCK",
+    "Fit",
+    "Number",
+    "counted",
+    "covariance",
+    "fit",
+    "independent",
+    "jacobian",
+    "slots_of",
+    "start_of",
+    "weights_by_recording",
+]
+
+WIDE = 0.01  # step of the differences, of a number's scale
+MOST = 25  # iterations
+ENDS = 1e-4  # relative decrease of the sum of squares below which an iteration is the last
+LONGEST = 1.5  # step of a coded number in one iteration
+MEMORY = 2.0  # [s] over which errors may be correlated
+BLOCK = 4.0  # [s] that are one independent block of a covariance
+BOUND = 12.0  # of a logarithm: a factor of 1.6e5 from the start of a fit
+
+
+@dataclass(frozen=True)
+class Number:
+    """One free number: slot that it fills; log: fitted as its logarithm; scale of one that is not [its unit]; lower, upper bounds.
+
+    prior: coded value and its standard deviation, None for a flat one.
+    """
+
+    slot: str
+    log: bool = True
+    scale: float = 1.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    prior: tuple[float, float] | None = None
+
+    def coded(self, value: float) -> float:
+        """Fitted form of a value."""
+        return math.log(max(value, 1e-300)) if self.log else value / self.scale
+
+    def value(self, x: float) -> float:
+        """Value of a fitted form, within the bounds."""
+        raw = math.exp(min(max(x, -690.0), 690.0)) if self.log else x * self.scale
+        return min(max(raw, self.lower), self.upper)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted structure: numbers, their coded values x (P,), slots (K,), error (N,) [rad | m] and weighted sum of squares.
+
+    weights (R,): of each recording's errors, sqrt(share of independent samples) / rms [1/rad | 1/m]; sse has the prior's part in it.
+    """
+
+    numbers: tuple[Number, ...]
+    x: np.ndarray
+    slots: np.ndarray
+    error: np.ndarray
+    sse: float
+    weights: np.ndarray
+
+    def rms(self, mask: np.ndarray) -> float:
+        """Root mean square error over some samples; nan where there are none."""
+        return float(np.sqrt(np.mean(self.error[mask] ** 2))) if mask.any() else math.nan
+
+
+def slots_of(problem: JointProblem, numbers: Sequence[Number], x: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """Slots (K,) with these numbers in the place of those of ``base``.
+
+    "damp" is the sum of kv and the joint's damping, which act alike: the joint keeps what the file gives it as long as the sum allows.
+    """
+    p = base.copy()
+    for number, value in zip(numbers, x, strict=True):
+        amount = number.value(float(value))
+        if number.slot == "load_both":
+            p[SLOT["load"]] = p[SLOT["load_back"]] = amount
+        elif number.slot == "damp":
+            own = min(float(problem.nominal[SLOT["damping"]]), amount)
+            p[SLOT["damping"]], p[SLOT["kv"]] = own, amount - own
+        else:
+            p[SLOT[number.slot]] = amount
+    return p
+
+
+def start_of(numbers: Sequence[Number], p: np.ndarray) -> np.ndarray:
+    """Coded values (P,) of these numbers in slots."""
+    return np.array([n.coded(_slot(p, n.slot)) for n in numbers])
+
+
+def _slot(p: np.ndarray, name: str) -> float:
+    if name == "damp":
+        return float(p[SLOT["kv"]] + p[SLOT["damping"]])
+    return float(p[SLOT["load" if name == "load_both" else name]])
+
+
+def independent(e: np.ndarray, dt: float, difference: np.ndarray | None = None) -> float:
+    """Share of samples (n,) of an error that are worth an independent one, 1 / (1 + 2 sum rho_k sigma_k).
+
+    rho: autocorrelation of the error, sigma: of the difference of two predictions, or of the error itself.
+    Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536.
+    """
+    if len(e) < 8 or not np.any(e):
+        return 1.0
+    lags = min(round(MEMORY / dt), len(e) // 4)
+    rho = autocorrelation(e, lags)[1:]
+    sigma = rho if difference is None else autocorrelation(difference, lags)[1:]
+    return 1.0 / max(1.0, 1.0 + 2.0 * float(rho @ sigma))
+
+
+def weights_by_recording(problem: JointProblem, error: np.ndarray) -> np.ndarray:
+    """sqrt(share of independent samples) / sqrt(rms of all^2 + rms of the recording^2) (R,) of errors (N,), of the fitted samples.
+
+    A recording that a model misses counts less; none counts more for being met well, since that is a matter of its motion.
+    """
+    runs = range(len(problem.starts) - 1)
+    own = [error[problem.part(k)][problem.fitted[problem.part(k)]] for k in runs]
+    squares = np.array([float(np.mean(e**2)) if len(e) else math.nan for e in own])
+    every = max(float(np.mean(np.concatenate(own) ** 2)), problem.noise**2, 1e-24)
+    share = float(np.average([independent(e, problem.dt) for e in own if len(e)], weights=[len(e) for e in own if len(e)]))
+    return math.sqrt(share) / np.sqrt(every + np.where(np.isfinite(squares), squares, every))
+
+
+def _weighted(problem: JointProblem, error: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted errors of the fitted samples."""
+    each = np.repeat(weights, np.diff(problem.starts))
+    return np.asarray((each * error)[problem.fitted])
+
+
+def _prior(numbers: Sequence[Number], x: np.ndarray) -> np.ndarray:
+    return np.array([(v - n.prior[0]) / n.prior[1] for n, v in zip(numbers, x, strict=True) if n.prior is not None])
+
+
+def jacobian(
+    problem: JointProblem, numbers: Sequence[Number], x: np.ndarray, base: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Derivatives (n + priors, P) of the weighted errors of the fitted samples, by wide central differences, then of the priors."""
+    J = np.empty((int(problem.fitted.sum()), len(numbers)))
+    for k in range(len(numbers)):
+        ends = []
+        for s in (WIDE, -WIDE):
+            moved = x.copy()
+            moved[k] += s
+            ends.append(_weighted(problem, problem.error(slots_of(problem, numbers, moved, base)), weights))
+        J[:, k] = (ends[0] - ends[1]) / (2 * WIDE)
+    own = [k for k, n in enumerate(numbers) if n.prior is not None]
+    P = np.zeros((len(own), len(numbers)))
+    for i, k in enumerate(own):
+        prior = numbers[k].prior
+        assert prior is not None
+        P[i, k] = 1.0 / prior[1]
+    return np.vstack([J, P])
+
+
+def fit(
+    problem: JointProblem,
+    numbers: Sequence[Number],
+    base: np.ndarray,
+    weights: np.ndarray,
+    most: int = MOST,
+    part: JointProblem | None = None,
+) -> Fit:
+    """The least-squares numbers from their values in ``base`` (K,), which holds all that is not free.
+
+    part: samples that are fitted, all of the fitted ones by default; `Fit.error` is of all samples, its ``sse`` of the part.
+    """
+    part = part or problem.with_fitted()
+    own = weights[part.which]
+    center = start_of(numbers, base)
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([_weighted(part, part.error(slots_of(part, numbers, x, base)), own), _prior(numbers, x)])
+
+    x, r = center.copy(), residual(center)
+    best, damping = float(r @ r), 1e-2
+    for _ in range(most if numbers else 0):
+        J = jacobian(part, numbers, x, base, own)
+        H, g, before = J.T @ J, J.T @ r, best
+        for _ in range(6):
+            step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9 * np.trace(H) + 1e-30), g)
+            trial = _within(numbers, x + np.clip(step, -LONGEST, LONGEST), center)
+            new = residual(trial)
+            if float(new @ new) < best:
+                x, r, best, damping = trial, new, float(new @ new), max(damping / 5, 1e-7)
+                break
+            damping *= 5
+        if before - best < ENDS * before:
+            break
+    p = slots_of(problem, numbers, x, base)
+    return Fit(tuple(numbers), x, p, problem.error(p), best, weights)
+
+
+def _within(numbers: Sequence[Number], x: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Coded values within the bounds of each number, logarithms within `BOUND` of the start."""
+    logs = np.array([n.log for n in numbers])
+    x = np.where(logs, np.clip(x, center - BOUND, center + BOUND), x)
+    return np.array([n.coded(n.value(float(v))) for n, v in zip(numbers, x, strict=True)])
+
+
+def counted(problem: JointProblem, found: Fit, weights: np.ndarray) -> Fit:
+    """The fit counted in other weights, its numbers kept."""
+    r = np.concatenate([_weighted(problem, found.error, weights), _prior(found.numbers, found.x)])
+    return dataclasses.replace(found, weights=weights, sse=float(r @ r))
+
+
+def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
+    """Covariance (P, P) of the coded numbers, cluster-robust over blocks of `BLOCK`, prior included; at least that of the weights.
+
+    Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13.
+    """
+    part = problem.with_fitted()
+    own = found.weights[part.which]
+    J = jacobian(part, found.numbers, found.x, found.slots, own)
+    n = int(part.fitted.sum())
+    r = _weighted(part, found.error[problem.rows_of(part)], own)
+    H = J.T @ J
+    H += np.diag(1e-9 * np.diag(H) + 1e-12)
+    at = np.flatnonzero(part.fitted)
+    run = np.searchsorted(part.starts, at, side="right") - 1
+    block = (at - part.starts[run]) // max(1, round(BLOCK / part.dt)) + 10_000 * run
+    _, where = np.unique(block, return_inverse=True)
+    scores = np.zeros((int(where.max()) + 1, len(found.x)))
+    np.add.at(scores, where, J[:n] * r[:, None])
+    few = len(scores) / max(len(scores) - len(found.x), 1)
+    prior = J[n:].T @ J[n:]
+    inverse = np.linalg.inv(H)
+    robust = inverse @ (few * scores.T @ scores + prior) @ inverse
+    larger = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    return np.asarray(robust * np.outer(larger, larger))

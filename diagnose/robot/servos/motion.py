@@ -1,0 +1,239 @@
+"""Recordings of a servo robot as each joint's own problem: series of what it carries, command, position, and which samples count."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.data.noise import white_noise_level
+from diagnose.robot.motion import BLOCKS, EVERY, LEAST_MOVED, derivative
+from mjsim.errors import InputError
+from mjsim.hold import between
+from mjsim.quantity import Motion as Kind
+from mjsim.robot.along import Along, along
+from mjsim.robot.drives import JointDrive, joint_drives, need_command
+from mjsim.robot.joint_kernel import run_joint
+from mjsim.robot.model import Robot
+from mjsim.robot.recording import RobotRecording
+
+__all__ = ["JointProblem", "Motion", "joint_problem", "moving", "prepare", "resolution"]
+
+ORDER = 4  # of the low-pass, run both ways
+FASTEST = 0.2  # of the sampling rate: the highest cutoff, where an eighth-order difference errs by 1e-3
+STANDS_OUT = 4.0  # power of the position over that of its noise, up to which it is kept
+STEP = 5e-3  # [s]: longest step of the kernel, a twentieth of the period of a servo of 10 Hz
+FEWEST_STEPS = 4  # per sample, of the kernel
+WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what of each is not counted
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One recording: what each joint carries, smooth positions and velocities (N, m), and its role."""
+
+    recording: RobotRecording
+    held: bool
+    z: np.ndarray
+    dz: np.ndarray
+    series: Along
+
+
+def resolution(q: np.ndarray) -> float:
+    """Noise rms of an angle (N,): that of its sixth differences, at least that of its steps (step / sqrt 12)."""
+    change = np.abs(np.diff(q))
+    step = float(np.min(change[change > 1e-9 * (np.ptp(q) + 1e-300)], initial=math.inf))
+    steps = np.unique(np.round(change[change > 0] / step)) if math.isfinite(step) else np.zeros(0)
+    rounded = 0 < len(steps) < 0.5 * np.count_nonzero(change)
+    return max(white_noise_level(q), step / math.sqrt(12.0) if rounded else 0.0)
+
+
+def moving(robot: Robot, recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
+    """Joints that a servo drives, that have a command and a position in every recording and move in one at least."""
+    drives = joint_drives(robot)
+    out = []
+    for j, name in enumerate(robot.joints):
+        if drives[j] is None or not all(r.has("command", name) and name in r.joints for r in recordings):
+            continue
+        if any(_moves(r.angle[:, r.joints.index(name)]) for r in recordings):
+            out.append(name)
+    if not out:
+        raise need_command(robot, recordings[0].source)
+    return tuple(out)
+
+
+def _moves(q: np.ndarray) -> bool:
+    return bool(np.ptp(q) > LEAST_MOVED * resolution(q))
+
+
+def smoothed(robot: Robot, r: RobotRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the noise."""
+    from scipy.signal import butter, sosfiltfilt, welch
+
+    raw = r.positions(robot)
+    cutoff = 0.0
+    for name in r.joints:
+        q = r.angle[:, r.joints.index(name)]
+        if not _moves(q):
+            continue
+        f, power = welch(q, 1 / r.dt, nperseg=min(len(q), 512), detrend="linear")
+        clear = np.flatnonzero(power > STANDS_OUT * 2 * r.dt * (resolution(q) ** 2 + 1e-300))
+        if len(clear):
+            cutoff = max(cutoff, float(f[clear[-1]]))
+    cutoff = min(max(cutoff, 0.02 / r.dt), FASTEST / r.dt)
+    z = sosfiltfilt(butter(ORDER, 2 * cutoff * r.dt, output="sos"), raw, axis=0)
+    return z, derivative(z, r.dt), derivative(z, r.dt, second=True)
+
+
+def prepare(robot: Robot, recording: RobotRecording, held: bool) -> Motion:
+    """The recording with what each joint carries along it."""
+    if len(recording) < 100:
+        raise InputError(recording.source, f"{len(recording)} samples", "at least 100", "record longer")
+    z, dz, ddz = smoothed(robot, recording)
+    series = along(robot, z, dz, ddz)
+    return Motion(recording, held, z, dz, series)
+
+
+@dataclass(frozen=True, eq=False)
+class JointProblem:
+    """One joint in all recordings, one after the other (N samples).
+
+    starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10): see
+    `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,): the file's
+    slots; sources: file and role of each recording; which (R,):
+    index of each among the recordings of the diagnosis; slide: whether it is no hinge.
+    """
+
+    joint: int
+    name: str
+    drive: JointDrive
+    dt: float
+    each: int
+    starts: np.ndarray
+    first: np.ndarray
+    slope: np.ndarray
+    series: np.ndarray
+    angle: np.ndarray
+    fitted: np.ndarray
+    held: np.ndarray
+    noise: float
+    sources: tuple[tuple[str, str], ...]
+    which: np.ndarray
+    slide: bool = False
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """Slots (K,) as the file has them."""
+        return self.drive.slots
+
+    def run(self, p: np.ndarray, each: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity (N,) of the joint running free under these slots."""
+        q, v = np.empty(len(self.angle)), np.empty(len(self.angle))
+        run_joint(p, self.drive.velocity, self.starts, self.first, self.slope, self.series, self.dt, each or self.each, q, v)
+        return q, v
+
+    def error(self, p: np.ndarray) -> np.ndarray:
+        """Measured less simulated position (N,)."""
+        e = self.angle - self.run(p)[0]
+        return np.where(np.isfinite(e), e, 1e3 * np.ptp(self.angle))
+
+    def part(self, run: int) -> slice:
+        """Samples of one recording."""
+        return slice(int(self.starts[run]), int(self.starts[run + 1]))
+
+    def with_fitted(self) -> JointProblem:
+        """The problem without recordings of which no sample is fitted."""
+        return self._kept
+
+    @functools.cached_property
+    def _kept(self) -> JointProblem:
+        runs = [k for k in range(len(self.sources)) if self.fitted[self.part(k)].any()]
+        if len(runs) == len(self.sources):
+            return self
+        at = np.concatenate([np.arange(self.starts[k], self.starts[k + 1]) for k in runs])
+        sizes = [int(self.starts[k + 1] - self.starts[k]) for k in runs]
+        return dataclasses.replace(
+            self, starts=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), first=self.first[at], slope=self.slope[at],
+            series=self.series[at], angle=self.angle[at], fitted=self.fitted[at], held=self.held[at],
+            sources=tuple(self.sources[k] for k in runs), which=self.which[runs],
+        )  # fmt: skip
+
+    def windows(self, most: int) -> JointProblem:
+        """About ``most`` samples in windows of `WINDOW`, spread over the fitted samples; each begins at rest where it is measured.
+
+        The first `UNSETTLED` of a window is not counted. The problem itself where it is no longer.
+        """
+        key = self._windows
+        if most not in key:
+            key[most] = self._cut(most)
+        return key[most]
+
+    @functools.cached_property
+    def _windows(self) -> dict[int, JointProblem]:
+        return {}
+
+    def _cut(self, most: int) -> JointProblem:
+        whole = self.with_fitted()
+        size, skip = round(WINDOW / self.dt), round(UNSETTLED / self.dt)
+        if len(whole.angle) <= most or size < 4 * skip:
+            return whole
+        begins = [
+            (k, b) for k in range(len(whole.sources)) for b in range(int(whole.starts[k]), int(whole.starts[k + 1]) - size + 1, size)
+            if whole.fitted[b : b + size].any()
+        ]  # fmt: skip
+        few = max(1, most // size)
+        if len(begins) <= few:
+            return whole
+        chosen = [begins[i] for i in np.unique(np.linspace(0, len(begins) - 1, few).round().astype(int))]
+        at = np.concatenate([np.arange(b, b + size) for _, b in chosen])
+        starts = np.arange(len(chosen) + 1, dtype=np.int64) * size
+        series, fitted = whole.series[at].copy(), whole.fitted[at].copy()
+        series[starts[:-1], 5] = whole.angle[at][starts[:-1]]
+        for b in starts[:-1]:
+            fitted[b : b + skip] = False
+        return dataclasses.replace(
+            whole, starts=starts, first=whole.first[at], slope=whole.slope[at], series=series, angle=whole.angle[at], fitted=fitted,
+            held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), which=whole.which[[k for k, _ in chosen]],
+        )  # fmt: skip
+
+    def rows_of(self, part: JointProblem) -> np.ndarray:
+        """Indices here of the samples of a part of this problem."""
+        runs = [int(np.flatnonzero(self.which == w)[0]) for w in part.which]
+        return np.concatenate([np.arange(self.starts[k], self.starts[k + 1]) for k in runs])
+
+
+def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: bool) -> JointProblem:
+    """The problem of one joint; ``split``: every third of ten blocks of each recording is held out."""
+    j = robot.joints.index(name)
+    drive = joint_drives(robot)[j]
+    assert drive is not None
+    dt = motions[0].recording.dt
+    firsts, slopes, series, angles, fitted, held, sources = [], [], [], [], [], [], []
+    for m in motions:
+        r = m.recording
+        k = r.joints.index(name)
+        assert r.command is not None
+        n, q = len(r), r.angle[:, k]
+        u = drive.target(r.command[:, k], r.dt, float(q[0]))
+        first, slope = between(u, r.dt, "linear" if drive.servo.target.value == "integrated velocity" else r.hold)
+        load = m.series.torque[:, j]
+        one = np.column_stack([
+            m.series.inertia[:, j], m.series.bias[:, j], m.series.by_position[:, j], m.series.by_velocity[:, j], load, m.z[:, j],
+            m.dz[:, j], np.zeros((n, 3)),
+        ])  # fmt: skip
+        one[0, 5] = q[0]  # the run starts where the joint is measured
+        counts = np.full(n, _moves(q))
+        apart = (np.arange(n) * BLOCKS // n) % EVERY == EVERY - 1 if split else np.full(n, m.held)
+        firsts.append(first), slopes.append(slope), series.append(one), angles.append(q)
+        fitted.append(counts & ~apart), held.append(counts & apart)
+        sources.append((r.source, "held_out" if m.held else "estimation"))
+    sizes = [len(a) for a in angles]
+    q = np.concatenate(angles)
+    return JointProblem(
+        j, name, drive, dt, max(FEWEST_STEPS, math.ceil(dt / STEP)), np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        np.concatenate(firsts), np.concatenate(slopes), np.concatenate(series), q, np.concatenate(fitted), np.concatenate(held),
+        float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(sources)), robot.motions[j] is Kind.SLIDE,
+    )  # fmt: skip

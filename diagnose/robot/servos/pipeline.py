@@ -1,0 +1,157 @@
+"""The diagnosis of a servo robot from commands and positions, stage by stage: series, fits, search at each joint, scale, answer."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import platform
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import mujoco
+import numpy as np
+
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.pipeline import ORDER, overall, summary
+from diagnose.robot.result import RobotDiagnosis
+from diagnose.robot.servos.answer import Scale, answer, changed, scale_of
+from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
+from diagnose.robot.servos.search import JointSearch, own_numbers, refit_with, search_joint, start_fit
+from mjsim.errors import InputError
+from mjsim.robot.drives import nearest
+from mjsim.robot.joint_kernel import SLOT
+from mjsim.robot.model import Robot
+from mjsim.robot.recording import RobotRecording
+from mjsim.robot.rows import check_rows
+
+__all__ = ["ServoOutcome", "diagnose_servos"]
+
+FEWEST = 200  # samples of a joint in motion, fitted and held out each
+SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of one kind
+
+
+@dataclass(frozen=True, eq=False)
+class ServoOutcome:
+    """The diagnosis, and the searches by joint that `corrected.xml` is written from."""
+
+    diagnosis: RobotDiagnosis
+    searches: tuple[JointSearch, ...]
+
+
+def diagnose_servos(
+    robot: Robot,
+    recordings: Sequence[RobotRecording],
+    held_out: Sequence[RobotRecording] = (),
+    options: RobotOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    jobs: int = 2,
+) -> ServoOutcome:
+    """Diagnose every servo joint that moves, or those named, by its free run under the recorded command.
+
+    Raises InputError for a model or recordings that are outside.
+    """
+    options, begun = options or RobotOptions(), time.perf_counter()
+    check_rows(robot)
+    everything = [*recordings, *held_out]
+    names = _chosen(robot, everything, options)
+    motions = [prepare(robot, r, k >= len(recordings)) for k, r in enumerate(everything)]
+    problems = [joint_problem(robot, motions, n, not held_out) for n in names]
+    problems = [p for p in problems if _enough(p, len(names))]
+    say(f"{len(problems)} joints by command and position, {sum(len(r) for r in everything)} samples")
+
+    def one(p: JointProblem) -> JointSearch:
+        numbers = own_numbers(p)
+        s = search_joint(p, options, len(problems), numbers, start_fit(p, numbers))
+        say(f"{p.name}: {', '.join(x.key for x in s.now.laws) or 'no effect'}")
+        return s
+
+    with ThreadPoolExecutor(jobs) as pool:
+        searches = tuple(pool.map(one, problems))
+    scales = {s.problem.name: scale_of(s) for s in searches}
+    borrowed = _borrow(searches, scales)
+    diagnosis = _told(robot, searches, scales, borrowed, recordings, held_out, begun)
+    return ServoOutcome(diagnosis, searches)
+
+
+def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOptions) -> tuple[str, ...]:
+    found = moving(robot, recordings)
+    for name in options.joints:
+        if name not in robot.joints:
+            near = nearest(name, robot.joints)
+            raise InputError("--joint", f"joint {name!r} is not in the model", f"one of {near}", "correct the name")
+        if name not in found:
+            raise InputError(
+                recordings[0].source, f"joint {name!r} does not move, or has no servo, command or position", "a servo joint that moves",
+                "name another joint",
+            )  # fmt: skip
+    return tuple(n for n in robot.joints if n in (options.joints or found))
+
+
+def _enough(p: JointProblem, count: int) -> bool:
+    """Whether a joint moves in fitted and held-out samples; raises InputError where it is the only one."""
+    enough = min(int(p.fitted.sum()), int(p.held.sum())) >= FEWEST
+    if not enough and count == 1:
+        raise InputError(
+            p.sources[0][0], f"{int(p.fitted.sum())} fitted and {int(p.held.sum())} held-out samples of {p.name!r} in recordings in which it "
+            "moves", f"at least {FEWEST} each", "give recordings in which it moves on both sides",
+        )  # fmt: skip
+    return enough
+
+
+def _borrow(searches: Sequence[JointSearch], scales: dict[str, Scale]) -> dict[str, str]:
+    """Fit joints whose scale is not told with the gain of joints whose servo is the same in the file; say so, by joint."""
+    out = {}
+    for s in searches:
+        p, scale = s.problem, scales[s.problem.name]
+        if scale.told:
+            out[p.name] = "The load of the links, by the masses of the file, sets the scale of torques."
+            continue
+        main = "kv" if p.drive.velocity else "kp"
+        kin = [x for x in searches if scales[x.problem.name].told and _same_servo(x.problem, p)]
+        ratios = "Command and position tell only ratios here (friction / kp, damping / kp, kp / inertia)"
+        if not kin:
+            out[p.name] = (
+                f"{ratios}: the scale follows the armature of the file, to a factor of three. A known load at this joint tells."
+            )
+            continue
+        mean = float(np.mean([scales[x.problem.name].gain for x in kin]))
+        numbers = tuple(dataclasses.replace(n, prior=(mean, SPREAD)) if n.slot == main else n for n in s.numbers)
+        refit_with(s, numbers)
+        names = ", ".join(x.problem.name for x in kin)
+        out[p.name] = (
+            f"{ratios}: {main} is taken to be that of {names} ({math.exp(mean):.3g}), whose servos are the same in the file."
+        )
+    return out
+
+
+def _same_servo(a: JointProblem, b: JointProblem) -> bool:
+    """Whether the file gives two joints the same servo."""
+    keys = [SLOT[x] for x in ("kp", "kv", "limit", "armature", "damping")]
+    return a.slide == b.slide and bool(np.array_equal(a.nominal[keys], b.nominal[keys]))
+
+
+def _told(
+    robot: Robot, searches: Sequence[JointSearch], scales: dict[str, Scale], borrowed: dict[str, str],
+    recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], begun: float,
+) -> RobotDiagnosis:  # fmt: skip
+    joints = {s.problem.name: answer(s, scales[s.problem.name], borrowed[s.problem.name]) for s in searches}
+    worst = max((r.verdict for r in joints.values()), key=ORDER.index)
+    lines = tuple(x for s in searches for x in changed(s, joints[s.problem.name], scales[s.problem.name]))
+    notes = [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
+    still = [n for n in recordings[0].joints if n not in joints]
+    if still:
+        notes.append(f"Not diagnosed, since they do not move enough, have no servo or are not named: {', '.join(still)}.")
+    notes += [f"{name}: {text}" for name, text in borrowed.items()]
+    notes.append("Backlash between motor and joint is not looked for: an encoder at the joint does not show it.")
+    return RobotDiagnosis(
+        worst, summary(worst, joints, lines), joints, overall(joints), {}, {}, (), lines, tuple(notes),
+        sum(len(s.laws) for s in searches), math.nan,
+        tuple({"file": r.source, "sha256": r.sha256, "role": role}
+              for role, group in (("estimation", recordings), ("held_out", held_out)) for r in group),
+        searches[0].options.seed, time.perf_counter() - begun,
+        {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
+        {"channel": "angle", "unit": "rad", "view": "motion"},
+    )  # fmt: skip

@@ -1,0 +1,67 @@
+"""What is still predictable of a servo joint's position error: a black-box regression, judged on held-out samples.
+
+The dictionary holds functions of the command and of the simulated motion at several lags: nothing of the measured position of the joint
+itself, so that what it predicts is structure that the model lacks.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from diagnose.evidence.held_out import compare
+from diagnose.fit.fitted import HeldOut
+from diagnose.robot.servos.fit import Fit
+from diagnose.robot.servos.motion import JointProblem
+from diagnose.robot.servos.search import held_out
+
+__all__ = ["black_box"]
+
+RIDGE = 1e-2  # of the sum of squares of a column
+LAGS = (0.0, 0.1, 0.25, 0.6)  # [s]
+
+
+def _dictionary(problem: JointProblem, fit: Fit) -> np.ndarray:
+    """Columns (N, k) of unit size."""
+    q, v = problem.run(fit.slots)
+    unit = float(np.std(q)) + 1e-300
+    speed = float(np.sqrt(np.mean(v**2))) + 1e-300
+    load = problem.series[:, 4] / (float(np.sqrt(np.mean(problem.series[:, 4] ** 2))) + 1e-300)
+    error = problem.first - (v if problem.drive.velocity else q)
+    error = error / (float(np.sqrt(np.mean(error**2))) + 1e-300)
+    x, w = (q - np.mean(q)) / unit, v / speed
+    s = np.tanh(w / 0.05)
+    base = [x, x**2, x**3, w, w * np.abs(w), s, s * np.abs(load), load, error, error * np.abs(error), np.tanh(error), s * x]
+    columns = [np.ones(len(q))]
+    for lag in LAGS:
+        shift = round(lag / problem.dt)
+        for c in base:
+            moved = c.copy()
+            for k in range(len(problem.sources)):
+                part = problem.part(k)
+                own = c[part]
+                moved[part] = np.concatenate([np.full(min(shift, len(own)), own[0]), own[: max(len(own) - shift, 0)]])
+            columns.append(moved)
+    return np.column_stack(columns)
+
+
+def black_box(problem: JointProblem, fit: Fit) -> tuple[float, float]:
+    """(share of the held-out squared error that the dictionary predicts, its one-sided p-value)."""
+    if problem.held.sum() < 30:
+        return 0.0, 1.0
+    D = _dictionary(problem, fit)
+    each = np.repeat(fit.weights, np.diff(problem.starts))
+    A = D[problem.fitted] * each[problem.fitted, None]
+    norm = np.sqrt(np.sum(A**2, axis=0)) + 1e-300
+    A = A / norm
+    c = np.linalg.solve(A.T @ A + RIDGE * np.eye(A.shape[1]), A.T @ (each * fit.error)[problem.fitted])
+    predicted = D @ (c / norm)
+    before = held_out(problem, fit.error, fit.weights)
+    left = np.concatenate([
+        ((fit.error - predicted)[problem.part(k)][problem.held[problem.part(k)]]) * fit.weights[k] for k in range(len(problem.sources))
+    ])  # fmt: skip
+    edges = np.cumsum(before.n)[:-1]
+    after = HeldOut(left, np.array([float(p @ p) for p in np.split(left, edges)]), before.n, 0.0, 0.0)
+    test = compare(before, after)
+    return (test.relative_gain if math.isfinite(test.relative_gain) else 0.0), test.p_value

@@ -1,0 +1,138 @@
+"""Effects that a robot's file carries in ``<custom>``, as slots of the joint kernel, and what they do at one instant of a MuJoCo run.
+
+Each law acts through what MuJoCo has: the level of the joint's ``frictionloss``, a torque at the joint, the target of the servo and the force
+range of its actuator. Friction that differs between the directions is its mean and a constant torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mjsim.compiled import compiled
+from mjsim.quantity import Motion
+from mjsim.robot.joint_kernel import SLOT, body_torque, empty, friction_level
+from mjsim.robot.model import Robot
+
+__all__ = ["act", "effect_slots", "slots_by_joint"]
+
+LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING = (
+    SLOT[x] for x in ("limit", "lag", "dead_band", "slew", "stall", "no_load", "asymmetry", "quadratic", "bristle", "spring")
+)
+_SIMPLE: dict[str, dict[str, str]] = {
+    "coulomb_friction": {"friction": "torque_Nm"},
+    "asymmetric_friction": {"friction": "torque_Nm", "asymmetry": "asymmetry_Nm"},
+    "stribeck_friction": {"friction": "torque_Nm", "extra": "extra_static_torque_Nm", "stribeck": "stribeck_velocity_rad_s"},
+    "sublinear_viscous_friction": {"sublinear": "coefficient", "exponent": "exponent"},
+    "quadratic_friction": {"quadratic": "coefficient_Nm_s2_rad2"},
+    "friction_drift": {"friction": "torque_Nm", "drift": "relative_change", "drift_time": "time_constant_s"},
+    "time_delay": {"delay": "delay_s"},
+    "actuator_lag": {"lag": "time_constant_s"},
+    "actuator_saturation": {"limit": "limit_Nm"},
+    "servo_deadband": {"dead_band": "half_width_rad"},
+    "velocity_limit": {"slew": "limit_rad_s"},
+    "torque_speed_limit": {"stall": "stall_torque_Nm", "no_load": "no_load_speed_rad_s"},
+}
+
+
+def effect_slots(effect: Mapping[str, Any], robot: Robot) -> dict[str, float] | None:
+    """Slot values of a carried effect; None for one that acts on more than its own joint, or on the recorded torque."""
+    id_, given = effect["effect"], effect["parameters"]
+    if effect.get("from"):
+        return None
+    if id_ in _SIMPLE:
+        return {slot: float(given[name]) for slot, name in _SIMPLE[id_].items()}
+    j = robot.joints.index(effect["joint"])
+    unit = abs(float(robot.gear[j])) if robot.motions[j] is Motion.HINGE else 1.0
+    if id_ == "load_dependent_friction":
+        c = float(given["coefficient"])
+        return {"load": c, "load_back": float(given.get("coefficient_backdriven", c))}
+    if id_ == "presliding_friction":
+        return {"friction": float(given["torque_Nm"]), "bristle": float(given["torque_Nm"]) / float(given["stiffness_Nm_rad"])}
+    if id_ == "torque_offset":
+        return {"preload": -float(given["torque_Nm"])}
+    if id_ == "gravity_compensation_spring":
+        return {"spring": float(given["stiffness_Nm_rad"]), "preload": float(given.get("torque_Nm", 0.0))}
+    if id_ == "cable_torque":
+        return _cable(given)
+    if id_ in ("torque_ripple", "position_dependent_friction", "gravity_load"):
+        return _periodic(id_, given, unit)
+    return None
+
+
+def _periodic(id_: str, given: Mapping[str, float], unit: float) -> dict[str, float]:
+    """Amplitude and phase as a sine and a cosine."""
+    phase, order = float(given["phase_rad"]), float(given.get("cycles_per_rev", 0.0)) * unit
+    s, c = math.cos(phase), math.sin(phase)
+    if id_ == "gravity_load":
+        return {"weight_sin": given["torque_Nm"] * s, "weight_cos": given["torque_Nm"] * c}
+    if id_ == "torque_ripple":
+        return {"ripple_sin": given["amplitude_Nm"] * s, "ripple_cos": given["amplitude_Nm"] * c, "order": order}
+    a = given["relative_amplitude"]
+    return {"friction": given["torque_Nm"], "rub_sin": a * s, "rub_cos": a * c, "rub_order": order}
+
+
+def _cable(given: Mapping[str, float]) -> dict[str, float] | None:
+    """Chebyshev coefficients over a range: the linear one is a spring about its middle."""
+    if "low_rad" not in given:
+        return None
+    low, high = float(given["low_rad"]), float(given["high_rad"])
+    stiff = 2.0 * given["coefficient_1"] / (high - low)
+    out = {f"cable_{k}": float(given[f"coefficient_{k}"]) for k in (2, 3, 4)}
+    preload = float(given.get("coefficient_0", 0.0)) - 0.5 * stiff * (low + high)
+    return {**out, "cable_low": low, "cable_high": high, "spring": stiff, "preload": preload}
+
+
+def slots_by_joint(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Slots (m, K) of all joints, and in words the effects that cannot be run."""
+    out, lacking = np.array([empty() for _ in robot.joints]), []
+    for effect in effects:
+        slots = effect_slots(effect, robot)
+        if slots is None:
+            lacking.append(f"{effect['effect']} at {effect['joint']}")
+            continue
+        own = out[robot.joints.index(effect["joint"])]
+        for name, value in slots.items():
+            own[SLOT[name]] = value + (own[SLOT[name]] if name in ("spring", "preload") else 0.0)
+    return out, tuple(lacking)
+
+
+@compiled(error_model="numpy")
+def act(p, native, zero, target, q, v, load, t, h, state, out):  # type: ignore[no-untyped-def]
+    """What carried laws do at one instant.
+
+    p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target (m,): of the servos, after
+    their delay; q, v, load (m,); t [s]; h: step [s]; state (m, 4): lagged target, slewed target, bristle, and whether it has begun; out
+    (m, 5): dry friction, torque, target, least and largest force at the joint.
+    """
+    for j in range(len(q)):
+        c = p[j]
+        r = target[j]
+        if state[j, 3] == 0.0:
+            state[j, 0], state[j, 1], state[j, 3] = r, r, 1.0
+        if c[LAG] > 0.0:  # lag
+            state[j, 0] += (r - state[j, 0]) * (1.0 - math.exp(-h / c[LAG]))
+            r = state[j, 0]
+        if c[SLEW] > 0.0:  # slew
+            state[j, 1] += min(max(r - state[j, 1], -c[SLEW] * h), c[SLEW] * h)
+            r = state[j, 1]
+        if c[DEAD] > 0.0:  # dead band
+            r -= min(max(r - zero[j] - q[j], -c[DEAD]), c[DEAD])
+        up, down = friction_level(c, q[j], v[j], load[j], t)
+        up, down = up + c[ASYMMETRY], down - c[ASYMMETRY]
+        level, offset = 0.5 * (up + down), 0.5 * (up - down)
+        torque = -body_torque(c, q[j]) - c[SPRING] * q[j] - c[QUADRATIC] * v[j] * abs(v[j]) - offset
+        if c[BRISTLE] > 0.0:  # bristle: exact along the way of one step
+            way = v[j] * h
+            s = 1.0 if way > 0.0 else -1.0
+            state[j, 2] = s + (state[j, 2] - s) * math.exp(-abs(way) / c[BRISTLE])
+            torque -= level * state[j, 2]
+            level = 0.0
+        high, low = c[LIMIT], -c[LIMIT]
+        if c[STALL] > 0.0:  # back-EMF
+            slope = c[STALL] / c[NO_LOAD]
+            high, low = min(high, c[STALL] - slope * v[j]), max(low, -c[STALL] - slope * v[j])
+        out[j, 0], out[j, 1], out[j, 2], out[j, 3], out[j, 4] = native[j] + level, torque, r, low, high

@@ -1,0 +1,102 @@
+"""The servos of a robot's joints as slots of `mjsim.robot.joint_kernel`, gears taken out."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjsim.errors import InputError
+from mjsim.mjcf.servo import read_servo
+from mjsim.robot.joint_kernel import SLOT, empty
+from mjsim.robot.model import Robot
+from mjsim.servo import Servo, Target
+
+__all__ = ["JointDrive", "has_servos", "joint_drives"]
+
+
+@dataclass(frozen=True, eq=False)
+class JointDrive:
+    """The servo of one joint.
+
+    actuator: its index; servo: its law as the file has it; gear: joint torque over actuator force; slots (K,): the joint as the file has
+    it, at the joint; delay [s] of the actuator in the file.
+    """
+
+    joint: int
+    actuator: int
+    servo: Servo
+    gear: float
+    slots: np.ndarray
+
+    @property
+    def velocity(self) -> bool:
+        """Whether the command is a velocity."""
+        return self.servo.target is Target.VELOCITY
+
+    def target(self, command: np.ndarray, dt: float, start: float) -> np.ndarray:
+        """Command (N,) as a position [rad | m] or velocity of the joint; the integral of one that is integrated, from ``start``."""
+        clipped = self.servo.scale * np.clip(command, self.servo.low, self.servo.high) / self.gear
+        if self.servo.target is Target.INTEGRATED:
+            return start + np.concatenate([[0.0], np.cumsum(clipped[:-1]) * dt])
+        return np.asarray(clipped)
+
+
+def has_servos(robot: Robot) -> bool:
+    """Whether any joint is driven by a servo."""
+    return any(drive is not None for drive in _servos(robot))
+
+
+def _servos(robot: Robot) -> list[tuple[int, Servo] | None]:
+    found: list[tuple[int, Servo] | None] = [None] * len(robot.joints)
+    model = robot.model
+    for a in range(model.nu):
+        joint = robot.dofs[int(model.actuator_trnid[a, 0])]
+        if joint in robot.joints:
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a) or f"actuator {a}"
+            servo = read_servo(model, a, robot.source, name)
+            found[robot.joints.index(joint)] = None if servo is None else (a, servo)
+    return found
+
+
+def joint_drives(robot: Robot) -> tuple[JointDrive | None, ...]:
+    """The servo of each independent joint, None where an actuator gives a torque or there is none. Raises InputError."""
+    out: list[JointDrive | None] = []
+    for j, found in enumerate(_servos(robot)):
+        if found is None:
+            out.append(None)
+            continue
+        a, servo = found
+        g, p = float(robot.gear[j]), empty()
+        p[SLOT["kp"]], p[SLOT["kv"]] = g * g * servo.kp, g * g * servo.kv
+        p[SLOT["limit"]], p[SLOT["zero"]] = abs(g) * servo.limit, servo.zero / g
+        square = robot.tie[:, j] ** 2
+        p[SLOT["armature"]], p[SLOT["damping"]] = float(robot.armature @ square), float(robot.damping @ square)
+        p[SLOT["friction"]] = float(robot.frictionloss @ np.abs(robot.tie[:, j]))
+        p[SLOT["delay"]] = _delay(robot.model, a)
+        if robot.model.actuator_dyntype[a] in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)):
+            p[SLOT["lag"]] = float(robot.model.actuator_dynprm[a, 0])
+        out.append(JointDrive(j, a, servo, g, p))
+    return tuple(out)
+
+
+def _delay(model: mujoco.MjModel, a: int) -> float:
+    value = float(model.actuator_delay[a]) if hasattr(model, "actuator_delay") else 0.0
+    return value if math.isfinite(value) else 0.0
+
+
+def nearest(name: str, names: tuple[str, ...]) -> str:
+    """Names alike, for an error message."""
+    return ", ".join(difflib.get_close_matches(name, names, 3, 0.4) or names)
+
+
+def need_command(robot: Robot, source: str) -> InputError:
+    """The error for a log of servos without a command."""
+    name = robot.joints[0]
+    return InputError(
+        source, "no joint that a servo drives has a command and a position and moves", f"columns such as {name}.command_rad and "
+        f"{name}.angle_rad", "add or bind them",
+    )  # fmt: skip

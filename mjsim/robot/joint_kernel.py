@@ -1,0 +1,189 @@
+"""The compiled run of one joint inside a robot under its own servo, the other joints following the recording.
+
+    (M(t) + armature) q'' + b(t, q, q') + damping q' + body torques + friction = drive
+
+M(t): inertia that joint j sees along the recorded motion; b: torque that the links need beside M q'', to first order in the
+deviation of q and q' from the recording. One step takes the linear part by the implicit midpoint rule and dry friction by its
+proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact and dry friction (1988)). It is of second order between
+events.
+
+A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mjsim.compiled import compiled
+
+__all__ = ["SLOT", "SLOTS", "body_torque", "empty", "friction_level", "run_joint"]
+
+SLOTS = (
+    "kp", "kv", "damping", "armature", "zero", "limit", "delay", "lag", "dead_band", "slew", "stall", "no_load",
+    "friction", "asymmetry", "extra", "stribeck", "load", "load_back", "quadratic", "sublinear", "exponent", "bristle",
+    "ripple_sin", "ripple_cos", "order", "rub_sin", "rub_cos", "rub_order", "weight_sin", "weight_cos", "spring", "preload",
+    "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
+)  # fmt: skip
+SLOT = {name: k for k, name in enumerate(SLOTS)}
+(KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD, LOAD_BACK,
+ QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
+ DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE) = range(len(SLOTS))  # fmt: skip
+
+
+def empty() -> np.ndarray:
+    """Slots (K,) of a joint without a law: no limit, the links as the file has them."""
+    p = np.zeros(len(SLOTS))
+    p[LIMIT] = math.inf
+    p[SCALE] = 1.0
+    return p
+
+
+@compiled(error_model="numpy", inline="always")
+def friction_level(p, q, v, load, t):  # type: ignore[no-untyped-def]
+    """Dry friction for motion upwards and downwards, before the asymmetry."""
+    level = p[FRICTION]
+    if p[EXTRA] != 0.0:
+        level += p[EXTRA] * math.exp(-((v / p[STRIBECK]) ** 2))
+    if p[DRIFT] != 0.0:
+        level *= 1.0 + p[DRIFT] * math.exp(-t / p[DRIFT_TIME])
+    if p[RUB_ORDER] != 0.0:
+        level *= 1.0 + p[RUB_S] * math.sin(p[RUB_ORDER] * q) + p[RUB_C] * math.cos(p[RUB_ORDER] * q)
+    if p[SUBLINEAR] != 0.0:
+        level += p[SUBLINEAR] * abs(v) ** p[EXPONENT]
+    if p[LOAD] != 0.0 or p[LOAD_BACK] != 0.0:
+        up = p[LOAD] if load > 0.0 else p[LOAD_BACK]  # motion against the load, or with it
+        down = p[LOAD_BACK] if load > 0.0 else p[LOAD]
+        return level + up * abs(load), level + down * abs(load)
+    return level, level
+
+
+@compiled(error_model="numpy", inline="always")
+def body_torque(p, q):  # type: ignore[no-untyped-def]
+    """Torque against motion that depends on the position, without the spring's stiffness."""
+    T = p[PRELOAD]
+    if p[ORDER] != 0.0:
+        T += p[RIPPLE_S] * math.sin(p[ORDER] * q) + p[RIPPLE_C] * math.cos(p[ORDER] * q)
+    if p[WEIGHT_S] != 0.0 or p[WEIGHT_C] != 0.0:
+        T += p[WEIGHT_S] * math.sin(q) + p[WEIGHT_C] * math.cos(q)
+    if p[CABLE_HIGH] > p[CABLE_LOW]:
+        x = min(max((2.0 * q - p[CABLE_LOW] - p[CABLE_HIGH]) / (p[CABLE_HIGH] - p[CABLE_LOW]), -1.0), 1.0)
+        T += p[CABLE_2] * (2 * x * x - 1) + p[CABLE_3] * (4 * x * x - 3) * x + p[CABLE_4] * (8 * x**4 - 8 * x * x + 1)
+    return T
+
+
+@compiled(error_model="numpy", inline="always")
+def _drive(p, velocity, r, q, v):  # type: ignore[no-untyped-def]
+    """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state."""
+    if velocity:
+        constant, stiff, damp = p[KV] * (r - p[ZERO]), 0.0, p[KV]
+    else:
+        e = r - p[ZERO] - q
+        w = p[DEAD]
+        if w > 0.0 and abs(e) <= w:
+            constant, stiff, damp = 0.0, 0.0, p[KV]
+        else:
+            shift = 0.0 if w == 0.0 else (w if e > 0.0 else -w)
+            constant, stiff, damp = p[KP] * (r - p[ZERO] - shift), p[KP], p[KV]
+    force = constant - stiff * q - damp * v
+    high, low, slope = p[LIMIT], -p[LIMIT], 0.0
+    if p[STALL] > 0.0:
+        slope = p[STALL] / p[NO_LOAD]
+        if p[STALL] - slope * v < high:
+            high = p[STALL] - slope * v
+            if force > high:
+                return p[STALL], 0.0, slope
+        if -p[STALL] - slope * v > low:
+            low = -p[STALL] - slope * v
+            if force < low:
+                return -p[STALL], 0.0, slope
+    if force > high:
+        return high, 0.0, 0.0
+    if force < low:
+        return low, 0.0, 0.0
+    return constant, stiff, damp
+
+
+@compiled(error_model="numpy")
+def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):  # type: ignore[no-untyped-def]
+    """Write position and velocity (N,) of all recordings, one after the other, into q and v.
+
+    p: slots (K,); velocity: whether the command is one; starts (R + 1,): where each recording begins; first, slope (N,): command at the
+    start of each sample and its slope over it; series (N, 10): inertia, b, db/dq, db/dq', |load| as a signed torque, recorded position and
+    velocity, and inertia, torque and its db/dq of a unit payload; dt [s]; each: steps per sample.
+    """
+    h = dt / each
+    late = p[DELAY] / dt
+    forget = 1.0 - math.exp(-h / p[LAG]) if p[LAG] > 0.0 else 1.0
+    for run in range(len(starts) - 1):
+        a, b = starts[run], starts[run + 1]
+        x, w, y = series[a, 5], 0.0, 0.0
+        lagged = first[a]
+        r = first[a] if not velocity else 0.0
+        q[a], v[a] = x, 0.0
+        for k in range(a, b - 1):
+            M0, b0, bq0, bv0 = p[SCALE] * series[k, 0], p[SCALE] * series[k, 1], p[SCALE] * series[k, 2], p[SCALE] * series[k, 3]
+            M1, b1, bq1, bv1 = (
+                p[SCALE] * series[k + 1, 0],
+                p[SCALE] * series[k + 1, 1],
+                p[SCALE] * series[k + 1, 2],
+                p[SCALE] * series[k + 1, 3],
+            )
+            load0, load1 = p[SCALE] * series[k, 4], p[SCALE] * series[k + 1, 4]
+            if p[PAYLOAD] != 0.0:
+                M0, b0, bq0, load0 = (M0 + p[PAYLOAD] * series[k, 7], b0 + p[PAYLOAD] * series[k, 8], bq0 + p[PAYLOAD] * series[k, 9],
+                                      load0 + p[PAYLOAD] * series[k, 8])  # fmt: skip
+                M1, b1, bq1, load1 = (
+                    M1 + p[PAYLOAD] * series[k + 1, 7], b1 + p[PAYLOAD] * series[k + 1, 8], bq1 + p[PAYLOAD] * series[k + 1, 9],
+                    load1 + p[PAYLOAD] * series[k + 1, 8],
+                )  # fmt: skip
+            b0 -= bq0 * series[k, 5] + bv0 * series[k, 6]
+            b1 -= bq1 * series[k + 1, 5] + bv1 * series[k + 1, 6]
+            for i in range(each):
+                f = (i + 0.5) / each
+                g = 1.0 - f
+                t = (k - a + f) * dt
+                at = k - a + f - late
+                if at <= 0.0:
+                    c = first[a]
+                else:
+                    n = int(at)
+                    c = first[a + n] + slope[a + n] * (at - n) * dt
+                if p[LAG] > 0.0:
+                    lagged += (c - lagged) * forget
+                    c = lagged
+                if p[SLEW] > 0.0:
+                    r += min(max(c - r, -p[SLEW] * h), p[SLEW] * h)
+                else:
+                    r = c
+                M = g * M0 + f * M1 + p[ARMATURE]
+                bq, bv, bias, load = g * bq0 + f * bq1, g * bv0 + f * bv1, g * b0 + f * b1, g * load0 + f * load1
+                constant, stiff, damp = _drive(p, velocity, r, x, w)
+                F = constant - bias - body_torque(p, x)
+                K = stiff + bq + p[SPRING]
+                D = damp + bv + p[DAMPING] + p[QUADRATIC] * abs(w)
+                up, down = friction_level(p, x, w, load, t)
+                up, down = up + p[ASYMMETRY], down - p[ASYMMETRY]
+                if p[BRISTLE] > 0.0:
+                    level = up if w >= 0.0 else down
+                    # y' = (v - |v| y) / deflection, implicit in the coming step
+                    rate = 1.0 - y if w > 0.0 else 1.0 + y
+                    F -= level * y
+                    D += 0.5 * h * level * max(rate, 0.0) / p[BRISTLE]
+                    up = down = 0.0
+                A = M / h + 0.5 * D + 0.25 * h * K
+                push = w * (M / h - 0.5 * D - 0.25 * h * K) + F - K * x
+                if push > up:
+                    new = (push - up) / A
+                elif push < -down:
+                    new = (push + down) / A
+                else:
+                    new = 0.0
+                way = 0.5 * h * (w + new)
+                if p[BRISTLE] > 0.0 and way != 0.0:
+                    s = 1.0 if way > 0.0 else -1.0
+                    y = s + (y - s) * math.exp(-abs(way) / p[BRISTLE])
+                x += way
+                w = new
+            q[k + 1], v[k + 1] = x, w
