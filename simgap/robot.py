@@ -21,6 +21,7 @@ from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.recording import Recording
 from mjsim.robot.binding import find_robot_binding
+from mjsim.robot.drives import has_servos
 from mjsim.robot.inertia import SIZE
 from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording, joints_in_table, joints_named, load_robot_recording
@@ -56,6 +57,11 @@ def is_robot(recordings: Sequence[object], model: Path) -> bool:
     return len(bound or joints_named(first)) > 1
 
 
+def by_servo(robot: Robot, recordings: Sequence[RobotRecording]) -> bool:
+    """Whether the log is diagnosed by commands and positions: servos in the model, and no torque of any joint in the log."""
+    return has_servos(robot) and not any(r.has("torque", n) for r in recordings for n in r.joints)
+
+
 def diagnose_robot_files(
     recordings: Sequence[Path],
     model: Path,
@@ -87,11 +93,21 @@ def diagnose_robot_recordings(
     there = next(p for p in (out, *out.resolve().parents) if p.exists())
     if not there.is_dir():
         raise InputError(out, f"{there.name!r} is a file", "a folder", "choose another --out")
-    outcome = diagnose_robot(robot, recordings, held_out, options, say)
-    out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
-    _write_corrected(model, robot, outcome, corrected)
-    result = _by_mujoco(outcome, robot, corrected)
+    if by_servo(robot, [*recordings, *held_out]):
+        from diagnose.robot.servos.pipeline import diagnose_servos
+        from simgap.robot_servos import judge_servos, write_corrected_servos
+
+        found = diagnose_servos(robot, recordings, held_out, options, say)
+        out.mkdir(parents=True, exist_ok=True)
+        write_corrected_servos(model, robot, found, corrected)
+        say("all joints together in MuJoCo")
+        result = judge_servos(found.diagnosis, robot, corrected, recordings, held_out)
+    else:
+        outcome = diagnose_robot(robot, recordings, held_out, options, say)
+        out.mkdir(parents=True, exist_ok=True)
+        _write_corrected(model, robot, outcome, corrected)
+        result = _by_mujoco(outcome, robot, corrected)
     if page:
         from diagnose.robot.page import write_page
 

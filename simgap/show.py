@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from diagnose.check.types import LogCheck, Severity
-from diagnose.result import Diagnosis
+from diagnose.result import Diagnosis, FitFigures
 from diagnose.robot.result import RobotDiagnosis
 from simgap.api.diagnosing import Diagnosis as Found
 
@@ -34,7 +34,7 @@ def show_robot(result: RobotDiagnosis, out: Path) -> None:
             + ", ".join(f"{k} {e.value:.4g} +- {(e.ci95[1] - e.ci95[0]) / 2:.2g} {e.unit}" for k, e in f.parameters.items())
             for f in r.findings
         )
-        errors = [f"{100 * r.fit[k].held_out_nrmse:.2f} %" for k in ("nominal", "refitted", "corrected")]
+        errors = [_held_out(r.fit[k], r.unit) for k in ("nominal", "refitted", "corrected")]
         table.add_row(name, r.verdict.value, missing, *errors, f"{100 * max(r.remains[0], 0.0):.1f} %")
     console.print(table)
     for note in result.notes:
@@ -78,6 +78,13 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     if result.next_experiment:
         console.print(f"Next: {result.next_experiment}")
     console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)")
+
+
+def _held_out(figures: FitFigures, unit: str) -> str:
+    """Held-out error: of a position in thousandths, of a torque over its spread."""
+    if unit in ("rad", "m"):
+        return f"{1e3 * figures.held_out_rms:.2f} m{unit}"
+    return f"{100 * figures.held_out_nrmse:.2f} %"
 
 
 def show_check(check: LogCheck) -> None:

@@ -39,13 +39,17 @@ def render_page(d: RobotDiagnosis) -> str:
     words = VERDICTS[d.verdict]
     names = ", ".join(escape(r["file"]) for r in d.recordings)
     body = [
-        "<header>", f'<p class="kicker">Diagnosis of {names}, every joint judged on the torque that its motion needs</p>', theme_button(),
+        "<header>", f'<p class="kicker">Diagnosis of {names}, every joint judged on {_judged(d)}</p>', theme_button(),
         f'<p class="verdict"><span class="badge {words.colour}">{words.badge}</span></p>', f"<h1>{escape(prose(d.summary))}</h1>",
         f'<p class="meaning">{escape(words.meaning)}</p>',
         '<nav aria-label="Contents">' + "".join(f'<a href="#{escape(j)}">{escape(j)}</a>' for j in d.joints) + "</nav>", "</header>", '<main id="content">',
         _matrix(d), _errors(d), _changed(d), *(_joint(r) for r in d.joints.values()), _links(d), _notes(d), "</main>", _footer(d),
     ]  # fmt: skip
     return document(f"{words.badge}: diagnosis of a robot", "\n".join(body))
+
+
+def _judged(d: RobotDiagnosis) -> str:
+    return "its position under the recorded commands" if d.judged_on["channel"] == "angle" else "the torque that its motion needs"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = ()) -> str:
@@ -87,6 +91,12 @@ def _errors(d: RobotDiagnosis) -> str:
         for joint, r in d.joints.items()
     ]
     head = ["Joint", *(MODELS.get(k, k) for k in next(iter(d.joints.values())).fit), "Still predictable, of the squared error"]
+    if d.judged_on["channel"] == "angle":
+        said = (
+            "All joints together in MuJoCo on the recorded commands: root mean square over the spread of the measured position."
+        )
+        table = _table(head, rows, range(1, len(head)))
+        return f'<section id="errors" class="firm"><h2>Error of the position, held out</h2><p>{said}</p>{table}</section>'
     return (
         "<section id=\"errors\" class=\"firm\"><h2>Error of the torque, held out</h2><p>Root mean square over the spread of the measured torque. "
         "The noise of a torque is not known beforehand: the last column says how much of what is left a black-box model predicts.</p>"
@@ -128,7 +138,7 @@ def _finding(f: RobotFinding, channel: str) -> str:
     rows = [[escape(name), *_estimated(e)] for name, e in f.parameters.items()]
     e, u = f.evidence, unit(channel)
     told = (
-        f"Held out, the torque is missed by {number(e['held_out_error_before'])} {u} rms without it and by "
+        f"Held out, the {'position' if channel in ('rad', 'm') else 'torque'} is missed by {number(e['held_out_error_before'])} {u} rms without it and by "
         f"{number(e['held_out_error_after'])} {u} with it. Probability of such a gain by chance: {p_value(e['p_value'])}, corrected for "
         "all joints and laws."
     )
@@ -152,6 +162,10 @@ def _figure(r: JointResult) -> str:
         "(grey), what the refitted file leaves (orange) and what the corrected model leaves (blue).</figcaption></figure>"
         for t in chosen
     )
+
+
+def _channel(r: JointResult) -> str:
+    return "position" if r.unit in ("rad", "m") else "torque"
 
 
 def _svg(t: Trace, channel: str) -> str:
@@ -181,6 +195,8 @@ def _svg(t: Trace, channel: str) -> str:
 
 
 def _links(d: RobotDiagnosis) -> str:
+    if not d.links:
+        return ""
     rows = [[escape(k), number(d.nominal_links.get(k)), *_estimated(e)] for k, e in d.links.items()]
     base = [[escape(b.combination), number(b.nominal), *_estimated(b.estimate)] for b in d.base]
     head = ["file", "fitted", "95 % interval", "unit"]
@@ -208,7 +224,8 @@ def _footer(d: RobotDiagnosis) -> str:
         for r in d.recordings
     )
     versions = ", ".join(f"{k} {v}" for k, v in d.versions.items())
+    below = f"Below {number(d.cutoff_hz, 3)} Hz; " if np.isfinite(d.cutoff_hz) else ""
     return (
-        f"<footer><h2>Provenance</h2><ul>{rows}</ul><p>Below {number(d.cutoff_hz, 3)} Hz; {d.hypotheses} hypotheses; {number(d.seconds, 3)} s; "
+        f"<footer><h2>Provenance</h2><ul>{rows}</ul><p>{below}{d.hypotheses} hypotheses; {number(d.seconds, 3)} s; "
         f"{escape(versions)}.</p></footer>"
     )

@@ -1,8 +1,10 @@
-"""SO-101, six position servos: stiffness and friction of each joint from command and position, where gravity gives the scale.
+"""SO-101, six position servos: the published model beside the corrected one, on recordings that were not fitted.
 
-    python -m lab.robot.so101 FOLDER [NAME...]     # recordings as Parquet
+    python -m lab.robot.so101 FOLDER OUT [--without-friction]     # recordings as Parquet
 
-The chain is the published one (MuJoCo Menagerie, robotstudio_so101, Apache-2.0): numbers only, no meshes.
+The chain is the published one (MuJoCo Menagerie, robotstudio_so101, Apache-2.0): numbers only, no meshes. The recordings that
+are fitted
+hold one of each kind of excitation; all others are held out.
 """
 
 from __future__ import annotations
@@ -10,23 +12,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import mujoco
+import numpy as np
 
-from diagnose.robot.servo import servo_by_gravity
-from mjsim.robot.model import robot_from
-from mjsim.robot.recording import load_robot_recording
+from diagnose.robot.result import RobotDiagnosis
+from simgap.robot import diagnose_robot_files
 
-__all__ = ["main", "so101_mjcf"]
+__all__ = ["FITTED", "main", "so101_mjcf", "table"]
 
-CUTOFF = 4.0  # [Hz]: the loop's own bandwidth at most
-RECORDINGS = (
-    "friction_gravity",
-    "sinusoidal_sweep",
-    "trapezoidal_profile",
-    "oscillation_low_freq",
-    "center_workspace",
-    "circular_motion",
-)
+FITTED = ("friction_gravity", "step_response", "chirp_sweep", "prbs_excitation", "oscillation_low_freq", "large_amplitude")
 
 # body, joint, pos, quat (wxyz), mass, centre, inertia (xx yy zz xy xz yz)
 BODIES = (
@@ -45,35 +38,66 @@ BODIES = (
 )  # fmt: skip
 
 
-def so101_mjcf() -> str:
-    """The MJCF text, with position servos of the published gains."""
+def so101_mjcf(friction: float = 0.052) -> str:
+    """The MJCF text, with position servos of the published gains; friction [N m] of every joint, 0 for a file without."""
     lines = ['<mujoco model="so101">', '  <compiler angle="radian" balanceinertia="true"/>', "  <worldbody>"]
+    loss = f' frictionloss="{friction:g}"' if friction else ""
     for i, (body, joint, pos, quat, mass, centre, inertia) in enumerate(BODIES):
         pad = "  " * (i + 2)
         lines += [
             f'{pad}<body name="{body}" pos="{pos}" quat="{quat}">',
-            f'{pad}  <joint name="{joint}" axis="0 0 1" armature=".028" damping=".60" frictionloss=".052"/>',
+            f'{pad}  <joint name="{joint}" axis="0 0 1" armature=".028" damping=".60"{loss}/>',
             f'{pad}  <inertial pos="{centre}" mass="{mass}" fullinertia="{inertia}"/>',
+            f'{pad}  <geom type="capsule" fromto="0 0 0 {_end(i)}" size="{0.016 - 0.001 * i:.3f}" mass="0" contype="0" '
+            'conaffinity="0"/>',
         ]
     lines += ["  " * (i + 2) + "</body>" for i in reversed(range(len(BODIES)))]
-    servos = [f'    <position name="{joint}" joint="{joint}" kp="998.22" kv="2.731"/>' for _, joint, *_ in BODIES]
+    servos = [
+        f'    <position name="{joint}" joint="{joint}" kp="998.22" kv="2.731" forcerange="-2.94 2.94"/>'
+        for _, joint, *_ in BODIES
+    ]
     return "\n".join([*lines, "  </worldbody>", "  <actuator>", *servos, "  </actuator>", "</mujoco>", ""])
 
 
-def main(folder: Path, names: tuple[str, ...] = RECORDINGS) -> None:
-    """Print the estimates from these recordings together."""
-    robot = robot_from(mujoco.MjModel.from_xml_string(so101_mjcf()), "so101")
-    recordings = [load_robot_recording(folder / f"{name}.parquet", robot) for name in names]
-    for s in servo_by_gravity(robot, recordings, CUTOFF):
-        scaled = f"F/kp {1e3 * s.friction_angle.value:.1f} mrad [{', '.join(f'{1e3 * c:.1f}' for c in s.friction_angle.ci95)}]"
-        told = "scale not determined by gravity"
-        if s.kp is not None and s.friction is not None:
-            told = ", ".join(
-                f"{k} {e.value:.3g} [{e.ci95[0]:.3g}, {e.ci95[1]:.3g}] {e.unit}"
-                for k, e in (("kp", s.kp), ("friction", s.friction))
-            )
-        print(f"{s.joint:14s} {scaled}, kv/kp {s.time.value:.3f} s; {told}; {100 * s.share:.0f} % explained")
+def _end(body: int) -> str:
+    """Where the geom of a link ends: at the next joint, the last one at its tip."""
+    return BODIES[body + 1][2] if body + 1 < len(BODIES) else "-.003 -.07 .02"
+
+
+def table(d: RobotDiagnosis) -> list[tuple[str, float, float, int]]:
+    """By joint: name, median over the held-out recordings in which it moves of the rms error [mrad] of the file, and of
+    corrected.xml,
+    all joints together in MuJoCo; and the number of these recordings."""
+    assert d.closed_loop is not None
+    out = []
+    for name, rows in d.closed_loop["joints"].items():
+        kept = [r for r in rows if r["role"] == "held_out" and r["moves"]]
+        out.append((name, *(1e3 * float(np.median([r[k] for r in kept])) for k in ("nominal_rms", "corrected_rms")), len(kept)))
+    return out
+
+
+def main(folder: Path, out: Path, friction: float = 0.052) -> None:
+    """Diagnose the robot, print the table and write the diagnosis to ``out``."""
+    out.mkdir(parents=True, exist_ok=True)
+    model = out / "so101.xml"
+    model.write_text(so101_mjcf(friction), encoding="utf-8")
+    fitted = [folder / f"{name}.parquet" for name in FITTED]
+    held = [p for p in sorted(folder.glob("*.parquet")) if p.stem not in FITTED]
+    d = diagnose_robot_files(fitted, model, out, held, say=print)
+    print(d.summary)
+    for name, nominal, corrected, count in table(d):
+        r = d.joints[name]
+        found = "; ".join(
+            f"{f.effect} " + ", ".join(f"{k} {e.value:.3g} [{e.ci95[0]:.3g}, {e.ci95[1]:.3g}]" for k, e in f.parameters.items())
+            for f in r.findings
+        )
+        alone = 1e3 * r.fit["surrogate"].held_out_rms
+        print(
+            f"{name:14s} {nominal:6.1f} -> {corrected:5.1f} mrad, median of {count}; {alone:.1f} alone; {r.verdict.value}: {found}"
+        )
+    for line in (*d.changed, *d.notes):
+        print("  ", line)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), tuple(sys.argv[2:]) or RECORDINGS)
+    main(Path(sys.argv[1]), Path(sys.argv[2]), 0.0 if "--without-friction" in sys.argv else 0.052)

@@ -2,7 +2,8 @@
 
     tau_j = M_jj(q) q_j'' + b_j(q, q', q''_others)
 
-M_jj, b_j and the derivatives of b_j by q_j and q_j' come from `mj_inverse` and its differences (`mjd_inverseFD`) at every sample. Armature,
+M_jj, b_j and the derivatives of b_j by q_j and q_j' come from `mj_inverse` and its differences (`mjd_inverseFD`) at every
+sample. Armature,
 damping and dry friction of the joints are left out: they are laws of the joint itself. Gravity, gravity compensation and the
 springs of the file are in b.
 """

@@ -1,6 +1,8 @@
-"""Effects that a robot's file carries in ``<custom>``, as slots of the joint kernel, and what they do at one instant of a MuJoCo run.
+"""Effects that a robot's file carries in ``<custom>``, as slots of the joint kernel, and what they do at one instant of a
+MuJoCo run.
 
-Each law acts through what MuJoCo has: the level of the joint's ``frictionloss``, a torque at the joint, the target of the servo and the force
+Each law acts through what MuJoCo has: the level of the joint's ``frictionloss``, a torque at the joint, the target of the
+servo and the force
 range of its actuator. Friction that differs between the directions is its mean and a constant torque.
 """
 
@@ -101,11 +103,13 @@ def slots_by_joint(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[
 
 
 @compiled(error_model="numpy")
-def act(p, native, zero, target, q, v, load, t, h, state, out):  # type: ignore[no-untyped-def]
+def act(p, native, zero, target, q, v, load, t, h, state, out):
     """What carried laws do at one instant.
 
-    p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target (m,): of the servos, after
-    their delay; q, v, load (m,); t [s]; h: step [s]; state (m, 4): lagged target, slewed target, bristle, and whether it has begun; out
+    p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target (m,): of the
+    servos, after
+    their delay; q, v, load (m,); t [s]; h: step [s]; state (m, 4): lagged target, slewed target, bristle, and whether it has
+    begun; out
     (m, 5): dry friction, torque, target, least and largest force at the joint.
     """
     for j in range(len(q)):

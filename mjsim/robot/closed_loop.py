@@ -1,7 +1,9 @@
 """All joints of a robot together in MuJoCo, with the file's own options, along a recording.
 
-Servos are driven by the recorded commands. A joint that is driven by a torque gets the logged one and a tracking loop beside it, since
-torques alone drift; what the loop has to give is the error of the model as a torque. Joints that are not in the log are held where they
+Servos are driven by the recorded commands. A joint that is driven by a torque gets the logged one and a tracking loop beside
+it, since
+torques alone drift; what the loop has to give is the error of the model as a torque. Joints that are not in the log are held
+where they
 are. The timestep is the file's, or the next smaller one that divides the sample time.
 """
 
@@ -26,12 +28,14 @@ from mjsim.servo import Target
 
 __all__ = ["ClosedLoop", "closed_loop"]
 
+FASTEST = 1e6  # [rad/s | m/s]: a run beyond it has diverged
 TRACKING = 2.0  # [Hz]: bandwidth of the tracking loop of joints that are driven by a torque
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """One run: position and velocity (N, m), torque (N, m) of the tracking loop (NaN at servos), and the effects that were left out."""
+    """One run: position and velocity (N, m), torque (N, m) of the tracking loop (NaN at servos), and the effects that were
+    left out."""
 
     z: np.ndarray
     dz: np.ndarray
@@ -44,35 +48,19 @@ class ClosedLoop:
         return not bool(np.isfinite(self.z).all())
 
 
-@dataclass(eq=False)
-class _Inputs:
-    """Targets of the servos (m,) and torques of the other actuators at any time."""
-
-    robot: Robot
-    first: np.ndarray
-    slope: np.ndarray
-    dt: float
-
-    def at(self, t: np.ndarray) -> np.ndarray:
-        """Inputs (m,), each at its own time (m,) [s]."""
-        x = np.clip(t / self.dt, 0.0, len(self.first) - 1)
-        k = x.astype(int)
-        each = np.arange(len(x))
-        return np.asarray(self.first[k, each] + self.slope[k, each] * (x - k) * self.dt)
-
-
-def _inputs(robot: Robot, r: RobotRecording) -> _Inputs:
+def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -> np.ndarray:
+    """Commands of servos and torques of other actuators (S, m) at times (S,) [s], each later by its delay (m,) [s]."""
     drives = joint_drives(robot)
-    first, slope = (np.zeros((len(r), len(robot.joints))) for _ in range(2))
+    out = np.zeros((len(t), len(robot.joints)))
     for j, name in enumerate(robot.joints):
-        if name not in r.joints:
-            continue
-        k = r.joints.index(name)
         channel = "torque" if drives[j] is None else "command"
-        if r.has(channel, name):
-            values = getattr(r, channel)[:, k]
-            first[:, j], slope[:, j] = between(values, r.dt, r.hold)
-    return _Inputs(robot, first, slope, r.dt)
+        if not r.has(channel, name):
+            continue
+        first, slope = between(getattr(r, channel)[:, r.joints.index(name)], r.dt, r.hold)
+        x = np.clip((t - delay[j]) / r.dt, 0.0, len(first) - 1)
+        k = x.astype(int)
+        out[:, j] = first[k] + slope[k] * (x - k) * r.dt
+    return out
 
 
 def closed_loop(
@@ -82,19 +70,13 @@ def closed_loop(
     model, data = copy.copy(robot.model), mujoco.MjData(robot.model)
     r, n = recording, samples or len(recording)
     each = max(1, math.ceil(r.dt / float(model.opt.timestep) - 1e-6))
-    h = r.dt / each
-    model.opt.timestep = h
+    model.opt.timestep = r.dt / each
     slots, lacking = slots_by_joint(effects, robot)
-    run = _Run(robot, model, data, r, slots, h)
-    z, dz, tracking = (np.full((n, len(robot.joints)), np.nan) for _ in range(3))
-    for k in range(n):
-        z[k], dz[k], tracking[k] = run.position(), run.velocity(), run.given()
-        if not np.isfinite(z[k]).all() or np.max(np.abs(dz[k])) > 1e6:
-            z[k:] = np.nan
-            break
-        if k + 1 < n:
-            for i in range(each):
-                run.step(k * r.dt + (i + 0.5) * h, k)
+    run = _Run(robot, model, data, r, slots, n, each)
+    z, dz, tracking = run.plain() if run.native_only else run.stepped()
+    gone = np.flatnonzero(~np.isfinite(z).all(axis=1) | (np.max(np.abs(dz), axis=1) > FASTEST))
+    if len(gone):
+        z[gone[0] :] = np.nan
     return ClosedLoop(z, dz, tracking, lacking)
 
 
@@ -102,31 +84,88 @@ class _Run:
     """MuJoCo's state along a recording, and what acts on it at each step."""
 
     def __init__(
-        self, robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, r: RobotRecording, slots: np.ndarray, h: float
+        self, robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, r: RobotRecording, slots: np.ndarray, n: int, each: int
     ) -> None:
-        self.robot, self.model, self.data, self.slots, self.h = robot, model, data, slots, h
+        self.robot, self.model, self.data, self.slots, self.n, self.each = robot, model, data, slots, n, each
+        self.h = float(model.opt.timestep)
         self.drives = joint_drives(robot)
         self.lead = np.array([robot.leading(j) for j in range(len(robot.joints))])
-        self.actuators = _actuators(robot)
-        self.inputs = _inputs(robot, r)
         self.recorded = r.positions(robot)
-        self.rate = np.gradient(self.recorded, r.dt, axis=0)
-        m = len(robot.joints)
-        servo = np.array([d is not None and r.has("command", n) for d, n in zip(self.drives, robot.joints, strict=True)])
-        torque = np.array([d is None and r.has("torque", n) for d, n in zip(self.drives, robot.joints, strict=True)])
-        self.servo, self.torque, self.imposed = servo, torque, ~servo & ~torque
+        servo = np.array([d is not None and r.has("command", x) for d, x in zip(self.drives, robot.joints, strict=True)])
+        torque = np.array([d is None and r.has("torque", x) for d, x in zip(self.drives, robot.joints, strict=True)])
+        self.torque, self.imposed = torque, ~servo & ~torque
+        self.t = (np.arange((n - 1) * each) + 0.5) * self.h
+        self.u = _inputs(robot, r, self.t, slots[:, SLOT["delay"]])
         self.factor = np.array([1.0 if d is None else d.servo.scale / d.gear for d in self.drives])  # target per command
         self.zero = np.array([0.0 if d is None else d.slots[SLOT["zero"]] for d in self.drives])
         self.native = model.dof_frictionloss[self.lead].copy()
-        self.state, self.out = np.zeros((m, 4)), np.zeros((m, 5))
-        self.carried = np.any(slots != slots_by_joint((), robot)[0])
-        self.limits = np.any(np.isfinite(slots[:, SLOT["limit"]]) | (slots[:, SLOT["stall"]] > 0))
-        self.delay = slots[:, SLOT["delay"]].copy()
-        self.dt = r.dt
+        self.carried = bool(np.any(slots != slots_by_joint((), robot)[0]))
+        self.limits = bool(np.any(np.isfinite(slots[:, SLOT["limit"]]) | (slots[:, SLOT["stall"]] > 0)))
+        actuators = _actuators(robot)
+        self.columns = np.array([j for j, a in enumerate(actuators) if a >= 0], int)
+        self.actuators = np.array([a for a in actuators if a >= 0], int)
         data.qpos[:] = robot.tie @ self.recorded[0] + robot.rest
         self._activate()
         mujoco.mj_forward(model, data)
-        self._gains()
+
+    @property
+    def native_only(self) -> bool:
+        """Whether nothing acts but what the file itself has."""
+        return not (self.carried or self.torque.any() or self.imposed.any())
+
+    def plain(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and torque of the tracking loop (N, m), by MuJoCo's own loop over all steps."""
+        from mujoco import rollout
+
+        control = np.zeros((1, len(self.t), self.model.nu))
+        control[0][:, self.actuators] = self.u[:, self.columns]
+        state = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        states, _ = rollout.rollout(self.model, self.data, state, control)
+        kept = np.vstack([state, states[0][self.each - 1 :: self.each]])
+        nq, nv = self.model.nq, self.model.nv
+        z, dz = kept[:, 1 : 1 + nq][:, self.lead], kept[:, 1 + nq : 1 + nq + nv][:, self.lead]
+        return z, dz, np.full_like(z, np.nan)
+
+    def stepped(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, step by step, with what is carried, the tracking loop and joints that are moved as recorded."""
+        d, model, lead = self.data, self.model, self.lead
+        m, per = len(lead), self.each
+        z, dz, tracking = (np.full((self.n, m), np.nan) for _ in range(3))
+        at = self.t / (per * self.h)
+        k = np.minimum(at.astype(int), self.n - 2)
+        where = self.recorded[k] + (at - k)[:, None] * (self.recorded[k + 1] - self.recorded[k])
+        dt = per * self.h
+        slope = np.gradient(self.recorded, dt, axis=0)
+        rate = slope[k] + (at - k)[:, None] * (slope[k + 1] - slope[k])
+        stiff, damp = self._gains()
+        state, out, loop = np.zeros((m, 4)), np.zeros((m, 5)), np.zeros(m)
+        z[0], dz[0], tracking[0] = d.qpos[lead], d.qvel[lead], loop
+        u, applied = self.u, np.zeros(m)
+        for i in range(len(self.t)):
+            q, v = d.qpos[lead], d.qvel[lead]
+            if self.torque.any():
+                loop = np.where(self.torque, stiff * (where[i] - q) + damp * (rate[i] - v), 0.0)
+                applied = loop
+            inputs = u[i]
+            if self.carried:
+                act(self.slots, self.native, self.zero, inputs * self.factor, q, v, self._load(), self.t[i], self.h, state, out)
+                model.dof_frictionloss[lead] = out[:, 0]
+                applied = loop + out[:, 1]
+                inputs = np.where(self.torque, inputs, out[:, 2] / self.factor)
+                if self.limits:
+                    self._limit(out)
+            d.ctrl[self.actuators] = inputs[self.columns]
+            d.qfrc_applied[lead] = applied
+            if self.imposed.any():
+                d.qpos[lead[self.imposed]], d.qvel[lead[self.imposed]] = where[i][self.imposed], rate[i][self.imposed]
+            mujoco.mj_step(model, d)
+            if (i + 1) % per == 0:
+                row = (i + 1) // per
+                z[row], dz[row], tracking[row] = d.qpos[lead], d.qvel[lead], loop
+                if not np.isfinite(z[row]).all():
+                    break
+        return z, dz, np.where(self.torque, tracking, np.nan)
 
     def _activate(self) -> None:
         """Filtered and integrated commands start where the joint is, or at the first command."""
@@ -134,54 +173,15 @@ class _Run:
             if d is not None and self.model.actuator_actadr[d.actuator] >= 0 and self.model.actuator_actnum[d.actuator] > 0:
                 at = int(self.model.actuator_actadr[d.actuator])
                 start = d.gear * self.recorded[0, d.joint] / d.servo.scale
-                self.data.act[at] = start if d.servo.target is Target.INTEGRATED else self.inputs.first[0, d.joint]
+                self.data.act[at] = start if d.servo.target is Target.INTEGRATED else self.u[0, d.joint]
 
-    def _gains(self) -> None:
-        """Tracking loop (m,): M_jj w^2 and 2 M_jj w, critically damped."""
+    def _gains(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness and damping (m,) of the tracking loop: M_jj w^2 and 2 M_jj w, critically damped."""
         M = np.zeros((self.model.nv, self.model.nv))
         mujoco.mj_fullM(self.model, self.data, M)
         inertia = np.einsum("im,ij,jm->m", self.robot.tie, M, self.robot.tie)
         w = 2 * math.pi * TRACKING
-        self.stiff, self.damp = inertia * w**2, 2 * inertia * w
-
-    def position(self) -> np.ndarray:
-        """Position (m,) of the independent joints."""
-        return np.asarray(self.data.qpos[self.lead])
-
-    def velocity(self) -> np.ndarray:
-        """Velocity (m,) of the independent joints."""
-        return np.asarray(self.data.qvel[self.lead])
-
-    def given(self) -> np.ndarray:
-        """Torque (m,) of the tracking loop, NaN at servos."""
-        return np.where(self.torque, self.loop, np.nan) if hasattr(self, "loop") else np.where(self.torque, 0.0, np.nan)
-
-    def step(self, t: float, k: int) -> None:
-        """One step about the time t, between the samples k and k + 1."""
-        d, model = self.data, self.model
-        q, v = d.qpos[self.lead], d.qvel[self.lead]
-        u = self.inputs.at(t - self.delay)
-        applied = np.zeros(len(q))
-        f = t / self.dt - k
-        where, rate = (x[k] + f * (x[k + 1] - x[k]) for x in (self.recorded, self.rate))
-        if self.torque.any():
-            self.loop = self.stiff * (where - q) + self.damp * (rate - v)
-            applied += np.where(self.torque, self.loop, 0.0)
-        if self.carried:
-            act(self.slots, self.native, self.zero, u * self.factor, q, v, self._load(), t, self.h, self.state, self.out)
-            model.dof_frictionloss[self.lead] = self.out[:, 0]
-            applied += self.out[:, 1]
-            u = np.where(self.servo, self.out[:, 2] / self.factor, u)
-            if self.limits:
-                self._limit()
-        for j, a in enumerate(self.actuators):
-            if a >= 0:
-                d.ctrl[a] = u[j]
-        d.qfrc_applied[self.lead] = applied
-        if self.imposed.any():
-            for array, value in ((d.qpos, where), (d.qvel, rate)):
-                array[self.lead[self.imposed]] = value[self.imposed]
-        mujoco.mj_step(model, d)
+        return inertia * w**2, 2 * inertia * w
 
     def _load(self) -> np.ndarray:
         """Torque (m,) that the links need: gravity and velocity terms, and inertia without the joint's armature."""
@@ -190,13 +190,13 @@ class _Run:
         inertia -= self.model.dof_armature * self.data.qacc
         return np.asarray((self.data.qfrc_bias + inertia - self.data.qfrc_gravcomp) @ self.robot.tie)
 
-    def _limit(self) -> None:
+    def _limit(self, out: np.ndarray) -> None:
         """Force ranges of the actuators of joints whose limit is carried."""
-        for j, a in enumerate(self.actuators):
-            if a >= 0 and math.isfinite(self.out[j, 4]):
+        for j, a in zip(self.columns, self.actuators, strict=True):
+            if math.isfinite(out[j, 4]):
                 g = abs(float(self.robot.gear[j]))
                 self.model.actuator_forcelimited[a] = 1
-                self.model.actuator_forcerange[a] = self.out[j, 3] / g, self.out[j, 4] / g
+                self.model.actuator_forcerange[a] = out[j, 3] / g, out[j, 4] / g
 
 
 def _actuators(robot: Robot) -> list[int]:

@@ -22,7 +22,8 @@ __all__ = ["JointDrive", "has_servos", "joint_drives"]
 class JointDrive:
     """The servo of one joint.
 
-    actuator: its index; servo: its law as the file has it; gear: joint torque over actuator force; slots (K,): the joint as the file has
+    actuator: its index; servo: its law as the file has it; gear: joint torque over actuator force; slots (K,): the joint as
+    the file has
     it, at the joint; delay [s] of the actuator in the file.
     """
 
@@ -38,7 +39,8 @@ class JointDrive:
         return self.servo.target is Target.VELOCITY
 
     def target(self, command: np.ndarray, dt: float, start: float) -> np.ndarray:
-        """Command (N,) as a position [rad | m] or velocity of the joint; the integral of one that is integrated, from ``start``."""
+        """Command (N,) as a position [rad | m] or velocity of the joint; the integral of one that is integrated, from
+        ``start``."""
         clipped = self.servo.scale * np.clip(command, self.servo.low, self.servo.high) / self.gear
         if self.servo.target is Target.INTEGRATED:
             return start + np.concatenate([[0.0], np.cumsum(clipped[:-1]) * dt])

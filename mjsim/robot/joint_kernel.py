@@ -4,7 +4,8 @@
 
 M(t): inertia that joint j sees along the recorded motion; b: torque that the links need beside M q'', to first order in the
 deviation of q and q' from the recording. One step takes the linear part by the implicit midpoint rule and dry friction by its
-proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact and dry friction (1988)). It is of second order between
+proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact and dry friction (1988)). It is of second order
+between
 events.
 
 A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out.
@@ -27,7 +28,8 @@ SLOTS = (
     "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
 )  # fmt: skip
 SLOT = {name: k for k, name in enumerate(SLOTS)}
-(KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD, LOAD_BACK,
+(KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD,
+LOAD_BACK,
  QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
  DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE) = range(len(SLOTS))  # fmt: skip
 
@@ -41,7 +43,7 @@ def empty() -> np.ndarray:
 
 
 @compiled(error_model="numpy", inline="always")
-def friction_level(p, q, v, load, t):  # type: ignore[no-untyped-def]
+def friction_level(p, q, v, load, t):
     """Dry friction for motion upwards and downwards, before the asymmetry."""
     level = p[FRICTION]
     if p[EXTRA] != 0.0:
@@ -60,7 +62,7 @@ def friction_level(p, q, v, load, t):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy", inline="always")
-def body_torque(p, q):  # type: ignore[no-untyped-def]
+def body_torque(p, q):
     """Torque against motion that depends on the position, without the spring's stiffness."""
     T = p[PRELOAD]
     if p[ORDER] != 0.0:
@@ -74,7 +76,7 @@ def body_torque(p, q):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy", inline="always")
-def _drive(p, velocity, r, q, v):  # type: ignore[no-untyped-def]
+def _drive(p, velocity, r, q, v):
     """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state."""
     if velocity:
         constant, stiff, damp = p[KV] * (r - p[ZERO]), 0.0, p[KV]
@@ -106,11 +108,13 @@ def _drive(p, velocity, r, q, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):  # type: ignore[no-untyped-def]
+def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):
     """Write position and velocity (N,) of all recordings, one after the other, into q and v.
 
-    p: slots (K,); velocity: whether the command is one; starts (R + 1,): where each recording begins; first, slope (N,): command at the
-    start of each sample and its slope over it; series (N, 10): inertia, b, db/dq, db/dq', |load| as a signed torque, recorded position and
+    p: slots (K,); velocity: whether the command is one; starts (R + 1,): where each recording begins; first, slope (N,):
+    command at the
+    start of each sample and its slope over it; series (N, 10): inertia, b, db/dq, db/dq', |load| as a signed torque, recorded
+    position and
     velocity, and inertia, torque and its db/dq of a unit payload; dt [s]; each: steps per sample.
     """
     h = dt / each
@@ -132,7 +136,8 @@ def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):  # typ
             )
             load0, load1 = p[SCALE] * series[k, 4], p[SCALE] * series[k + 1, 4]
             if p[PAYLOAD] != 0.0:
-                M0, b0, bq0, load0 = (M0 + p[PAYLOAD] * series[k, 7], b0 + p[PAYLOAD] * series[k, 8], bq0 + p[PAYLOAD] * series[k, 9],
+                M0, b0, bq0, load0 = (M0 + p[PAYLOAD] * series[k, 7], b0 + p[PAYLOAD] * series[k, 8],
+                    bq0 + p[PAYLOAD] * series[k, 9],
                                       load0 + p[PAYLOAD] * series[k, 8])  # fmt: skip
                 M1, b1, bq1, load1 = (
                     M1 + p[PAYLOAD] * series[k + 1, 7], b1 + p[PAYLOAD] * series[k + 1, 8], bq1 + p[PAYLOAD] * series[k + 1, 9],
@@ -144,22 +149,30 @@ def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):  # typ
                 f = (i + 0.5) / each
                 g = 1.0 - f
                 t = (k - a + f) * dt
-                at = k - a + f - late
-                if at <= 0.0:
+                # mean of the command over the step, which its arrival may divide
+                at = k - a + i / each - late
+                n = int(at) if at >= 0.0 else 0
+                part = min(max((n + 1 - at) * each, 0.0), 1.0)
+                if at <= -1.0 / each:
                     c = first[a]
                 else:
-                    n = int(at)
-                    c = first[a + n] + slope[a + n] * (at - n) * dt
+                    at = max(at, 0.0)
+                    c = first[a + n] + slope[a + n] * (at - n + 0.5 * part / each) * dt
+                    if part < 1.0:
+                        c = part * c + (1.0 - part) * (first[a + n + 1] + slope[a + n + 1] * 0.5 * (1.0 - part) / each * dt)
                 if p[LAG] > 0.0:
+                    before = lagged
                     lagged += (c - lagged) * forget
-                    c = lagged
+                    c = 0.5 * (before + lagged)
                 if p[SLEW] > 0.0:
+                    before = r
                     r += min(max(c - r, -p[SLEW] * h), p[SLEW] * h)
+                    goal = 0.5 * (before + r)
                 else:
-                    r = c
+                    goal = c
                 M = g * M0 + f * M1 + p[ARMATURE]
                 bq, bv, bias, load = g * bq0 + f * bq1, g * bv0 + f * bv1, g * b0 + f * b1, g * load0 + f * load1
-                constant, stiff, damp = _drive(p, velocity, r, x, w)
+                constant, stiff, damp = _drive(p, velocity, goal, x, w)
                 F = constant - bias - body_torque(p, x)
                 K = stiff + bq + p[SPRING]
                 D = damp + bv + p[DAMPING] + p[QUADRATIC] * abs(w)

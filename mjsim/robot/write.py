@@ -22,6 +22,7 @@ from mjsim.mjcf.compile import compile_file, save_compiled
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.robot.inertia import to_body
 from mjsim.robot.model import Robot, load_robot
+from mjsim.robot.write_servo import NewServo, write_servos
 
 __all__ = ["CUSTOM", "carried_effects", "write_robot"]
 
@@ -36,13 +37,15 @@ def write_robot(
     links: np.ndarray,
     joints: Mapping[str, Mapping[str, float]],
     effects: Sequence[Mapping[str, Any]],
+    servos: Sequence[NewServo] = (),
 ) -> None:
     """Write a corrected copy of an MJCF.
 
     links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
     damping, frictionloss, stiffness, springref and quadratic damping [SI] to write; effects: what MJCF has no element for,
     as JSON values, read back by
-    `carried_effects`. Raises InputError where the file cannot be written, or holds a link or joint in an included file.
+    `carried_effects`; servos: actuators to change. Raises InputError where the file cannot be written, or holds a link or
+    joint in an included file.
     """
     xml = XmlText(source.read_text(encoding="utf-8"))
     model = robot.model
@@ -53,6 +56,7 @@ def write_robot(
     for name, values in joints.items():
         for key, text in _attributes(values, degrees and _is_hinge(model, robot, name), float(model.opt.timestep)).items():
             xml.set(_joint(xml, source, robot, name), key, text)
+    write_servos(xml, source, model, list(servos))
     _drop(xml)
     if effects:
         xml.append(xml.root, _custom(effects))

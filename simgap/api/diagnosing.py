@@ -307,14 +307,15 @@ def _robot(
 
 
 def _need_effects(names: Sequence[str], *, robot: bool) -> None:
-    """Refuse identifiers that are not known, or that a robot's force cannot tell. Raises InputError."""
-    from diagnose.robot.laws import identifiers
+    """Refuse identifiers that are not known, or that no robot's log tells. Raises InputError."""
+    from diagnose.robot.laws import identifiers as by_force
+    from diagnose.robot.servos.library import identifiers as by_command
 
-    choices = identifiers() if robot else tuple(registered())
+    choices = tuple(dict.fromkeys((*by_force(), *by_command()))) if robot else tuple(registered())
     for name in names:
         if name in choices:
             continue
         if robot and name in registered():
-            raise InputError("--effects", f"effect {name!r} cannot be told by force", ", ".join(choices), "correct the name")
+            raise InputError("--effects", f"effect {name!r} cannot be told of a robot", ", ".join(choices), "correct the name")
         advice = nearest(name, choices, "simgap effects lists them")
         raise InputError("--effects", f"unknown effect {name!r}", ", ".join(choices), advice)

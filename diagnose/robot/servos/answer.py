@@ -1,4 +1,5 @@
-"""From the search at a servo joint to an answer: findings with intervals, the joint's own numbers, verdict, and changes in words."""
+"""From the search at a servo joint to an answer: findings with intervals, the joint's own numbers, verdict, and changes in
+words."""
 
 from __future__ import annotations
 
@@ -10,10 +11,10 @@ import numpy as np
 from diagnose.evidence.held_out import compare
 from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotFinding, Trace
-from diagnose.robot.servos.fit import Fit, Number, covariance, slots_of
+from diagnose.robot.servos.fit import Fit, Number, covariance, fit, slots_of
 from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.remains import black_box
-from diagnose.robot.servos.search import JointSearch, Structure, held_out
+from diagnose.robot.servos.search import QUICK, JointSearch, Structure, held_out
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
 
@@ -78,7 +79,7 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     found = tuple(_finding(s, law, V) for law in s.now.laws)
     remains = black_box(p, s.now.fit)
     verdict = _verdict(s, given, bool(found), remains)
-    fit = {"nominal": figures(s, given), "refitted": figures(s, s.refitted.fit), "corrected": figures(s, s.now.fit)}
+    errors = {"nominal": figures(s, given), "refitted": figures(s, s.refitted.fit), "corrected": figures(s, s.now.fit)}
     refused = tuple(f"{k}: {v}" for k, v in s.refusals.items() if k not in {x.key for x in s.now.laws})
     motion = Motion.SLIDE if p.slide else Motion.HINGE
     own = {OWN[n.slot][0]: _estimate(p, n, float(x), float(V[i, i]), motion)
@@ -86,7 +87,8 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     own |= _ratios(s, V, motion)
     nominal = {OWN[n.slot][0]: _file_value(s, n) for n in s.now.fit.numbers if n.slot in OWN}
     return JointResult(
-        p.name, "m" if p.slide else "rad", verdict, _sentence(verdict, fit["corrected"], remains, borrowed, p.slide), found, fit, own,
+        p.name, "m" if p.slide else "rad", verdict, _sentence(verdict, errors["corrected"], remains, borrowed, p.slide), found,
+        errors, own,
         {**nominal}, remains, refused, tuple(_traces(s, given)),
     )  # fmt: skip
 
@@ -188,19 +190,36 @@ def _sentence(verdict: Verdict, fit: FitFigures, remains: tuple[float, float], b
 
 
 def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...]:
-    """In words, which of the file's numbers at this joint differ; ratios only where the scale is not told."""
+    """In words, which of the file's numbers at this joint differ.
+
+    One differs when its interval leaves the file's value out and the held-out error grows, by more than
+    `RobotOptions.material` of its
+    square, with the number held at the file's value and all others refitted.
+    """
     if result.verdict is Verdict.NO_MISMATCH:
         return ()
     out = []
-    for name, e in result.linear_parameters.items():
-        if name not in result.nominal_parameters:
+    for n in s.now.fit.numbers:
+        name = OWN[n.slot][0] if n.slot in OWN else ""
+        if name not in result.nominal_parameters or name not in result.linear_parameters:
             continue
-        was = result.nominal_parameters[name]
-        if e.ci95[0] <= was <= e.ci95[1] or (not scale.told and name == "armature"):
+        e, was = result.linear_parameters[name], result.nominal_parameters[name]
+        own = n.slot in {x.slot for law in s.now.laws for x in law.numbers}
+        if own or e.ci95[0] <= was <= e.ci95[1] or (not scale.told and n.slot == "armature") or not _matters(s, n, was):
             continue
-        only = "" if scale.told or name == "zero" else " (by the scale that is assumed)"
+        only = "" if scale.told or n.slot == "zero" else " (by the scale that is assumed)"
         out.append(f"{name} of {result.joint}: {was:.4g} -> {e.value:.4g} {e.unit} [{e.ci95[0]:.4g}, {e.ci95[1]:.4g}]{only}")
     return tuple(out)
+
+
+def _matters(s: JointSearch, n: Number, was: float) -> bool:
+    """Whether a number held at the file's value costs held-out error, all others refitted."""
+    others = tuple(x for x in s.now.fit.numbers if x is not n)
+    base = slots_of(s.problem, (n,), np.array([n.coded(was)]), s.now.fit.slots)
+    less = fit(s.problem, others, base, s.weights, QUICK)
+    difference = less.error - s.now.fit.error
+    test = compare(*(held_out(s.problem, x.error, s.weights, difference, s.now.fit.error) for x in (less, s.now.fit)))
+    return test.relative_gain > s.options.material and test.p_value < s.options.p_enter
 
 
 def _traces(s: JointSearch, given: Fit) -> list[Trace]:

@@ -1,6 +1,7 @@
 """Least squares of one joint's free run: Levenberg-Marquardt on scaled numbers, the samples weighted by recording.
 
-Positive numbers are fitted as their logarithm. Differences are wide (1 % of a number), since a run that sticks and slips is rough at
+Positive numbers are fitted as their logarithm. Differences are wide (1 % of a number), since a run that sticks and slips is
+rough at
 small scale. Source: J. Nocedal, S. J. Wright, Numerical Optimization (2006), ch. 10.
 """
 
@@ -42,7 +43,8 @@ BOUND = 12.0  # of a logarithm: a factor of 1.6e5 from the start of a fit
 
 @dataclass(frozen=True)
 class Number:
-    """One free number: slot that it fills; log: fitted as its logarithm; scale of one that is not [its unit]; lower, upper bounds.
+    """One free number: slot that it fills; log: fitted as its logarithm; scale of one that is not [its unit]; lower, upper
+    bounds.
 
     prior: coded value and its standard deviation, None for a flat one.
     """
@@ -68,7 +70,8 @@ class Number:
 class Fit:
     """A fitted structure: numbers, their coded values x (P,), slots (K,), error (N,) [rad | m] and weighted sum of squares.
 
-    weights (R,): of each recording's errors, sqrt(share of independent samples) / rms [1/rad | 1/m]; sse has the prior's part in it.
+    weights (R,): of each recording's errors, sqrt(share of independent samples) / rms [1/rad | 1/m]; sse has the prior's part
+    in it.
     """
 
     numbers: tuple[Number, ...]
@@ -86,7 +89,8 @@ class Fit:
 def slots_of(problem: JointProblem, numbers: Sequence[Number], x: np.ndarray, base: np.ndarray) -> np.ndarray:
     """Slots (K,) with these numbers in the place of those of ``base``.
 
-    "damp" is the sum of kv and the joint's damping, which act alike: the joint keeps what the file gives it as long as the sum allows.
+    "damp" is the sum of kv and the joint's damping, which act alike: the joint keeps what the file gives it as long as the sum
+    allows.
     """
     p = base.copy()
     for number, value in zip(numbers, x, strict=True):
@@ -127,7 +131,8 @@ def independent(e: np.ndarray, dt: float, difference: np.ndarray | None = None) 
 
 
 def weights_by_recording(problem: JointProblem, error: np.ndarray) -> np.ndarray:
-    """sqrt(share of independent samples) / sqrt(rms of all^2 + rms of the recording^2) (R,) of errors (N,), of the fitted samples.
+    """sqrt(share of independent samples) / sqrt(rms of all^2 + rms of the recording^2) (R,) of errors (N,), of the fitted
+    samples.
 
     A recording that a model misses counts less; none counts more for being met well, since that is a matter of its motion.
     """
@@ -152,7 +157,8 @@ def _prior(numbers: Sequence[Number], x: np.ndarray) -> np.ndarray:
 def jacobian(
     problem: JointProblem, numbers: Sequence[Number], x: np.ndarray, base: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
-    """Derivatives (n + priors, P) of the weighted errors of the fitted samples, by wide central differences, then of the priors."""
+    """Derivatives (n + priors, P) of the weighted errors of the fitted samples, by wide central differences, then of the
+    priors."""
     J = np.empty((int(problem.fitted.sum()), len(numbers)))
     for k in range(len(numbers)):
         ends = []
@@ -222,7 +228,8 @@ def counted(problem: JointProblem, found: Fit, weights: np.ndarray) -> Fit:
 
 
 def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
-    """Covariance (P, P) of the coded numbers, cluster-robust over blocks of `BLOCK`, prior included; at least that of the weights.
+    """Covariance (P, P) of the coded numbers, cluster-robust over blocks of `BLOCK`, prior included; at least that of the
+    weights.
 
     Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13.
     """
@@ -243,5 +250,6 @@ def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
     prior = J[n:].T @ J[n:]
     inverse = np.linalg.inv(H)
     robust = inverse @ (few * scores.T @ scores + prior) @ inverse
-    larger = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    least = np.diag(inverse)
+    larger = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-12 * least), 1.0))
     return np.asarray(robust * np.outer(larger, larger))

@@ -161,7 +161,7 @@ def _friction(s: Scales) -> list[ServoLaw]:
 
 def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
     laws = [
-        ServoLaw("time_delay", "actuator", (Number("delay", lower=1e-4 * s.dt, upper=0.5),), tuple({"delay": c * s.dt} for c in (0.5, 2.0)),
+        ServoLaw("time_delay", "actuator", (Number("delay", lower=1e-4 * s.dt, upper=0.5),), tuple({"delay": c * s.dt} for c in (0.5, 1.5, 4.0)),
                  lambda x: {"delay_s": (x["delay"], Quantity.TIME)}, "The command acts later than it is logged."),
         ServoLaw("actuator_lag", "actuator", (Number("lag", lower=0.01 * s.dt, upper=1.0),), tuple({"lag": c * s.dt} for c in (0.7, 3.0)),
                  lambda x: {"time_constant_s": (x["lag"], Quantity.TIME)}, "The servo's target follows the command with a lag."),

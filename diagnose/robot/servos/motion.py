@@ -1,4 +1,5 @@
-"""Recordings of a servo robot as each joint's own problem: series of what it carries, command, position, and which samples count."""
+"""Recordings of a servo robot as each joint's own problem: series of what it carries, command, position, and which samples
+count."""
 
 from __future__ import annotations
 
@@ -70,7 +71,8 @@ def _moves(q: np.ndarray) -> bool:
 
 
 def smoothed(robot: Robot, r: RobotRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the noise."""
+    """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the
+    noise."""
     from scipy.signal import butter, sosfiltfilt, welch
 
     raw = r.positions(robot)
@@ -102,7 +104,8 @@ class JointProblem:
     """One joint in all recordings, one after the other (N samples).
 
     starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10): see
-    `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,): the file's
+    `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,):
+    the file's
     slots; sources: file and role of each recording; which (R,):
     index of each among the recordings of the diagnosis; slide: whether it is no hinge.
     """
@@ -162,7 +165,8 @@ class JointProblem:
         )  # fmt: skip
 
     def windows(self, most: int) -> JointProblem:
-        """About ``most`` samples in windows of `WINDOW`, spread over the fitted samples; each begins at rest where it is measured.
+        """About ``most`` samples in windows of `WINDOW`, spread over the fitted samples; each begins at rest where it is
+        measured.
 
         The first `UNSETTLED` of a window is not counted. The problem itself where it is no longer.
         """
@@ -181,7 +185,8 @@ class JointProblem:
         if len(whole.angle) <= most or size < 4 * skip:
             return whole
         begins = [
-            (k, b) for k in range(len(whole.sources)) for b in range(int(whole.starts[k]), int(whole.starts[k + 1]) - size + 1, size)
+            (k, b) for k in range(len(whole.sources)) for b in range(int(whole.starts[k]), int(whole.starts[k + 1]) - size + 1,
+            size)
             if whole.fitted[b : b + size].any()
         ]  # fmt: skip
         few = max(1, most // size)
@@ -195,7 +200,8 @@ class JointProblem:
         for b in starts[:-1]:
             fitted[b : b + skip] = False
         return dataclasses.replace(
-            whole, starts=starts, first=whole.first[at], slope=whole.slope[at], series=series, angle=whole.angle[at], fitted=fitted,
+            whole, starts=starts, first=whole.first[at], slope=whole.slope[at], series=series, angle=whole.angle[at],
+            fitted=fitted,
             held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), which=whole.which[[k for k, _ in chosen]],
         )  # fmt: skip
 
@@ -211,7 +217,13 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
     drive = joint_drives(robot)[j]
     assert drive is not None
     dt = motions[0].recording.dt
-    firsts, slopes, series, angles, fitted, held, sources = [], [], [], [], [], [], []
+    firsts: list[np.ndarray] = []
+    slopes: list[np.ndarray] = []
+    series: list[np.ndarray] = []
+    angles: list[np.ndarray] = []
+    fitted: list[np.ndarray] = []
+    held: list[np.ndarray] = []
+    sources: list[tuple[str, str]] = []
     for m in motions:
         r = m.recording
         k = r.joints.index(name)
@@ -227,13 +239,16 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         one[0, 5] = q[0]  # the run starts where the joint is measured
         counts = np.full(n, _moves(q))
         apart = (np.arange(n) * BLOCKS // n) % EVERY == EVERY - 1 if split else np.full(n, m.held)
-        firsts.append(first), slopes.append(slope), series.append(one), angles.append(q)
-        fitted.append(counts & ~apart), held.append(counts & apart)
+        for group, values in (
+            (firsts, first), (slopes, slope), (series, one), (angles, q), (fitted, counts & ~apart), (held, counts & apart),
+        ):  # fmt: skip
+            group.append(values)
         sources.append((r.source, "held_out" if m.held else "estimation"))
     sizes = [len(a) for a in angles]
     q = np.concatenate(angles)
     return JointProblem(
         j, name, drive, dt, max(FEWEST_STEPS, math.ceil(dt / STEP)), np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         np.concatenate(firsts), np.concatenate(slopes), np.concatenate(series), q, np.concatenate(fitted), np.concatenate(held),
-        float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(sources)), robot.motions[j] is Kind.SLIDE,
+        float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(sources)),
+        robot.motions[j] is Kind.SLIDE,
     )  # fmt: skip

@@ -1,4 +1,5 @@
-"""The diagnosis of a servo robot from commands and positions, stage by stage: series, fits, search at each joint, scale, answer."""
+"""The diagnosis of a servo robot from commands and positions, stage by stage: series, fits, search at each joint, scale,
+answer."""
 
 from __future__ import annotations
 
@@ -84,7 +85,8 @@ def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOp
             raise InputError("--joint", f"joint {name!r} is not in the model", f"one of {near}", "correct the name")
         if name not in found:
             raise InputError(
-                recordings[0].source, f"joint {name!r} does not move, or has no servo, command or position", "a servo joint that moves",
+                recordings[0].source, f"joint {name!r} does not move, or has no servo, command or position",
+                "a servo joint that moves",
                 "name another joint",
             )  # fmt: skip
     return tuple(n for n in robot.joints if n in (options.joints or found))
@@ -95,7 +97,8 @@ def _enough(p: JointProblem, count: int) -> bool:
     enough = min(int(p.fitted.sum()), int(p.held.sum())) >= FEWEST
     if not enough and count == 1:
         raise InputError(
-            p.sources[0][0], f"{int(p.fitted.sum())} fitted and {int(p.held.sum())} held-out samples of {p.name!r} in recordings in which it "
+            p.sources[0][0],
+            f"{int(p.fitted.sum())} fitted and {int(p.held.sum())} held-out samples of {p.name!r} in recordings in which it "
             "moves", f"at least {FEWEST} each", "give recordings in which it moves on both sides",
         )  # fmt: skip
     return enough

@@ -1,6 +1,7 @@
 """What is still predictable of a servo joint's position error: a black-box regression, judged on held-out samples.
 
-The dictionary holds functions of the command and of the simulated motion at several lags: nothing of the measured position of the joint
+The dictionary holds functions of the command and of the simulated motion at several lags: nothing of the measured position of
+the joint
 itself, so that what it predicts is structure that the model lacks.
 """
 
@@ -58,9 +59,8 @@ def black_box(problem: JointProblem, fit: Fit) -> tuple[float, float]:
     c = np.linalg.solve(A.T @ A + RIDGE * np.eye(A.shape[1]), A.T @ (each * fit.error)[problem.fitted])
     predicted = D @ (c / norm)
     before = held_out(problem, fit.error, fit.weights)
-    left = np.concatenate([
-        ((fit.error - predicted)[problem.part(k)][problem.held[problem.part(k)]]) * fit.weights[k] for k in range(len(problem.sources))
-    ])  # fmt: skip
+    left_over, runs = fit.error - predicted, [(problem.part(k), w) for k, w in enumerate(fit.weights)]
+    left = np.concatenate([left_over[part][problem.held[part]] * w for part, w in runs])
     edges = np.cumsum(before.n)[:-1]
     after = HeldOut(left, np.array([float(p @ p) for p in np.split(left, edges)]), before.n, 0.0, 0.0)
     test = compare(before, after)

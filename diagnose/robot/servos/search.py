@@ -1,7 +1,9 @@
 """Which effects one servo joint has: forward selection, refinement, exchange and removal, each step held to unseen samples.
 
-A law is screened by what a run with it, at one of its starts, explains of the error beside the free numbers; the few best are fitted with
-all numbers free. One enters when it gains on the fitted samples (extended BIC), is physical, takes enough off the held-out squared error
+A law is screened by what a run with it, at one of its starts, explains of the error beside the free numbers; the few best are
+fitted with
+all numbers free. One enters when it gains on the fitted samples (extended BIC), is physical, takes enough off the held-out
+squared error
 and passes the paired block tests at a level that counts all laws of all joints.
 """
 
@@ -31,7 +33,7 @@ from diagnose.robot.servos.library import ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["ALIKE", "JointSearch", "Structure", "held_out", "own_numbers", "refit_with", "search_joint", "start_fit"]
+__all__ = ["ALIKE", "QUICK", "JointSearch", "Structure", "held_out", "own_numbers", "refit_with", "search_joint", "start_fit"]
 
 FINALISTS = 5  # laws that are fitted, by what the screening promises
 PROMISING = 0.25  # of what is needed to enter: a promise is that of one start alone
@@ -106,7 +108,8 @@ class JointSearch:
         return self.now.fit.weights
 
     def multiplicity(self, law: ServoLaw) -> float:
-        """What a p-value is multiplied by: half of the level for the commonest law at any joint, half for all others at all joints.
+        """What a p-value is multiplied by: half of the level for the commonest law at any joint, half for all others at all
+        joints.
 
         Source: C. R. Genovese, K. Roeder, L. Wasserman, Biometrika 93 (2006) 509.
         """
@@ -164,7 +167,8 @@ class JointSearch:
         if step.gain < self.entry / ease:
             return f"gains {step.gain:.1f} on the fitted samples, {self.entry / ease:.1f} needed"
         if step.held.relative_gain < self.options.material / ease:
-            return f"takes {100 * step.held.relative_gain:.1f} % off the held-out squared error, {100 * self.options.material:g} % needed"
+            taken, needed = 100 * step.held.relative_gain, 100 * self.options.material
+            return f"takes {taken:.1f} % off the held-out squared error, {needed:g} % needed"
         p = min(1.0, step.held.p_value * self.multiplicity(law))
         if p > self.options.p_enter * ease:
             return f"held-out p = {p:.2g} over all joints and laws, {self.options.p_enter:g} needed"
@@ -182,7 +186,8 @@ class JointSearch:
 
 
 def held_out(
-    problem: JointProblem, error: np.ndarray, weights: np.ndarray, difference: np.ndarray | None = None, left: np.ndarray | None = None
+    problem: JointProblem, error: np.ndarray, weights: np.ndarray, difference: np.ndarray | None = None,
+    left: np.ndarray | None = None
 ) -> HeldOut:  # fmt: skip
     """Held-out errors in blocks three times as long as they remember, weighted by recording."""
     errors, sse, count, squares, spread = [], [], [], 0.0, 0.0
@@ -249,7 +254,8 @@ def _free(numbers: Sequence[Number], laws: Sequence[ServoLaw]) -> tuple[Number, 
 
 
 def start_fit(problem: JointProblem, numbers: tuple[Number, ...]) -> Fit:
-    """The fit without effects, in the weights of its own errors: the best of starts at the file, at softer gains and at a regression."""
+    """The fit without effects, in the weights of its own errors: the best of starts at the file, at softer gains and at a
+    regression."""
     p = problem.nominal
     weights = weights_by_recording(problem, problem.error(p))
     part = problem.windows(THIN)
@@ -274,7 +280,8 @@ def regressed(problem: JointProblem, friction: bool) -> np.ndarray | None:
 
         target - q = (tau + armature q'' + damp q' + F sign q') / kp + zero
 
-    tau: what the links need. Errors are those of the command and the position at one instant, so that it is a start and no answer.
+    tau: what the links need. Errors are those of the command and the position at one instant, so that it is a start and no
+    answer.
     """
     if problem.drive.velocity:
         return None
@@ -368,7 +375,8 @@ def _with(s: JointSearch, law: ServoLaw, start: dict[str, float], base: np.ndarr
 def _screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tuple[float, ServoLaw, np.ndarray]]:
     """(promised gain less the price, law, slots of its best start), most first.
 
-    A run at a start is one direction d of the error; what it explains beside the free numbers is (d'r)^2 / d'd, all projected on what their
+    A run at a start is one direction d of the error; what it explains beside the free numbers is (d'r)^2 / d'd, all projected
+    on what their
     derivatives do not span.
     """
     part = s.problem.windows(THIN)

@@ -1,0 +1,222 @@
+"""Servo robots by command and position: a plant that shares no code conceals one thing, the diagnosis names it at its joint."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.result import Verdict
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.servos.fit import Number, slots_of, start_of
+from diagnose.robot.servos.motion import joint_problem, prepare, resolution
+from diagnose.robot.servos.pipeline import diagnose_servos
+from lab.robot.arm import three_axes
+from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, simulate, write_servo_log
+from mjsim.errors import InputError
+from mjsim.robot.along import along
+from mjsim.robot.carried import effect_slots
+from mjsim.robot.closed_loop import closed_loop
+from mjsim.robot.drives import has_servos, joint_drives
+from mjsim.robot.joint_kernel import SLOT
+from mjsim.robot.model import load_robot, robot_from
+from mjsim.robot.recording import RobotRecording, load_robot_recording
+from mjsim.robot.rows import link_rows
+from mjsim.robot.write import carried_effects
+from simgap.robot import diagnose_robot_files
+
+NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
+LAWS = ("coulomb_friction", "servo_deadband", "load_dependent_friction")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """``folder(robot)``: the nominal file and two logs of the robot."""
+
+    def make(robot, seconds=16.0):
+        out = tmp_path_factory.mktemp("servo")
+        (out / "arm.xml").write_text(servo_mjcf(NOMINAL))
+        for seed, name in ((1, "a"), (2, "b")):
+            write_servo_log(robot, out / f"{name}.csv", seed, seconds)
+        return out
+
+    return make
+
+
+def diagnosed(where, effects=LAWS):
+    return diagnose_robot_files(
+        [where / "a.csv"], where / "arm.xml", where / "out", [where / "b.csv"], RobotOptions(effects=effects)
+    )
+
+
+@pytest.fixture(scope="module")
+def rubbing(folder):
+    """Dry friction at the second joint, a servo of two thirds of its gain at the third."""
+    where = folder(NOMINAL.with_servo(1, friction=1.0).with_servo(2, kp=35.0))
+    return where, diagnosed(where)
+
+
+def test_dry_friction_is_named_at_its_joint_and_a_gain_is_a_number(rubbing):
+    _, d = rubbing
+    assert [(f.effect, f.joint) for f in d.findings] == [("coulomb_friction", "joint2")]
+    e = d.findings[0].parameters["torque_Nm"]
+    assert e.ci95[0] < 1.0 < e.ci95[1]
+    assert e.ci95[1] - e.ci95[0] < 0.1
+    assert [d.joints[f"joint{k}"].verdict for k in (1, 2, 3)] == [
+        Verdict.NO_MISMATCH, Verdict.MISSING_PHYSICS, Verdict.PARAMETERS_ONLY,
+    ]  # fmt: skip
+    assert d.joints["joint3"].linear_parameters["kp"].value == pytest.approx(35.0, rel=0.02)
+    assert any(line.startswith("kp of joint3: 50 -> 3") for line in d.changed)
+
+
+def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
+    where, d = rubbing
+    model = mujoco.MjModel.from_xml_path(str(where / "out" / "corrected.xml"))
+    assert model.dof_frictionloss[1] == pytest.approx(1.0, rel=0.02)
+    assert -model.actuator_biasprm[2, 1] == pytest.approx(35.0, rel=0.02)
+    assert carried_effects(where / "out" / "corrected.xml") == []
+    for name in ("joint2", "joint3"):
+        fit = d.joints[name].fit
+        assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
+    # MuJoCo's semi-implicit step leads by half a step: 0.5 ms of motion
+    assert d.joints["joint2"].fit["corrected"].held_out_rms < 6e-4
+    told = json.loads((where / "out" / "diagnosis.json").read_text())
+    assert told["judged_on"]["channel"] == "angle"
+    assert [row["role"] for row in told["closed_loop"]["joints"]["joint2"]] == ["estimation", "held_out"]
+    assert "position under the recorded commands" in (where / "out" / "report.html").read_text()
+
+
+def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):
+    where = folder(NOMINAL.with_servo(2, dead_band=0.03))
+    d = diagnosed(where)
+    assert [(f.effect, f.joint, f.place) for f in d.findings] == [("servo_deadband", "joint3", "actuator")]
+    (carried,) = carried_effects(where / "out" / "corrected.xml")
+    assert carried["parameters"]["half_width_rad"] == pytest.approx(0.03, rel=0.02)
+    fit = d.joints["joint3"].fit
+    assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
+
+
+def test_a_robot_as_in_the_file_has_no_findings(folder):
+    d = diagnosed(folder(NOMINAL))
+    assert d.verdict is Verdict.NO_MISMATCH
+    assert not d.changed
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return robot_from(mujoco.MjModel.from_xml_string(servo_mjcf(NOMINAL)))
+
+
+def recording(robot, seconds=6.0, rate=100.0):
+    t = np.arange(0, seconds, 1 / rate)
+    command = command_for(NOMINAL, np.random.default_rng(4), t)
+    return RobotRecording(t, robot.joints, 1 / rate, simulate(NOMINAL, command, 1 / rate), command=command)
+
+
+def test_what_a_joint_carries_agrees_with_the_regressor(robot):
+    rng = np.random.default_rng(0)
+    z, dz, ddz = (scale * rng.standard_normal((5, 3)) for scale in (0.5, 1.0, 2.0))
+    series = along(robot, z, dz, ddz)
+
+    def torque(z, dz, ddz):
+        return np.einsum("nmlk,lk->nm", link_rows(robot, z, dz, ddz), robot.nominal)
+
+    np.testing.assert_allclose(series.torque, torque(z, dz, ddz), rtol=1e-10, atol=1e-12)
+    for j in range(3):
+        step = np.zeros_like(z)
+        step[:, j] = 1e-5
+        for found, ends in (
+            (series.by_position, (torque(z + step, dz, ddz), torque(z - step, dz, ddz))),
+            (series.by_velocity, (torque(z, dz + step, ddz), torque(z, dz - step, ddz))),
+            (series.inertia, (torque(z, dz, ddz + step), torque(z, dz, ddz - step))),
+        ):
+            np.testing.assert_allclose(found[:, j], (ends[0] - ends[1])[:, j] / 2e-5, rtol=1e-4, atol=1e-4)
+
+
+def test_one_joint_and_all_joints_in_mujoco_run_alike(robot):
+    """Both follow the sealed plant: the kernel exactly to its step, MuJoCo to half a timestep of motion."""
+    r = recording(robot)
+    run = closed_loop(robot, r)
+    assert not run.diverged
+    speed = np.max(np.abs(np.gradient(r.angle, r.dt, axis=0)))
+    assert np.max(np.abs(run.z - r.angle)[50:]) < 2 * speed * float(robot.model.opt.timestep)
+    m = prepare(robot, r, False)
+    for name in robot.joints:
+        p = joint_problem(robot, [m], name, True)
+        assert np.max(np.abs(p.error(p.nominal))[50:]) < 1.5e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "effect"),
+    [
+        ({"dead_band": 0.05}, {"effect": "servo_deadband", "parameters": {"half_width_rad": 0.05}}),
+        ({"slew": 0.3}, {"effect": "velocity_limit", "parameters": {"limit_rad_s": 0.3}}),
+        ({"delay": 0.05}, {"effect": "time_delay", "parameters": {"delay_s": 0.05}}),
+        ({"load": 0.2}, {"effect": "load_dependent_friction", "parameters": {"coefficient": 0.2}}),
+        ({"friction": 0.5, "extra": 0.7, "speed": 0.2},
+         {"effect": "stribeck_friction",
+          "parameters": {"torque_Nm": 0.5, "extra_static_torque_Nm": 0.7, "stribeck_velocity_rad_s": 0.2}}),
+        ({"ripple": 0.8, "order": 9.0},
+         {"effect": "torque_ripple", "parameters": {"amplitude_Nm": 0.8, "cycles_per_rev": 9.0, "phase_rad": 0.0}}),
+        ({"stall": 14.0, "no_load": 2.0},
+         {"effect": "torque_speed_limit", "parameters": {"stall_torque_Nm": 14.0, "no_load_speed_rad_s": 2.0}}),
+    ],
+)  # fmt: skip
+def test_a_law_acts_alike_in_the_sealed_plant_the_kernel_and_mujoco(robot, change, effect):
+    t = np.arange(0, 6.0, 0.01)
+    command = command_for(NOMINAL, np.random.default_rng(4), t)
+    q = simulate(NOMINAL.with_servo(1, **change), command, 0.01)
+    r = RobotRecording(t, robot.joints, 0.01, q, command=command)
+    whole = {**effect, "joint": "joint2"}
+    p = joint_problem(robot, [prepare(robot, r, False)], "joint2", True)
+    slots = p.nominal.copy()
+    for name, value in effect_slots(whole, robot).items():
+        slots[SLOT[name]] = value
+    without = np.sqrt(np.mean(p.error(p.nominal) ** 2))
+    assert np.sqrt(np.mean(p.error(slots) ** 2)) < 0.06 * without
+    run = closed_loop(robot, r, [whole])
+    assert np.sqrt(np.mean((run.z - q)[:, 1] ** 2)) < 0.12 * without
+
+
+def test_the_sum_of_gain_and_damping_is_shared_as_the_file_has_it(robot):
+    p = joint_problem(robot, [prepare(robot, recording(robot), False)], "joint2", True)
+    n = (Number("damp"),)
+    assert float(start_of(n, p.nominal)[0]) == pytest.approx(np.log(8.8))
+    less = slots_of(p, n, np.log([0.5]), p.nominal)
+    assert (less[SLOT["kv"]], less[SLOT["damping"]]) == pytest.approx((0.0, 0.5))
+    more = slots_of(p, n, np.log([9.8]), p.nominal)
+    assert (more[SLOT["kv"]], more[SLOT["damping"]]) == pytest.approx((9.0, 0.8))
+
+
+def test_resolution_is_that_of_the_steps_or_of_the_noise():
+    t = np.arange(2000) * 0.01
+    q = np.sin(0.3 * t)
+    assert resolution(0.01 * np.round(q / 0.01)) == pytest.approx(0.01 / np.sqrt(12), rel=0.2)
+    noisy = q + 1e-3 * np.random.default_rng(1).standard_normal(len(t))
+    assert resolution(noisy) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_bad_servo_logs_are_refused_in_one_line(folder, robot, tmp_path):
+    assert has_servos(robot)
+    assert all(d is not None and not d.velocity for d in joint_drives(robot))
+    r = recording(robot)
+    with pytest.raises(InputError, match="no joint that a servo drives"):
+        diagnose_servos(robot, [dataclasses.replace(r, command=None)])
+    with pytest.raises(InputError, match="one of joint1"):
+        diagnose_servos(robot, [r], options=RobotOptions(joints=("joint1x",)))
+    still = dataclasses.replace(r, angle=np.column_stack([r.angle[:, 0], np.zeros((len(r), 2))]))
+    with pytest.raises(InputError, match="'joint2' does not move"):
+        diagnose_servos(robot, [still], options=RobotOptions(joints=("joint2",)))
+    arm = load_robot_path(tmp_path)
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,joint1x.angle_rad\n0,0\n")
+    with pytest.raises(InputError, match="one of joint1"):
+        load_robot_recording(path, arm)
+
+
+def load_robot_path(where):
+    (where / "arm.xml").write_text(servo_mjcf(NOMINAL))
+    return load_robot(where / "arm.xml")
