@@ -16,7 +16,7 @@ from diagnose.robot.motion import LEAST_MOVED
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from diagnose.robot.servos.motion import resolution
 from diagnose.robot.servos.pipeline import ServoOutcome
-from diagnose.robot.servos.search import JointSearch
+from diagnose.robot.servos.state import JointSearch
 from mjsim.robot.closed_loop import ClosedLoop, closed_loop
 from mjsim.robot.drives import JointDrive
 from mjsim.robot.joint_kernel import SLOT

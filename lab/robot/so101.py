@@ -92,9 +92,7 @@ def main(folder: Path, out: Path, friction: float = 0.052) -> None:
             for f in r.findings
         )
         alone = 1e3 * r.fit["surrogate"].held_out_rms
-        print(
-            f"{name:14s} {nominal:6.1f} -> {corrected:5.1f} mrad, median of {count}; {alone:.1f} alone; {r.verdict.value}: {found}"
-        )
+        print(f"{name:14s} {nominal:6.1f} -> {corrected:5.1f} mrad, of {count}; {alone:.1f} alone; {r.verdict.value}: {found}")
     for line in (*d.changed, *d.notes):
         print("  ", line)
 

@@ -14,7 +14,7 @@ from diagnose.robot.result import JointResult, RobotFinding, Trace
 from diagnose.robot.servos.fit import Fit, Number, covariance, fit, slots_of
 from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.remains import black_box
-from diagnose.robot.servos.search import QUICK, JointSearch, Structure, held_out
+from diagnose.robot.servos.state import QUICK, JointSearch, Structure, held_out
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
 

@@ -20,7 +20,9 @@ from diagnose.robot.pipeline import ORDER, overall, summary
 from diagnose.robot.result import RobotDiagnosis
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
-from diagnose.robot.servos.search import JointSearch, own_numbers, refit_with, search_joint, start_fit
+from diagnose.robot.servos.search import refit_with, search_joint
+from diagnose.robot.servos.starts import own_numbers, start_fit
+from diagnose.robot.servos.state import JointSearch
 from mjsim.errors import InputError
 from mjsim.robot.drives import nearest
 from mjsim.robot.joint_kernel import SLOT

@@ -15,7 +15,7 @@ from diagnose.evidence.held_out import compare
 from diagnose.fit.fitted import HeldOut
 from diagnose.robot.servos.fit import Fit
 from diagnose.robot.servos.motion import JointProblem
-from diagnose.robot.servos.search import held_out
+from diagnose.robot.servos.state import held_out
 
 __all__ = ["black_box"]
 
