@@ -40,7 +40,7 @@ def write_corrected_servos(model: Path, robot: Robot, outcome: ServoOutcome, pat
         carried += own
         d = s.problem.drive
         servos.append(
-            NewServo(d.actuator, d.servo, new_servo(d, s.now.fit.slots, "actuator_saturation" in {x.id for x in s.now.laws}))
+            NewServo(d.actuator, d.servo, new_servo(d, s.now.fit.slots, any("forcerange" in x.native for x in s.now.laws)))
         )
     write_robot(model, robot, path, robot.nominal - robot.fixed, joints, carried, servos)
 
@@ -65,22 +65,19 @@ def _joint_values(robot: Robot, s: JointSearch) -> tuple[dict[str, float], list[
     own_friction = s.problem.nominal[SLOT["friction"]] > 0
     named = dict(zip(SLOT, map(float, p), strict=True))
     for law in s.now.laws:
-        if law.id == "coulomb_friction":
-            own_friction = True
-        elif law.id == "quadratic_friction":
-            values["quadratic"] = float(p[SLOT["quadratic"]])
-        elif law.id == "gravity_compensation_spring" and float(robot.stiffness[at]) == 0.0:
-            values |= {"stiffness": float(p[SLOT["spring"]]), "springref": 0.0}
-        elif law.id != "actuator_saturation":
-            if law.dry:
-                own_friction = False
-                values["frictionloss"] = 0.0
-            parameters: dict[str, float] = {k: v[0] for k, v in law.values(named).items()}
-            if law.id == "cable_torque":
-                parameters |= {"low_rad": named["cable_low"], "high_rad": named["cable_high"]}
-            carried.append(
-                {"effect": law.id, "form": law.form, "joint": s.problem.name, "place": law.place, "parameters": parameters}
-            )
+        sprung = "stiffness" in law.native and float(robot.stiffness[at]) != 0.0  # the file's own spring stays
+        if law.native and not sprung:
+            values |= {key: float(p[SLOT[slot]]) for key, slot in law.native.items() if key != "forcerange"}
+            if "stiffness" in law.native:
+                values["springref"] = 0.0
+            continue
+        if law.dry:
+            own_friction = False
+            values["frictionloss"] = 0.0
+        parameters = {k: v[0] for k, v in law.values(named).items()} | {k: named[slot] for k, slot in law.kept}
+        carried.append(
+            {"effect": law.id, "form": law.form, "joint": s.problem.name, "place": law.place, "parameters": parameters}
+        )
     if own_friction:
         values["frictionloss"] = float(p[SLOT["friction"]])
     return values, carried

@@ -126,6 +126,8 @@ def test_a_circle_is_found():
 NAMES_AN_EFFECT = {
     "lab/real_use/design.py": "makes logs of models that lack known effects",
     "diagnose/robot/laws.py": "the laws of a force regression, under the identifiers of the contract",
+    "diagnose/robot/servos/library.py": "the laws of a servo joint, under the identifiers of the contract",
+    "mjsim/robot/carried.py": "the slots of the effects that a robot's file carries",
     "lab/robot/cases.py": "conceals known effects in robots",
     "diagnose/explain/second_encoder.py": "terms of its own model of a second encoder, which bear the names of the contract",
     "lab/proof/concealed.py": "conceals known effects in real recordings",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from diagnose.robot.servos.motion import JointProblem
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["ServoLaw", "identifiers", "servo_laws"]
+__all__ = ["PLAIN", "ServoLaw", "identifiers", "servo_laws"]
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
+PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
 MOST_PERIODS = 40.0  # over the travel
 SINE = Number("", log=False)
@@ -30,7 +31,8 @@ class ServoLaw:
     """One effect at one servo joint.
 
     numbers: what is free; starts: slot values from which a fit may start; values: contract parameters from slots; fixed: slots that a start
-    sets and a fit keeps; holds: laws that it contains and takes the place of; dry: is dry friction; native: MJCF holds all of it.
+    sets and a fit keeps; holds: laws that it contains and takes the place of; dry: is dry friction; native: attributes of MJCF that
+    hold all of it, by the slot that they take; kept: fixed slots that a file carries beside the parameters, by name.
     """
 
     id: str
@@ -44,7 +46,8 @@ class ServoLaw:
     fixed: tuple[str, ...] = ()
     dry: bool = False
     common: bool = False
-    native: bool = False
+    native: Mapping[str, str] = field(default_factory=dict)
+    kept: tuple[tuple[str, str], ...] = ()
     sane: Callable[[Slots], bool] = lambda s: True
 
     @property
@@ -94,7 +97,7 @@ def servo_laws(problem: JointProblem, p: np.ndarray, only: Sequence[str] = ()) -
     s, motion = scales_of(problem, p), _motion(problem)
     laws = [*_friction(s), *_drive(s, problem.drive.velocity), *_position(s, motion)]
     if problem.nominal[SLOT["friction"]] > 0.0:  # the file has dry friction: its size is one of its own numbers
-        laws = [law for law in laws if law.id != "coulomb_friction"]
+        laws = [law for law in laws if law.id != PLAIN]
     if problem.nominal[SLOT["delay"]] > 0.0:
         laws = [law for law in laws if law.id != "time_delay"]
     return tuple(law for law in laws if not only or law.id in only)
@@ -118,7 +121,7 @@ def _friction(s: Scales) -> list[ServoLaw]:
     v = s.speed
     return [
         ServoLaw("coulomb_friction", "motor", (F,), tuple({"friction": a} for a in amount), lambda x: {"torque_Nm": (x["friction"], T)},
-                 "Dry friction that opposes motion, of the same size at every speed.", dry=True, common=True, native=True),
+                 "Dry friction that opposes motion, of the same size at every speed.", dry=True, common=True, native={"frictionloss": "friction"}),
         ServoLaw("asymmetric_friction", "motor", (F, Number("asymmetry", False, 0.1 * s.drive + 1e-12)),
                  tuple({"friction": amount[0], "asymmetry": c * amount[0]} for c in (-0.3, 0.3)),
                  lambda x: {"torque_Nm": (x["friction"], T), "asymmetry_Nm": (x["asymmetry"], T)},
@@ -149,7 +152,7 @@ def _friction(s: Scales) -> list[ServoLaw]:
                  "Friction that grows less than in proportion to the speed.", sane=lambda x: 0.11 < x["exponent"] < 0.89),
         ServoLaw("quadratic_friction", "motor", (Number("quadratic"),), ({"quadratic": 0.2 * s.drive / v**2},),
                  lambda x: {"coefficient_Nm_s2_rad2": (x["quadratic"], Quantity.QUADRATIC_DAMPING)},
-                 "Friction that grows with the square of the speed.", native=True),
+                 "Friction that grows with the square of the speed.", native={"quadratic": "quadratic"}),
         ServoLaw("friction_drift", "motor",
                  (F, Number("drift", False, 0.3, -0.9, 2.0), Number("drift_time", lower=0.3 * s.span, upper=3 * s.span)),
                  tuple({"friction": amount[0], "drift": c, "drift_time": 0.6 * s.span} for c in (-0.4, 0.4)),
@@ -166,7 +169,7 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
         ServoLaw("actuator_lag", "actuator", (Number("lag", lower=0.01 * s.dt, upper=1.0),), tuple({"lag": c * s.dt} for c in (0.7, 3.0)),
                  lambda x: {"time_constant_s": (x["lag"], Quantity.TIME)}, "The servo's target follows the command with a lag."),
         ServoLaw("actuator_saturation", "actuator", (Number("limit"),), tuple({"limit": c * s.drive} for c in (3.0, 1.5)),
-                 lambda x: {"limit_Nm": (x["limit"], Quantity.TORQUE)}, "The torque of the servo is limited.", native=True),
+                 lambda x: {"limit_Nm": (x["limit"], Quantity.TORQUE)}, "The torque of the servo is limited.", native={"forcerange": "limit"}),
         ServoLaw("torque_speed_limit", "actuator", (Number("stall"), Number("no_load", lower=0.5 * s.fastest, upper=50 * s.fastest)),
                  tuple({"stall": a * s.drive, "no_load": b * s.fastest} for a, b in ((3.0, 1.5), (1.5, 2.0))),
                  lambda x: {"stall_torque_Nm": (x["stall"], Quantity.TORQUE), "no_load_speed_rad_s": (x["no_load"], Quantity.VELOCITY)},
@@ -200,7 +203,7 @@ def _position(s: Scales, motion: Motion) -> list[ServoLaw]:
     laws = [
         ServoLaw("gravity_compensation_spring", "motor", (Number("spring", False, size / (0.5 * s.travel)),),
                  ({"spring": size / (0.5 * s.travel)},), lambda x: {"stiffness_Nm_rad": (x["spring"], Quantity.STIFFNESS)},
-                 "A spring at the joint; its torque at zero cannot be told from the zero of the command.", native=True,
+                 "A spring at the joint; its torque at zero cannot be told from the zero of the command.", native={"stiffness": "spring"},
                  sane=lambda x: x["spring"] > 0),
         ServoLaw("cable_torque", "motor",
                  (Number("spring", False, size / (0.5 * s.travel)), *(Number(f"cable_{k}", False, size) for k in (2, 3, 4))),
@@ -208,7 +211,7 @@ def _position(s: Scales, motion: Motion) -> list[ServoLaw]:
                  lambda x: {"coefficient_1": (0.5 * x["spring"] * (x["cable_high"] - x["cable_low"]), T),
                             **{f"coefficient_{k}": (x[f"cable_{k}"], T) for k in (2, 3, 4)}},
                  "A smooth torque of the angle (cables, hoses): coefficients of Chebyshev polynomials over the recorded travel.",
-                 ("gravity_compensation_spring", "gravity_load"), fixed=("cable_low", "cable_high")),
+                 ("gravity_compensation_spring", "gravity_load"), fixed=("cable_low", "cable_high"), kept=(("low_rad", "cable_low"), ("high_rad", "cable_high"))),
     ]  # fmt: skip
     if motion is Motion.HINGE:
         laws.append(

@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.servos.fit import Fit, Number, covariance, fit, jacobian, weights_by_recording
-from diagnose.robot.servos.library import ServoLaw, servo_laws
+from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.starts import THIN, regressed
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, cleared, free_numbers, replaced
@@ -147,7 +147,7 @@ def _trial(s: JointSearch, rest: Sequence[ServoLaw], law: ServoLaw, slots: np.nd
 
 def _eligible(s: JointSearch, law: ServoLaw) -> bool:
     """Simple laws, and those that refine one that stands or the dry friction that the file has."""
-    there = {x.id for x in s.now.laws} | ({"coulomb_friction"} if s.problem.nominal[SLOT["friction"]] > 0 else set())
+    there = {x.id for x in s.now.laws} | ({PLAIN} if s.problem.nominal[SLOT["friction"]] > 0 else set())
     return not law.holds or bool(set(law.holds) & there)
 
 
