@@ -110,6 +110,9 @@ def diagnose_robot_recordings(
         result = _by_mujoco(outcome, robot, corrected)
     if page:
         from diagnose.robot.page import write_page
+        from diagnose.robot.picture import picture
+
+        result = dataclasses.replace(result, picture=picture(result, robot, model, recordings[0].positions(robot)))
 
         write_page(result, out / "report.html")
     result.write_json(out / "diagnosis.json")

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from diagnose.report.components import Column, table, theme_button
-from diagnose.report.curves import envelope
+from diagnose.report.charts import recording_chart
+from diagnose.report.components import Column, chart_figure, table, theme_button
 from diagnose.report.document import document
 from diagnose.report.document import write_page as write_text
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
+from diagnose.report.plots import Chart, Signals, page_data
 from diagnose.report.words import VERDICTS, effect_name
 from diagnose.result import Estimate, FitFigures
-from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding, Trace
+from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
 
 __all__ = ["render_page", "write_page"]
 
-WIDE, HIGH, LEFT = 920, 150, 70
 MODELS = {
     "nominal": "file as given, in MuJoCo",
     "refitted": "its numbers refitted",
@@ -43,9 +43,10 @@ def render_page(d: RobotDiagnosis) -> str:
         f'<p class="verdict"><span class="badge {words.colour}">{words.badge}</span></p>', f"<h1>{escape(prose(d.summary))}</h1>",
         f'<p class="meaning">{escape(words.meaning)}</p>',
         '<nav aria-label="Contents">' + "".join(f'<a href="#{escape(j)}">{escape(j)}</a>' for j in d.joints) + "</nav>", "</header>", '<main id="content">',
-        _matrix(d), _errors(d), _changed(d), *(_joint(r) for r in d.joints.values()), _links(d), _notes(d), "</main>", _footer(d),
+        d.picture, _matrix(d), _errors(d), _recordings(d), _changed(d), *(_joint(r, i) for i, r in enumerate(d.joints.values())), _links(d), _notes(d), "</main>", _footer(d),
     ]  # fmt: skip
-    return document(f"{words.badge}: diagnosis of a robot", "\n".join(body))
+    charts = [c for i, r in enumerate(d.joints.values()) for c in _charts(r, i)]
+    return document(f"{words.badge}: diagnosis of a robot", "\n".join(body), page_data(charts) if charts else None)
 
 
 def _judged(d: RobotDiagnosis) -> str:
@@ -111,10 +112,10 @@ def _changed(d: RobotDiagnosis) -> str:
     return f'<section id="changed"><h2>Numbers of the file that differ</h2><p>The fewest groups of numbers that have to change:</p><ul>{items}</ul></section>'
 
 
-def _joint(r: JointResult) -> str:
+def _joint(r: JointResult, index: int) -> str:
     parts = [f'<section id="{escape(r.joint)}"><h2>{escape(r.joint)} {_badge(r)}</h2>', f"<p>{escape(prose(r.summary))}</p>"]
     parts += [_finding(f, r.unit) for f in r.findings]
-    parts.append(_figure(r))
+    parts.append(_figure(r, index))
     rows = [[escape(MODELS.get(k, k)), *_four(f)] for k, f in r.fit.items()]
     u = unit(r.unit)
     parts.append(_table(["Model", f"fitted [{u}]", "over the spread", f"held out [{u}]", "over the spread"], rows, (1, 2, 3, 4)))
@@ -150,17 +151,25 @@ def _finding(f: RobotFinding, channel: str) -> str:
     )  # fmt: skip
 
 
-def _figure(r: JointResult) -> str:
-    """Measured torque and what the models leave, for the longest held-out trace and the longest fitted one."""
-    chosen = []
+def _charts(r: JointResult, index: int) -> list[Chart]:
+    """The longest held-out trace and the longest fitted one of a joint, measured and predicted; ``index``: of the joint on the page."""
+    charts = []
     for role in ("held_out", "estimation"):
         traces = [t for t in r.traces if t.role == role and len(t.time) > 1]
         if traces:
-            chosen.append(max(traces, key=lambda t: len(t.time)))
+            t = max(traces, key=lambda t: len(t.time))
+            models = {"nominal": t.nominal, "refitted": t.refitted, "corrected": t.corrected}
+            signals = Signals(t.source, role, t.time, t.measured, models)
+            charts.append(recording_chart(signals, _channel(r), unit(r.unit), "corrected", f"joint-{index}-{role[:4]}"))
+    return charts
+
+
+def _figure(r: JointResult, index: int) -> str:
+    """The charts of a joint."""
+    said = "one joint at a time, the others following the recording" if _channel(r) == "position" else "by inverse dynamics"
     return "\n".join(
-        f'<figure><div class="picture">{_svg(t, r.unit)}</div><figcaption>{escape(t.source)}, {t.role.replace("_", " ")}: measured torque '
-        "(grey), what the refitted file leaves (orange) and what the corrected model leaves (blue).</figcaption></figure>"
-        for t in chosen
+        str(chart_figure(c, f"{_channel(r).capitalize()} of {r.joint}: measured, and by the models ({said})."))
+        for c in _charts(r, index)
     )
 
 
@@ -168,29 +177,23 @@ def _channel(r: JointResult) -> str:
     return "position" if r.unit in ("rad", "m") else "torque"
 
 
-def _svg(t: Trace, channel: str) -> str:
-    lines = {"measured": t.measured, "refitted": t.measured - t.refitted, "corrected": t.measured - t.corrected}
-    low, high = (f([f(y) for y in lines.values()]) for f in (np.min, np.max))
-    span = (high - low) or 1.0
-    t0, t1 = float(t.time[0]), float(t.time[-1])
-
-    def path(y: np.ndarray, colour: str) -> str:
-        x, v = envelope(t.time, y, 450)
-        px = LEFT + (WIDE - LEFT - 10) * (x - t0) / ((t1 - t0) or 1.0)
-        py = 10 + (HIGH - 30) * (high - v) / span
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
-        return f'<polyline fill="none" stroke="var(--{colour})" stroke-width="1.3" points="{points}"/>'
-
-    zero = 10 + (HIGH - 30) * (high - min(max(0.0, low), high)) / span
-    labels = "".join(
-        f'<text x="{LEFT - 8}" y="{10 + (HIGH - 30) * (high - v) / span + 4:.1f}" text-anchor="end" font-size="12" fill="var(--muted)">{number(v, 3)}</text>'
-        for v in (low, high)
-    )
+def _recordings(d: RobotDiagnosis) -> str:
+    """Errors of both files by joint and recording, all joints together in MuJoCo."""
+    if d.closed_loop is None or "joints" not in d.closed_loop:
+        return ""
+    rows = []
+    for joint, table_ in d.closed_loop["joints"].items():
+        for row in table_:
+            if row["moves"]:
+                errors = [number(1e3 * row[k], 3) if row[k] is not None else "diverged" for k in ("nominal_rms", "corrected_rms")]
+                rows.append([escape(joint), escape(row["file"]), row["role"].replace("_", " "), *errors])
+    lacking = d.closed_loop.get("lacking") or []
+    said = f"{escape(d.closed_loop['engine'])}." + (f" Not run: {escape(', '.join(lacking))}." if lacking else "")
+    head = ["Joint", "Recording", "Role", "file as given [1e-3]", "corrected.xml [1e-3]"]
+    inner = _table(head, rows, (3, 4))
     return (
-        f'<svg viewBox="0 0 {WIDE} {HIGH}" role="img" aria-label="torque over time"><line x1="{LEFT}" x2="{WIDE - 10}" y1="{zero:.1f}" y2="{zero:.1f}" '
-        f'stroke="var(--grid)"/>{"".join(path(y, c) for c, y in lines.items())}{labels}'
-        f'<text x="{LEFT}" y="{HIGH - 4}" font-size="12" fill="var(--muted)">{number(t0, 3)} s</text>'
-        f'<text x="{WIDE - 10}" y="{HIGH - 4}" text-anchor="end" font-size="12" fill="var(--muted)">{number(t1, 3)} s · {unit(channel)}</text></svg>'
+        f'<section id="closed-loop"><h2>All joints together</h2><p>{said}</p><details><summary>{len(rows)} errors by joint and '
+        f"recording, root mean square</summary>{inner}</details></section>"
     )
 
 

@@ -93,7 +93,10 @@ class JointResult:
 
 @dataclass(frozen=True, eq=False)
 class RobotDiagnosis:
-    """The outcome for a robot; see the contract. changed: in words, what of its own parameters differs from the file."""
+    """The outcome for a robot; see the contract. changed: in words, what of its own parameters differs from the file.
+
+    closed_loop: errors of all joints together in MuJoCo, by joint and recording; picture: HTML of the robot, for the page.
+    """
 
     verdict: Verdict
     summary: str
@@ -112,6 +115,7 @@ class RobotDiagnosis:
     versions: Mapping[str, str]
     judged_on: Mapping[str, Any] = field(default_factory=lambda: {"channel": "torque", "unit": "N m", "view": "force"})
     closed_loop: Mapping[str, Any] | None = None
+    picture: str = ""
 
     @property
     def findings(self) -> tuple[RobotFinding, ...]:

@@ -11,6 +11,7 @@ import pytest
 
 from diagnose.result import Verdict
 from diagnose.robot.options import RobotOptions
+from diagnose.robot.picture import COLOURS, _hex, picture
 from diagnose.robot.servos.fit import Number, slots_of, start_of
 from diagnose.robot.servos.motion import joint_problem, prepare, resolution
 from diagnose.robot.servos.pipeline import diagnose_servos
@@ -86,7 +87,27 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     told = json.loads((where / "out" / "diagnosis.json").read_text())
     assert told["judged_on"]["channel"] == "angle"
     assert [row["role"] for row in told["closed_loop"]["joints"]["joint2"]] == ["estimation", "held_out"]
-    assert "position under the recorded commands" in (where / "out" / "report.html").read_text()
+    page = (where / "out" / "report.html").read_text()
+    assert "position under the recorded commands" in page
+    assert '<figure class="robot">' in page
+    assert page.count('data-chart="joint-') == 6
+    assert "All joints together" in page
+
+
+def test_the_picture_is_rendered_or_a_plan_of_the_joints(rubbing, monkeypatch):
+    where, d = rubbing
+    robot = load_robot(where / "arm.xml")
+    poses = np.linspace(0, 0.5, 9).reshape(3, 3)
+
+    def refuse(*_):
+        raise InputError("rendering", "no off-screen OpenGL", "EGL or OSMesa", "install it")
+
+    monkeypatch.setattr("diagnose.robot.picture._rendered", refuse)
+    plan = picture(d, robot, where / "arm.xml", poses)
+    assert plan.count("<circle") == 3
+    assert plan.count("<line") == 2
+    assert "Coulomb friction" in plan
+    assert f'fill="{_hex(COLOURS[Verdict.MISSING_PHYSICS])}"' in plan
 
 
 def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):

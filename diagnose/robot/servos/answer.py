@@ -20,8 +20,11 @@ from mjsim.robot.joint_kernel import SLOT, SLOTS
 
 __all__ = ["Scale", "answer", "changed", "scale_of"]
 
+LEAST_LOAD = (
+    0.2  # of the servo's torque: what the links must take for their masses to set the scale, and not an error of friction
+)
 KNOWN = 0.25  # standard deviation of a gain's logarithm below which the data tell the gain, and not only its ratios
-DRAWN = 3000  # points of a trace at most
+DRAWN = 1500  # points of a trace at most
 OWN = {
     "kp": ("kp", Quantity.STIFFNESS), "kv": ("kv", Quantity.DAMPING), "damp": ("kv + damping", Quantity.DAMPING),
     "damping": ("damping", Quantity.DAMPING), "armature": ("armature", Quantity.INERTIA), "zero": ("zero", Quantity.ANGLE),
@@ -43,7 +46,11 @@ def scale_of(s: JointSearch) -> Scale:
     V = covariance(s.problem, s.now.fit)
     k = next(i for i, n in enumerate(s.now.fit.numbers) if n.slot == ("kv" if s.problem.drive.velocity else "kp"))
     error = math.sqrt(V[k, k])
-    return Scale(error < KNOWN, float(s.now.fit.x[k]), error)
+    p = s.problem
+    gain = float(s.now.fit.slots[SLOT["kv" if p.drive.velocity else "kp"]])
+    drive = gain * (p.first - (p.series[:, 6] if p.drive.velocity else p.angle))[p.fitted]
+    loaded = float(np.mean(p.series[p.fitted, 4] ** 2)) > LEAST_LOAD**2 * float(np.mean(drive**2))
+    return Scale(loaded and error < KNOWN, float(s.now.fit.x[k]), error)
 
 
 def nominal_fit(s: JointSearch) -> Fit:
