@@ -16,14 +16,14 @@ from diagnose.data.split import Split, split
 from diagnose.evidence.predictable import remaining_structure
 from diagnose.explain.locate import locate
 from diagnose.explain.torque_map import fit_map
-from diagnose.fit.fit_cache import Memory
 from diagnose.fit.fitter import Fitter
+from diagnose.fit.ledger import Ledger
 from diagnose.options import Options
 from diagnose.problem.choose_view import choose_view
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Verdict
 from diagnose.structure.passes import searched
-from diagnose.thresholds import HELD_OUT_SHOWS, RUNS, SECOND_SPLIT, UNEXPLAINED
+from diagnose.thresholds import LARGE, RUNS, SECOND_SPLIT, UNEXPLAINED
 from diagnose.verdict.assemble import diagnosis, unit_of
 from diagnose.verdict.decide import decide
 from diagnose.verdict.determined import determined
@@ -43,12 +43,12 @@ def diagnose(
     held_out: Sequence[Recording] = (),
     options: Options | None = None,
     progress: Callable[[Step], None] = lambda _: None,
-    memory: Memory | None = None,
+    ledger: Ledger | None = None,
     corrections: Mapping[str, np.ndarray] | None = None,
 ) -> Diagnosis:
     """Diagnose recordings of one axis against its nominal model.
 
-    ``progress`` is told each `Step`; ``memory``: where fits are written down as they are found, and looked up before they are
+    ``progress`` is told each `Step`; ``ledger``: where fits are written down as they are found, and looked up before they are
     made. ``corrections`` (N,): added to the measured velocity where motion is compared, by the SHA-256 (else source) of
     a recording. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
@@ -66,7 +66,7 @@ def diagnose(
     def by(experiments: Split) -> Diagnosis:
         nonlocal taken
         fitted, held = (corrected(group, corrections or {}) for group in experiments)
-        fitter = Fitter(nominal, view, fitted, held, options.jobs, varies, memory=memory)
+        fitter = Fitter(nominal, view, fitted, held, options.jobs, varies, ledger=ledger)
         fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS))
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
@@ -108,7 +108,7 @@ def _only_held_out_shows(result: Diagnosis) -> bool:
     """Whether the mismatch is unexplained, and is none on the recordings that were fitted."""
     best = result.fit["corrected"]
     clean = best.rms**2 < UNEXPLAINED * result.noise_floor**2
-    return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms > HELD_OUT_SHOWS * result.noise_floor
+    return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms**2 > LARGE * result.noise_floor**2
 
 
 def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:

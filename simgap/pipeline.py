@@ -22,7 +22,7 @@ from diagnose.data.experiment import without_derived_velocity
 from diagnose.data.servo import as_servo
 from diagnose.data.split import split
 from diagnose.data.stretches import Stretches
-from diagnose.fit.fit_cache import Memory, fingerprint
+from diagnose.fit.ledger import Ledger, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.result import Diagnosis
@@ -146,27 +146,27 @@ def diagnose_recordings(
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
     recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
     said += [*alike, *slower]
-    memory = Memory(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
+    ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     try:
-        with following(progress, memory.recalled) as say, _compiling_told(say):
+        with following(progress, ledger.recalled) as say, _compiling_told(say):
             by_motion = recordings[0].velocity is not None or recordings[0].command is not None
             if "force" not in (options.judge, recordings[0].judge) and by_motion and options.jobs > 1:
                 _load_kernels(len(nominal.chain.bodies))
             say(Step("reference", "the nominal file in plain MuJoCo"))
             given = before_search(model, nominal, recordings, held_out, options)
-            result = diagnose(nominal, recordings, held_out, options, say, memory, given.corrections() if given else None)
+            result = diagnose(nominal, recordings, held_out, options, say, ledger, given.corrections() if given else None)
             if given is not None:
                 result = without_difference(result, given)
     except InputError:
-        memory.discard()
+        ledger.discard()
         raise
     finally:
-        memory.close()
+        ledger.close()
     result = dataclasses.replace(
         result, log=log, notes=(*said, *result.notes), stretches=tuple(s.as_dict() for part in stretches for s in part.chosen)
     )
     result = _written(result, nominal, model, out, truth, page, given, options.jobs)
-    memory.discard()
+    ledger.discard()
     return result
 
 

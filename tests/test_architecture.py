@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -181,8 +182,8 @@ def test_stages_of_a_diagnosis_are_imported_one_way():
 
 # numbers of a format, of geometry or of the table itself, which decide nothing
 NO_THRESHOLDS = {
-    "diagnose/fit/fit_cache.py": {"FORMAT"},  # version of a file
-    "diagnose/structure/candidates.py": {"QUARTERS"},  # of a turn
+    "diagnose/fit/ledger.py": {"FORMAT"},  # version of a file
+    "diagnose/structure/score.py": {"QUARTERS"},  # of a turn
     "diagnose/explain/map_regression.py": {"LAMBDAS"},  # a grid that covers all penalties
     "diagnose/problem/hypothesis.py": {"STIFFEST"},  # from numbers of the table
 }
@@ -235,6 +236,16 @@ def test_each_number_says_what_it_is_and_which_test_exercises_it():
         assert t.unit, name
         assert t.why, name
         assert (ROOT / t.test).is_file(), t.test
+
+
+# how many numbers of each kind the table may hold: a new one takes the place of another, or this page says why there are more
+MOST_NUMBERS = {"level of a decision": 23, "cost": 22, "numerical tolerance": 46}
+
+
+def test_the_table_of_numbers_does_not_grow():
+    thresholds = importlib.import_module("diagnose.thresholds")
+    found = Counter(t.kind for t in thresholds.TABLE.values())
+    assert all(found[kind] <= most for kind, most in MOST_NUMBERS.items()), found
 
 
 def test_the_flow_is_read_on_a_page():

@@ -16,7 +16,7 @@ import numpy as np
 from diagnose.check.content import content_end
 from diagnose.data.experiment import plain_step
 from diagnose.data.noise import white_noise_level
-from diagnose.thresholds import AS_FLAT, FACTORS, FEWEST_LEFT, FILTERED_NOISE, FILTERED_RISE
+from diagnose.thresholds import AS_FLAT, FACTORS, FAR, FEWEST_LEFT, MATERIAL
 from mjsim.recording import ARRAYS, Recording
 
 __all__ = ["at_content_rate", "decimated"]
@@ -70,7 +70,7 @@ def _factor(recording: Recording) -> int:
     factors = [k for k in FACTORS if k * FEWEST_LEFT <= len(x)]
     levels = np.array([np.mean([white_noise_level(x[at::k]) for at in range(min(k, 4))]) for k in factors])
     growth = np.diff(np.log(levels)) / np.diff(np.log(factors))
-    shown = (levels > FILTERED_RISE * levels[0]) & (levels < FILTERED_NOISE * float(np.std(x)))
+    shown = (levels > FAR * levels[0]) & (levels < MATERIAL * float(np.std(x)))
     at = np.flatnonzero(shown[:-1])
     if len(at) == 0:
         return 1

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.data.noise import coloured_noise_level, white_noise_level
-from diagnose.thresholds import CLIPPED, DERIVED_VELOCITY, REPEATS_BY_CHANCE
+from diagnose.thresholds import FAR, SMALL
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.signals import limits
@@ -101,7 +101,7 @@ def without_derived_velocity(recording: Recording) -> Recording:
     steps = np.diff(q) / recording.dt
     noise = white_noise_level(v)
     made = ((v[1:], steps), (v[:-1], steps), (v[1:-1], 0.5 * (steps[1:] + steps[:-1])))
-    if any(np.sqrt(np.mean((a - b) ** 2)) < DERIVED_VELOCITY * noise for a, b in made):
+    if any(np.sqrt(np.mean((a - b) ** 2)) < SMALL * noise for a, b in made):
         return dataclasses.replace(recording, velocity=None)
     return recording
 
@@ -140,9 +140,7 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
     same = np.diff(v) == 0, np.diff(q) == 0
     held[1:] = same[0] & same[1]
     by_chance = float(np.mean(same[0][~same[1]])) * float(np.sum(same[1])) if not np.all(same[1]) else 0.0
-    if np.sum(held) <= REPEATS_BY_CHANCE * (
-        by_chance + math.sqrt(by_chance)
-    ):  # a quantised velocity repeats as often as the angle moves
+    if np.sum(held) <= FAR * (by_chance + math.sqrt(by_chance)):  # a quantised velocity repeats as often as the angle moves
         return np.zeros(len(recording), bool)
     speed = np.abs(v[~held])  # of each row that was measured, and of the one after it: neither is fast at rest
     moves = np.maximum(speed, np.append(speed[1:], 0.0)) > slow * math.sqrt(float(np.mean(v**2)))
@@ -169,7 +167,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
             "a moving axis", "excite it with more torque",
         )  # fmt: skip
     for limit in limits(v):
-        if limit.share > CLIPPED:
+        if limit.share > SMALL:
             raise InputError(
                 recording.source, f"velocity stands at its limit {limit.value:.4g} for {100 * limit.share:.0f} % of the time",
                 "an unclipped signal", "raise the sensor's range or lower the excitation",

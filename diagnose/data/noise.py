@@ -6,17 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from diagnose.thresholds import (
-    BANDS,
-    FASTEST,
-    FEWEST_SEGMENTS,
-    NOISE_BY_SPECTRUM,
-    NOISE_COLOURED,
-    NOISE_STANDS_OUT,
-    SEGMENT,
-    SENSOR_TAPS,
-    SENSOR_TAPS_AHEAD,
-)
+from diagnose.thresholds import BANDS, FASTEST, FEW_TAPS, FEWEST_SEGMENTS, LARGE, MOST, NOISE_STANDS_OUT, SEGMENT, TAPS
 from mjsim.signals import transforms
 
 __all__ = ["coloured_noise_level", "white_noise_level"]
@@ -34,7 +24,7 @@ def white_noise_level(y: np.ndarray) -> float:
         return 0.0
     smooth = float(1.4826 * np.median(np.abs(d - np.median(d))))
     fastest = _fastest_level(y)
-    return fastest if fastest < NOISE_BY_SPECTRUM * smooth else smooth
+    return fastest if fastest < MOST * smooth else smooth
 
 
 def _fastest_level(y: np.ndarray) -> float:
@@ -69,10 +59,10 @@ def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, 
     rate = np.diff(q)[1:-1] / dt
     between = (13 * (v[1:-2] + v[2:-1]) - v[:-3] - v[3:]) / 24  # mean velocity from a sample to the next, to the fourth order
     # what a filter between the sensors does is taken out before the windows, at whose edges its memory is no product
-    delayed = np.lib.stride_tricks.sliding_window_view(rate, SENSOR_TAPS)
-    error = (between - rate)[SENSOR_TAPS - 1 - SENSOR_TAPS_AHEAD : len(rate) - SENSOR_TAPS_AHEAD]
+    delayed = np.lib.stride_tricks.sliding_window_view(rate, TAPS)
+    error = (between - rate)[TAPS - 1 - FEW_TAPS : len(rate) - FEW_TAPS]
     error = error - delayed @ np.linalg.lstsq(delayed.T @ delayed, delayed.T @ error, rcond=1e-12)[0]
-    rate = rate[SENSOR_TAPS - 1 - SENSOR_TAPS_AHEAD : len(rate) - SENSOR_TAPS_AHEAD]
+    rate = rate[TAPS - 1 - FEW_TAPS : len(rate) - FEW_TAPS]
     (f, apart), (_, moved) = transforms(error, dt, length), transforms(rate, dt, length)
     count = len(apart)
     of_rate = np.mean(np.abs(moved) ** 2, axis=0)
@@ -88,6 +78,6 @@ def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, 
         )  # overlapping segments and lines tell that much apiece
         found, angle, rates = (float(np.mean(x[a:b])) for x in (left, of_angle, of_rate))
         angle = min(angle, abs(rates - angle) + doubt * rates)
-        if found > (level + angle) * (1 + doubt) and found - angle > NOISE_COLOURED * level:
+        if found > (level + angle) * (1 + doubt) and found - angle > LARGE * level:
             more += (found - angle - level) * (b - a) * f[1]
     return float(np.sqrt(white**2 + more))

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.thresholds import REACHED
+from diagnose.thresholds import MATERIAL
 from mjsim.axis import Axis, Chain
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -118,6 +118,6 @@ def _reached(nominal: Axis, recordings: Sequence[Recording]) -> bool:
     for r in recordings:
         assert r.angle is not None
         asked = s.gain * (servo.scale * r.input - servo.zero) - s.servo[0] * r.angle - s.servo[1] * np.gradient(r.angle, r.dt)
-        if np.max(np.abs(asked)) > REACHED * s.servo[2]:
+        if np.max(np.abs(asked)) > (1.0 - MATERIAL) * s.servo[2]:
             return True
     return False

@@ -1,4 +1,4 @@
-"""What structures are compared by: the criterion, the worth of samples, and held-out errors.
+"""How structures are compared: the criterion, the effective sample size, and held-out errors.
 
 The criterion compares whitened chi-squares (residual autocorrelation is thereby counted) with a price per parameter:
 
@@ -9,33 +9,21 @@ Nothing here changes what is fitted: what is computed is remembered.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from diagnose.evidence.held_out import Comparison, compare
+from diagnose.fit.fits import Fits, Key
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.pool import Key, Pool
-from diagnose.fit.validation import in_blocks, observed_held_out, predicted_samples
-from diagnose.fit.whiten import lags_of, whitening_filter, worth_of_errors
+from diagnose.fit.validation import in_blocks
+from diagnose.fit.whiten import effective_share_of_errors, lags_of, whitening_filter
 from diagnose.problem.noise_model import KnownNoise, Prices
-from diagnose.thresholds import (
-    ABOVE_NOISE,
-    BELOW_NOISE,
-    CLEAR_GAIN,
-    COLOURED,
-    GAIN_RATIO,
-    LAW_ERROR,
-    LONG,
-    NEXT_TO_NOTHING,
-    PUT_RIGHT,
-    UNEXPLAINED,
-)
+from diagnose.thresholds import CLEAR, GAIN_RATIO, LONG, MATERIAL, UNEXPLAINED
 from mjsim.effects import effect_class
 
 __all__ = ["Context", "Memo"]
@@ -46,7 +34,6 @@ class Memo:
     """Answers to what was measured once."""
 
     in_blocks: dict[tuple[object, ...], Comparison] = field(default_factory=dict)
-    predicted: dict[tuple[object, ...], list[np.ndarray] | None] = field(default_factory=dict)
     observed: dict[tuple[Key, float, Key, float], float] = field(default_factory=dict)
     encoder: dict[tuple[object, ...], tuple[float, float]] = field(default_factory=dict)
 
@@ -55,21 +42,17 @@ class Memo:
 class Context:
     """The fits so far by the present weights, and how they compare.
 
-    candidates: how many effects and places the search considers; effective: share of the samples that are worth an independent
-    one; worth_of: the same for telling two structures apart (None: every sample is).
+    candidates: how many effects and places the search considers; effective: effective sample size over the number of samples;
+    share_between: the same to distinguish two structures (None: every sample is independent).
     """
 
     fitter: Fitter
     prices: Prices = KnownNoise.prices
-    pool: Pool = field(default_factory=Pool)
+    fits: Fits = field(default_factory=Fits)
     candidates: int = 0
     effective: float = 1.0
-    worth_of: Callable[[Fitted, Fitted], float] | None = None
+    share_between: Callable[[Fitted, Fitted], float] | None = None
     memo: Memo = field(default_factory=Memo)
-
-    def beside(self, f: Fitted) -> Context:
-        """The same with ``f`` standing for its structure."""
-        return dataclasses.replace(self, pool=self.pool.beside(f))
 
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
@@ -77,18 +60,18 @@ class Context:
         return n * math.log(max(f.chi2, 1e-300) / f.n) + self.prices.price * len(f.hypothesis.entries) + _rank_of_places(f)
 
     def gain(self, poorer: Fitted, richer: Fitted) -> float:
-        """How far C falls from one structure to the other, each sample counted for what it is worth to tell these two apart."""
-        if self.worth_of is None:
+        """How far C falls from one structure to the other, by the effective sample size that distinguishes the two."""
+        if self.share_between is None:
             return self.criterion(poorer) - self.criterion(richer)
         price = self.prices.price * (len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
-        n = richer.n * self.worth_of(poorer, richer)
+        n = richer.n * self.share_between(poorer, richer)
         ratio = math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300))
         return n * ratio - price + _rank_of_places(poorer) - _rank_of_places(richer)
 
     def ahead(self, f: Fitted, other: Fitted) -> float:
         """How far C of a structure lies below that of another, both counted from what they have in common."""
-        common = self.pool.common(f, other)
-        if self.worth_of is None or common is None:
+        common = self.fits.common(f, other)
+        if self.share_between is None or common is None:
             return self.criterion(other) - self.criterion(f)
         mine, theirs = (self.gain(common, g) if common.key != g.key else 0.0 for g in (f, other))
         return mine - theirs
@@ -101,63 +84,23 @@ class Context:
         counts for more than ``GAIN_RATIO`` times one of the estimation data, to which it was fitted.
         """
         more = len(richer.effects) > len(poorer.effects) and richer.chi2 < poorer.chi2
-        if self.fitter.noise.absolute or self.worth_of is None or not more:
+        if self.fitter.noise.absolute or self.share_between is None or not more:
             return 0.0
         before, after = self.held_out(poorer), self.held_out(richer)
         if before is None or after is None or after.chi2 >= before.chi2:
             return 0.0
-        n = len(after.errors) * worth_of_errors(before.errors - after.errors, after.errors, lags_of(self.fitter))
+        n = len(after.errors) * effective_share_of_errors(before.errors - after.errors, after.errors, lags_of(self.fitter))
         fitted, unseen = poorer.chi2 / max(richer.chi2, 1e-300), before.chi2 / max(after.chi2, 1e-300)
         return n * min(math.log(unseen), GAIN_RATIO * math.log(fitted))
 
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
-        return self.pool.held_out(f, self.fitter)
+        return self.fits.held_out(f, self.fitter)
 
     def compared(self, before: Fitted, after: Fitted) -> Comparison:
-        """Two structures on held-out data.
-
-        Where one alone fits the estimation data, and its free run diverges: also on the samples that it predicts, and under an
-        observer gain. It is right if one of these bears it out, at so many times the p-value, and wrong if all speak against it.
-        """
+        """Two structures on held-out data."""
         self.fitter.map([partial(self.held_out, f) for f in (before, after)])
-        known = self.fitter.noise.absolute
-        views = [compare(self.held_out(before), self.held_out(after), known=known)]
-        if self._diverges(before, after):
-            views += [compare(*pair, known=known) for pair in self._apart_from_events(before, after)]
-        if len(views) == 1:
-            return views[0]
-        if after.chi2 / after.n > before.chi2 / before.n:
-            return max(views, key=lambda c: c.p_value)
-        better = min(views, key=lambda c: c.p_value)
-        return Comparison(better.relative_gain, min(1.0, len(views) * better.p_value))
-
-    def _diverges(self, *structures: Fitted) -> bool:
-        """Whether the free run of a nonsmooth structure, which alone fits the estimation data, diverges on held-out data."""
-        fits, other = sorted(structures, key=lambda f: f.chi2 / f.n)
-        if not fits.rough or not self.fitter.noise.exceeds(other.chi2 / other.n, UNEXPLAINED):
-            return False
-        if fits.chi2 > max(
-            UNEXPLAINED * fits.n, fits.n + NEXT_TO_NOTHING * (other.chi2 - other.n)
-        ):  # nor next to nothing beside the other
-            return False
-        held = self.held_out(fits)
-        return held is not None and held.chi2 > UNEXPLAINED * float(np.sum(held.n))
-
-    def _apart_from_events(self, *structures: Fitted) -> list[list[HeldOut | None]]:
-        """Held-out errors of two structures that a wrong moment of an event does not carry.
-
-        On the samples that the one which fits better predicts, and under an observer gain.
-        """
-        fits = min(structures, key=lambda f: f.chi2 / f.n)
-        asked = (fits.key, fits.chi2)
-        if asked not in self.memo.predicted:
-            self.memo.predicted[asked] = predicted_samples(self.fitter, fits)
-        samples, pairs = self.memo.predicted[asked], []
-        if samples is not None:
-            pairs.append([self.fitter.validate(f, samples) for f in structures])
-        observed = [observed_held_out(self.fitter, f, PUT_RIGHT) for f in structures]
-        return pairs if None in observed else [*pairs, observed]
+        return compare(self.held_out(before), self.held_out(after), known=self.fitter.noise.absolute)
 
     def compared_in_blocks(self, before: Fitted, after: Fitted) -> Comparison | None:
         """Two structures on stretches held out of the estimation recordings; None where the held-out recordings can tell.
@@ -166,7 +109,7 @@ class Context:
         their difference. What gains much on the recordings that are fitted must then gain on their own held-out stretches.
         """
         material = self.prices.material
-        if not self.fitter.noise.absolute or math.log(before.chi2 / after.chi2) < CLEAR_GAIN * material:
+        if not self.fitter.noise.absolute or math.log(before.chi2 / after.chi2) < CLEAR * material:
             return None
         pair = (self.held_out(before), self.held_out(after))
         if pair[0] is None or pair[1] is None or self.compared(before, after).relative_gain < -material:
@@ -185,17 +128,22 @@ class Context:
         """How much chi-square beside a structure may be the error of a law that it holds in place of the contract's own.
 
         Where another law of an effect fits better, what that changed tells how much there is in a law. Neither is the machine's
-        own, and an effect that gains less than ``LAW_ERROR`` of that beside it may be what the better one still misses.
+        own, and an effect that gains less than ``MATERIAL`` of that beside it may be what the better one still misses.
         """
         spread = 0.0
         for i, effect in enumerate(f.effects):
             if form_of := type(effect).form_of:
                 others = [f"{form_of}@{effect.place}" if k == i else e.key for k, e in enumerate(f.effects)]
-                spread = max(spread, self.pool.least(tuple(sorted(others)), f.chi2) - f.chi2)
-        return LAW_ERROR[0] * spread + LAW_ERROR[1] * min(spread, f.n)
+                spread = max(spread, self._chi2(others, f.chi2) - f.chi2)
+        return MATERIAL * spread
+
+    def _chi2(self, keys: Sequence[str], default: float) -> float:
+        """Chi-square of a structure where it was fitted."""
+        known = self.fits.get(tuple(sorted(keys)))
+        return default if known is None else known.chi2
 
     def floor(self, base: Fitted) -> float:
-        """The gain in C that an effect must promise beside a structure: more where that much may be the error of a law in it."""
+        """The gain in C that a score test must predict beside a structure, at least the possible error of a law in it."""
         law = min(self.law_error(base), 0.5 * base.chi2)
         return max(0.4 * self.prices.entry, -base.n * self.effective * math.log(1.0 - law / base.chi2))
 
@@ -205,15 +153,15 @@ class Context:
         One that leaves less explains a part of what passed for noise (steps of a sensor), so that its level is not known any
         more: then what it leaves must have a colour.
         """
-        if not self.fitter.noise.within(base.chi2 / base.n, ABOVE_NOISE):
+        if not self.fitter.noise.within(base.chi2 / base.n, UNEXPLAINED):
             return True
-        return base.chi2 < BELOW_NOISE * base.n and whitening_filter(self.fitter, base, material=COLOURED) is not None
+        return base.chi2 < (2.0 - UNEXPLAINED) * base.n and whitening_filter(self.fitter, base, material=MATERIAL) is not None
 
     def leaves_noise(self, f: Fitted) -> bool:
         """Whether the residual of a structure is as large as noise and, unless it is whitened, as white: no rival leaves less."""
         if not self.fitter.noise.within(self.fitter.misfit(f), UNEXPLAINED):
             return False
-        return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=COLOURED) is None
+        return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=MATERIAL) is None
 
     def solved(self, poorer: Fitted, richer: Fitted) -> bool:
         """Whether a structure leaves noise alone, or much less than one did that left what passed for noise."""

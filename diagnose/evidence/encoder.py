@@ -18,7 +18,7 @@ from diagnose.thresholds import ORDERS_BESIDE
 from mjsim.effects import Effect
 from mjsim.quantity import Motion
 
-__all__ = ["encoder_gain", "fit_beside_encoder", "gain_beside_encoder", "whole_orders"]
+__all__ = ["encoder_gain", "fit_with_encoder_error", "gain_with_encoder_error", "whole_orders"]
 
 
 def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
@@ -32,7 +32,7 @@ def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
     chain = fitter.nominal.chain
     body = chain.body(type(effect).angle_of or effect.place)
     own = effect.values["cycles_per_rev"] * chain.total_ratio(body or 0)
-    shown = _shown(fitter, poorer)
+    shown = _angle_and_speed(fitter, poorer)
     if shown is None:
         return 0.0
     q = orthonormal(poorer.fit.J)
@@ -48,23 +48,23 @@ def encoder_gain(fitter: Fitter, poorer: Fitted, effect: Effect) -> float:
     return best
 
 
-def gain_beside_encoder(fitter: Fitter, poorer: Fitted, richer: Fitted) -> float:
+def gain_with_encoder_error(fitter: Fitter, poorer: Fitted, richer: Fitted) -> float:
     """How far the chi-square falls from one structure to the other when the encoder may err at each whole order of its turn.
 
     Amplitudes and phases are each recording's own, and both structures' parameters follow (to first order). Infinite where there
     is no angle, the axis slides or the velocity is not judged.
     """
-    left = fitter.map([partial(_beside, fitter, f) for f in (poorer, richer)])
+    left = fitter.map([partial(_chi2_with_encoder_error, fitter, f) for f in (poorer, richer)])
     if left[0] is None or left[1] is None:
         return float("inf")
     return left[0] - left[1]
 
 
-def fit_beside_encoder(fitter: Fitter, fitted: Fitted, least: float) -> Fitted | None:
+def fit_with_encoder_error(fitter: Fitter, fitted: Fitted, least: float) -> Fitted | None:
     """The structure with parameters as they are when the encoder may err at each whole order of its turn, to first order.
 
     Free parameters bend to take up some of such an error, by a thousandth here, and the model then misses motion that is there.
-    None where this does not lower chi-square by ``least``, or `gain_beside_encoder` is infinite.
+    None where this does not lower chi-square by ``least``, or `gain_with_encoder_error` is infinite.
     """
     c = _with_encoder(fitter, fitted)
     if c is None:
@@ -73,7 +73,7 @@ def fit_beside_encoder(fitter: Fitter, fitted: Fitted, least: float) -> Fitted |
     step = np.linalg.lstsq(c / size, -fitted.fit.residual, rcond=1e-8)[0] / size
     x = np.clip(fitted.fit.x + step[: len(fitted.fit.x)], *fitted.hypothesis.bounds)
     beside = fitter.fit(fitted.hypothesis, x, iterations=0)
-    left = _beside(fitter, beside) if beside.ok else None
+    left = _chi2_with_encoder_error(fitter, beside) if beside.ok else None
     return beside if left is not None and fitted.chi2 - left > least else None
 
 
@@ -81,13 +81,13 @@ def _with_encoder(fitter: Fitter, fitted: Fitted) -> np.ndarray | None:
     """Sensitivities of a fit and, beside them, what whole orders of the encoder's turn would leave: columns (M, k)."""
     if fitter.view.channel != "velocity" or fitter.nominal.chain.motion is not Motion.HINGE:
         return None
-    shown = _shown(fitter, fitted)
+    shown = _angle_and_speed(fitter, fitted)
     if shown is None:
         return None
     return np.hstack([fitted.fit.J, _columns(fitter, fitted, shown, [whole_orders(angle) for angle, _ in shown])])
 
 
-def _beside(fitter: Fitter, fitted: Fitted) -> float | None:
+def _chi2_with_encoder_error(fitter: Fitter, fitted: Fitted) -> float | None:
     """Chi-square of a fit once whole orders of the encoder's turn are fitted to its residual as well."""
     c = _with_encoder(fitter, fitted)
     if c is None:
@@ -101,7 +101,7 @@ def whole_orders(angle: np.ndarray) -> list[float]:
     return [float(n) for n in range(1, 9) if n * float(np.ptp(angle)) > 2 * np.pi]
 
 
-def _shown(fitter: Fitter, fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]] | None:
+def _angle_and_speed(fitter: Fitter, fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]] | None:
     """(measured angle, fitted speed) of each experiment (N,), or None where there is none."""
     out = []
     for i, experiment in enumerate(fitter.experiments):

@@ -21,7 +21,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import levinson
 from diagnose.problem.view import ForceView
-from diagnose.thresholds import FEW_PERIODS, FORCE_TAPS, MOST_ORDERS, NEIGHBOURS, ORDER_BY_CHANCE, UNSURE
+from diagnose.thresholds import ALPHA, FEW_PERIODS, MOST_ORDERS, NEIGHBOURS, TAPS, UNSURE
 
 __all__ = ["force_orders", "line_energy", "stands_out"]
 
@@ -56,7 +56,7 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[f
     for weight in (np.ones(len(v)), np.sign(v)):
         power = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, grid, r.dt)
         peak = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
-        lines = [i for i in peak if stands_out(power, grid, int(i), 2 * np.pi / travel) < ORDER_BY_CHANCE / len(grid)]
+        lines = [i for i in peak if stands_out(power, grid, int(i), 2 * np.pi / travel) < ALPHA / len(grid)]
         for i in sorted(lines, key=lambda i: -power[i])[:most]:
             near = np.linspace(grid[i - 1], grid[i + 1], 21)
             finer = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, near, r.dt)
@@ -95,7 +95,7 @@ def line_energy(
     from scipy.signal import freqz, lfilter
 
     d = np.where(keep, d, 0.0)
-    taps = min(FORCE_TAPS, len(d) // 10)
+    taps = min(TAPS, len(d) // 10)
     r = np.array([float(d[: len(d) - k] @ d[k:]) for k in range(taps + 1)])
     if r[0] <= 0:
         return np.zeros(len(orders))

@@ -31,7 +31,7 @@ def sizes_of(effect: Effect) -> tuple[str, ...]:
 
 
 def open_sizes(f: Fitted, noise: NoiseModel, sizes: Mapping[str, tuple[str, ...]] | None = None) -> tuple[Open, ...]:
-    """The sizes of the supposed effects of a structure that are not told from zero; ``sizes``: others to ask about, by key."""
+    """The sizes of the supposed effects of a structure whose intervals contain zero; ``sizes``: others to ask about, by key."""
     asked = {e.key: sizes_of(e) for e in f.effects} if sizes is None else sizes
     effects = {e.key: e for e in f.effects}
     out = []

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from diagnose.fit.whiten import levinson
-from diagnose.thresholds import ORDER_TAPS
+from diagnose.thresholds import FEW_TAPS
 from mjsim.axis import Axis
 from mjsim.signals import freqz, lfilter
 from mjsim.system import assemble, state_matrix
@@ -94,7 +94,7 @@ def find_orders(
     mask = np.ones(len(residual), bool) if keep is None else keep
     # an axis integrates: what is slow and large in the residual fits waves of many orders: whitened away on both sides
     level = residual - residual.mean()
-    white, _ = levinson(np.array([float(level[: len(level) - k] @ level[k:]) for k in range(ORDER_TAPS + 1)]), ORDER_TAPS)
+    white, _ = levinson(np.array([float(level[: len(level) - k] @ level[k:]) for k in range(FEW_TAPS + 1)]), FEW_TAPS)
     y, b = lfilter(white, [1.0], level) * mask, np.convolve(b, white)
     # correlating with a filtered wave is correlating the wave with what the transposed filter makes of the residual
     z = lfilter(b, a, y[::-1])[::-1]

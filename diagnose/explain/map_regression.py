@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.fit.least_squares import orthonormal
-from diagnose.thresholds import FOLDS, MIMIC, RIDGE, STRAIGHT
+from diagnose.thresholds import FOLDS, MIMIC, RIDGE, ROUNDING
 from mjsim.torque_map import TorqueMap
 
 __all__ = ["LAMBDAS", "Regression", "Solution", "roughness", "solve"]
@@ -71,7 +71,7 @@ def solve(p: Regression, without: float) -> Solution:
     V = V @ turn
     X = np.column_stack([p.J / (np.linalg.norm(p.J, axis=0) + 1e-300), p.D @ V])
     rough, bent = np.zeros(X.shape[1]), np.zeros(X.shape[1])
-    rough[k:] = np.where(bends > STRAIGHT * bends.max(initial=0.0), bends, 0.0)
+    rough[k:] = np.where(bends > ROUNDING * bends.max(initial=0.0), bends, 0.0)
     bent[k:] = np.where(rough[k:] > 0.0, V.T @ (p.S.T @ (p.S @ p.c)), 0.0)
     scale = 1.0 / max(float(np.mean(bends)) if len(bends) else 0.0, 1e-300)
     grams = [X[p.fold == f].T @ X[p.fold == f] for f in range(-1, FOLDS)]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
-from diagnose.thresholds import SECOND_BLOCKS, SECOND_MATERIAL, SECOND_P
+from diagnose.thresholds import ALPHA, BLOCKS, SMALL
 from mjsim.axis import Chain
 from mjsim.quantity import Quantity
 
@@ -176,7 +176,7 @@ def _blocks(parts: Sequence[_Part], terms: Sequence[str], values: Mapping[str, f
     for p in parts:
         d, x = _columns(p, terms, values.get("time_delay", 0.0))
         e = d - x @ np.array([values[t] for t in terms if t != "time_delay"])
-        for block in np.array_split(e, SECOND_BLOCKS):
+        for block in np.array_split(e, BLOCKS):
             squares.append(float(block @ block))
             count.append(len(block))
     return np.array(squares), np.array(count)
@@ -187,6 +187,6 @@ def _pays(before: np.ndarray, after: np.ndarray) -> bool:
     from scipy.stats import wilcoxon
 
     d = before - after
-    if np.sum(d) < SECOND_MATERIAL * np.sum(before):
+    if np.sum(d) < SMALL * np.sum(before):
         return False
-    return float(wilcoxon(d, alternative="greater").pvalue) * len(TERMS) < SECOND_P
+    return float(wilcoxon(d, alternative="greater").pvalue) * len(TERMS) < ALPHA

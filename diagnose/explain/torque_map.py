@@ -36,18 +36,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.problem import bounded
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
-from diagnose.thresholds import (
-    FOLDS,
-    MAP_FAR,
-    MAP_MATERIAL,
-    MAP_RUNS,
-    P_MAP,
-    RICHER,
-    STILL,
-    STRETCHES,
-    TELLING,
-    TRIED,
-)
+from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEAST_SAMPLES, MAP_FAR, MAP_RUNS, MATERIAL, SMALL, STALLED, TRIED
 from mjsim.axis import Axis
 from mjsim.quantity import Quantity
 from mjsim.signals import lfilter
@@ -113,7 +102,7 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
         after = fitter.validate(t.fitted)
         gain = compare(before, after)
         p_value = min(1.0, gain.p_value * len(tried))
-        if after is not None and gain.relative_gain > MAP_MATERIAL and p_value < P_MAP:
+        if after is not None and gain.relative_gain > MATERIAL and p_value < ALPHA:
             return Mapped(t.fitted, after, _result(fitter, t, before, after, p_value))
     return None
 
@@ -123,7 +112,7 @@ def _folds(fitter: Fitter, size: int) -> np.ndarray:
     parts = []
     for experiment in fitter.experiments:
         _, keep = fitter.whitened(np.zeros(len(fitter.counted(experiment))), experiment)
-        at = np.arange(len(keep)) * STRETCHES // len(keep) % FOLDS
+        at = np.arange(len(keep)) * BLOCKS // len(keep) % FOLDS
         parts.append(at[keep])
     fold = np.concatenate(parts)
     return np.concatenate([fold, np.full(size - len(fold), -1)])
@@ -137,9 +126,9 @@ def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
     fold = _folds(fitter, len(best.fit.residual))
     respond = _Responses(fitter, best)
     # which map is worth a fit so many rows tell; all of the prior's
-    own = best.hypothesis.told[0]
+    own = best.hypothesis.prior_terms[0]
     samples = len(fold) - own
-    rows = np.concatenate([np.arange(0, samples, max(1, samples // TELLING)), np.arange(samples, len(fold))])
+    rows = np.concatenate([np.arange(0, samples, max(1, samples // LEAST_SAMPLES)), np.arange(samples, len(fold))])
     r, J, fold = best.fit.residual[rows], best.fit.J[rows], fold[rows]
     left = float(r @ r)
 
@@ -152,9 +141,9 @@ def _screen(fitter: Fitter, best: Fitted) -> list[_Candidate]:
 
     found = [c for c in fitter.map([partial(judged, shape) for shape in shapes(known)]) if c is not None]
     found.sort(key=lambda c: c.solution.cost)
-    found = [c for c in found if c.solution.cost < 1 - MAP_MATERIAL]
+    found = [c for c in found if c.solution.cost < 1 - MATERIAL]
     single = min((c.solution.cost for c in found if len(c.shape.axes) == 1), default=math.inf)
-    return [c for c in found if len(c.shape.axes) == 1 or c.solution.cost < (1 - RICHER) * single]
+    return [c for c in found if len(c.shape.axes) == 1 or c.solution.cost < (1 - SMALL) * single]
 
 
 class _Responses:
@@ -255,7 +244,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) 
         after = solve(problem, best.chi2)
         at = Linearised.known(problem.r, problem.J)
         cost = float(problem.r @ problem.r)
-        fell = outcome is None or cost < (1 - STILL) * outcome.fitted.chi2
+        fell = outcome is None or cost < (1 - STALLED) * outcome.fitted.chi2
         own = Fit(x, cost, at, fit.status, fit.iterations, fit.predicted_gain)
         outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, after, problem, after.cost * best.chi2)
         if not fell or fitter.runs > until:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.thresholds import VARIES
+from diagnose.thresholds import SMALL
 from mjsim.chain import Chain
 from mjsim.effects import Effect
 from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, POSITION, RATE
@@ -33,7 +33,7 @@ def follows_weight(effect: Effect, others: Sequence[Effect], chain: Chain, angle
     """
     level = _over_angle([p for p in effect.ports(chain) if isinstance(p, Friction)], angle, speed)
     weight = _over_angle([p for e in others for p in e.ports(chain) if isinstance(p, BodyTorque) and not p.state], angle, speed)
-    if np.std(level) <= VARIES * abs(float(np.mean(level))) or np.std(weight) <= 1e-9 * (np.max(np.abs(weight)) + 1e-300):
+    if np.std(level) <= SMALL * abs(float(np.mean(level))) or np.std(weight) <= 1e-9 * (np.max(np.abs(weight)) + 1e-300):
         return 0.0
     return float(np.corrcoef(level, np.abs(weight))[0, 1])
 

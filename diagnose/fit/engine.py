@@ -6,8 +6,8 @@ import math
 import threading
 from typing import Any, final
 
-from diagnose.fit.fit_cache import Memory
-from diagnose.fit.workers import SideBySide
+from diagnose.fit.ledger import Ledger
+from diagnose.fit.workers import WorkerPool
 
 __all__ = ["Counter", "Engine"]
 
@@ -40,8 +40,8 @@ class Engine:
     may be taken; own, pooled, observed: numbers of held-out recordings, fits to all recordings, fits under an observer gain.
     """
 
-    def __init__(self, threads: SideBySide, unit: int, memory: Memory | None = None, counter: Counter | None = None) -> None:
-        self.threads, self.unit, self.memory = threads, unit, memory
+    def __init__(self, threads: WorkerPool, unit: int, ledger: Ledger | None = None, counter: Counter | None = None) -> None:
+        self.threads, self.unit, self.ledger = threads, unit, ledger
         self.counter = counter or Counter()
         self.most_runs = math.inf
         self.closed = False
@@ -49,13 +49,13 @@ class Engine:
         self.pooled: dict[tuple[object, ...], Any] = {}
         self.observed: dict[tuple[object, ...], Any] = {}
 
-    def beside(self, *, remembers: bool = False, counts_here: bool = False) -> Engine:
+    def related(self, *, remembers: bool = False, counts_here: bool = False) -> Engine:
         """An engine for a related problem on the same threads, with no budget of its own.
 
         ``remembers``: its fits go into the ledger as well; ``counts_here``: its work counts as this one's.
         """
         return Engine(
-            self.threads, self.unit, self.memory if remembers else None, self.counter if counts_here else None
+            self.threads, self.unit, self.ledger if remembers else None, self.counter if counts_here else None
         )  # fmt: skip
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from diagnose.fit.least_squares import Fit, Status
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
-from diagnose.thresholds import CLUSTERS, ENGINE, UNEXPLAINED
+from diagnose.thresholds import BLOCKS, ENGINE, UNEXPLAINED
 from mjsim.axis import Axis
 from mjsim.effects import Effect
 
@@ -83,11 +83,11 @@ class Fitted:
         """Whether bodies stick or strike in it."""
         return self.hypothesis.rough
 
-    def to_go_on(self) -> Fitted:
-        """The same, to be gone on with: it ended by a loose tolerance, or on sensitivities that secants brought up to date."""
+    def unconverged(self) -> Fitted:
+        """The same with the status of a fit that was stopped early: its tolerance was loose, or its Jacobian a secant update."""
         return dataclasses.replace(self, fit=dataclasses.replace(self.fit, status=Status.BUDGET)) if self.ok else self
 
-    def drawn(self, widths: np.ndarray, seed: int) -> list[np.ndarray]:
+    def covariance_draws(self, widths: np.ndarray, seed: int) -> list[np.ndarray]:
         """Points (p,) about the fit, so many standard errors wide by its covariance; the same for a seed."""
         J = self.fit.J
         if len(widths) == 0 or not J.any():
@@ -121,14 +121,14 @@ class Fitted:
             return slope * np.sqrt(squares) / scale
 
     def _clustered(self, inverse: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        """Variances (p,) of the scaled numbers where errors are correlated: by the scores of `CLUSTERS` stretches.
+        """Variances (p,) of the scaled numbers where errors are correlated: by the scores of `BLOCKS` stretches.
 
         V = H^-1 (sum of g_b g_b') H^-1, g_b = J_b' r_b; a residual that is the model's own error tells less than so many samples.
         Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13.
         """
         J, r = self.fit.J[: self.n] / scale, self.fit.residual[: self.n]
-        scores = np.array([a.T @ b for a, b in zip(np.array_split(J, CLUSTERS), np.array_split(r, CLUSTERS), strict=True)])
-        return np.asarray(np.sum((scores @ inverse) ** 2, axis=0)) * CLUSTERS / (CLUSTERS - 1)
+        scores = np.array([a.T @ b for a, b in zip(np.array_split(J, BLOCKS), np.array_split(r, BLOCKS), strict=True)])
+        return np.asarray(np.sum((scores @ inverse) ** 2, axis=0)) * BLOCKS / (BLOCKS - 1)
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,16 @@ import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
 from diagnose.fit.engine import Engine
-from diagnose.fit.fit_cache import Memory
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.least_squares import Fit, Linearised, levenberg_marquardt, residual_and_jacobian
+from diagnose.fit.ledger import Ledger
 from diagnose.fit.nuisance import nuisance_values
-from diagnose.fit.workers import Counted, SideBySide
+from diagnose.fit.workers import Counted, WorkerPool
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
 from diagnose.problem.problem import Problem, Residual, bounded
 from diagnose.problem.view import View
-from diagnose.thresholds import ANEW, ANEWS, FAR, LEVELS_OFF, RK4, ROUGHLY
+from diagnose.thresholds import ANEW, ANEWS, FAR, RK4, ROUGHLY, SAME
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.system import assemble
@@ -44,11 +44,11 @@ class Fitter:
         held_out: tuple[Experiment, ...],
         jobs: int = 2,
         varies: tuple[str, ...] = (),
-        memory: Memory | None = None,
+        ledger: Ledger | None = None,
     ) -> None:
         self.problem = Problem.of(nominal, view, experiments, held_out, varies)
         unit = self.problem.steps * sum(len(e.recording) for e in experiments)
-        self.engine = Engine(SideBySide(jobs), unit, memory)
+        self.engine = Engine(WorkerPool(jobs), unit, ledger)
 
     @classmethod
     def of(cls, problem: Problem, engine: Engine) -> Fitter:
@@ -67,9 +67,9 @@ class Fitter:
         self.engine.unit = problem.steps * sum(len(e.recording) for e in self.experiments)
         return Fitter.of(problem, self.engine)
 
-    def beside(self, problem: Problem, *, remembers: bool = False, counts_here: bool = False) -> Fitter:
-        """A fitter of a related problem on the same threads; see `Engine.beside`."""
-        return Fitter.of(problem, self.engine.beside(remembers=remembers, counts_here=counts_here))
+    def related(self, problem: Problem, *, remembers: bool = False, counts_here: bool = False) -> Fitter:
+        """A fitter of a related problem on the same threads; see `Engine.related`."""
+        return Fitter.of(problem, self.engine.related(remembers=remembers, counts_here=counts_here))
 
     def with_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = ()) -> Fitter:
         """On the same engine, with spatial orders as starts; ``swung``: those of a varying inertia."""
@@ -149,7 +149,7 @@ class Fitter:
         """Set how many runs may be taken."""
         self.engine.most_runs = runs
 
-    def took(self, work: int) -> None:
+    def count_work(self, work: int) -> None:
         """Count what was simulated, in products of a step."""
         self.engine.counter.add(work)
 
@@ -205,14 +205,14 @@ class Fitter:
         return residual_and_jacobian(residual, x, np.full(len(x), step), *h.bounds, run, which)
 
     def map(self, tasks: Sequence[Callable[[], T]], lengths: Sequence[float] | None = None) -> list[T]:
-        """Work side by side; answers in the order of the tasks, the longest of which is begun first."""
+        """Run tasks on the worker pool; answers in the order of the tasks, the longest of which starts first."""
         return self.engine.threads.map(tasks, lengths)
 
     def run(self, tasks: Sequence[Callable[[], np.ndarray | None]]) -> list[np.ndarray | None]:
         """Run residuals side by side, and count what they take."""
         counted = Counted(self.engine.threads)
         answers = counted.run(tasks)
-        self.took(counted.work)
+        self.count_work(counted.work)
         return answers
 
     def misfit(self, fitted: Fitted) -> float:
@@ -225,12 +225,12 @@ class Fitter:
         return self.noise.exceeds(self.misfit(fitted), level)
 
     def fit(self, h: Hypothesis, x0: np.ndarray | None = None, *, iterations: int = 25, step: float = 1e-3,
-            tolerance: float = 1e-6, borrow: Fitted | None = None, secant: bool = False,
+            tolerance: float = 1e-6, neighbour: Fitted | None = None, secant: bool = False,
             fresh: Sequence[str] = (), rival: bool = False,
             slow: tuple[float, float] = (math.inf, 0.0)) -> Fitted:  # fmt: skip
         """Fit one hypothesis from its start.
 
-        ``borrow``: a fitted neighbour whose sensitivities stand in for the shared parameters in the first iteration.
+        ``neighbour``: a fitted structure whose sensitivities are used for the shared parameters in the first iteration.
         ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
         ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to ROUGHLY is
         enough, unless bodies stick or strike in it: a rough cost falls slowly. ``slow``: a cost, and the relative gain of an
@@ -239,44 +239,44 @@ class Fitter:
         start = h.start if x0 is None else x0
         rival = rival and self.noise.absolute and not h.rough
         how = (iterations, step, tolerance, secant, tuple(fresh), rival, slow)
-        key = self._key(h, start, how, borrow) if self.engine.memory is not None else ""
-        known = self.engine.memory.recall(key) if self.engine.memory is not None else None
+        key = self._key(h, start, how, neighbour) if self.engine.ledger is not None else ""
+        known = self.engine.ledger.recall(key) if self.engine.ledger is not None else None
         counted = Counted(self.engine.threads)
         coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival and not slow[1] else slow
 
         def solve() -> Fit:
-            lent = self._borrowed(h, start, borrow, step, counted.run) if borrow is not None else None
+            lent = self._from_neighbour(h, start, neighbour, step, counted.run) if neighbour is not None else None
             r0, J0 = lent if lent is not None else (None, None)
             return levenberg_marquardt(
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
                 max_iterations=iterations, tolerance=tolerance, J0=J0, r0=r0, secant=secant, reach=h.reach,
-                beside=counted.beside, fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
+                fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
                 slope=self.problem.slope(h),
             )  # fmt: skip
 
         if known is None:
             fit = solve()
-            n = max(len(fit.residual) - h.told[0], 1)
-            if self.engine.memory is not None:
+            n = max(len(fit.residual) - h.prior_terms[0], 1)
+            if self.engine.ledger is not None:
                 fit = dataclasses.replace(fit, linear=fit.linear.marked(key))
                 if not self.engine.closed:
-                    self.engine.memory.keep(key, fit, n, counted.work)
+                    self.engine.ledger.keep(key, fit, n, counted.work)
             work = counted.work
         else:
             # its arrays only when somebody builds on them, by the same way again
             linear = Linearised(lambda: solve().linear.arrays, key)
             fit = Fit(known.x, known.cost, linear, known.status, known.iterations, known.predicted_gain)
             n, work = known.n, known.work
-        self.took(work)
+        self.count_work(work)
         return Fitted(h, fit, n)
 
     def by_secants(self, h: Hypothesis, x0: np.ndarray | None = None, *, slow: tuple[float, float] = (math.inf, 0.0)) -> Fitted:
-        """Fit one hypothesis by secants, begun anew every few iterations: past the steps of a rough cost, and in few runs."""
+        """Fit one hypothesis by secants, with a new Jacobian every few iterations: for a nonsmooth cost, in few runs."""
         best = self.fit(h, x0, iterations=ANEW, secant=True, slow=slow)
         for _ in range(ANEWS):
             now = self.fit(h, best.fit.x, iterations=ANEW, secant=True, slow=slow)
             best, last = (now if now.chi2 < best.chi2 else best), best
-            if not best.ok or best.chi2 > last.chi2 * (1.0 - LEVELS_OFF):
+            if not best.ok or best.chi2 > last.chi2 * (1.0 - SAME):
                 break
         return best
 
@@ -298,11 +298,13 @@ class Fitter:
         """How long an iteration takes from each of some fits: by its numbers and the steps of a run."""
         return [len(f.hypothesis.entries) * self.length(f.hypothesis, f.fit.x) for f in fits]
 
-    def _key(self, h: Hypothesis, start: np.ndarray, how: tuple[object, ...], borrow: Fitted | None) -> str:
+    def _key(self, h: Hypothesis, start: np.ndarray, how: tuple[object, ...], neighbour: Fitted | None) -> str:
         """Hash of all that a fit depends on besides the recordings as read, the nominal model and the code."""
         from hashlib import sha256
 
-        lent = None if borrow is None else (borrow.fit.linear.mark or borrow.fit.J.tobytes(), borrow.hypothesis.entries)
+        lent = (
+            None if neighbour is None else (neighbour.fit.linear.mark or neighbour.fit.J.tobytes(), neighbour.hypothesis.entries)
+        )
         weights = [self.sigma(e) for e in self.experiments]
         asked = (self._counting_which, h.effects, h.nominal.effects, h.entries, how, lent, weights, self.problem.prior_weight)
         return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
@@ -314,7 +316,7 @@ class Fitter:
 
         return sha256(b"|".join(np.packbits(self.counted(e)).tobytes() for e in self.experiments)).hexdigest()
 
-    def _borrowed(
+    def _from_neighbour(
         self, h: Hypothesis, x: np.ndarray, base: Fitted, step: float, run: Run
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Residual and Jacobian at x, the columns for the parameters of ``base`` taken from there; None where it lends none."""
@@ -334,7 +336,7 @@ class Fitter:
                 J[:, i] = column if e.log else column * (e.scale / scale)
         # what the nominal model says is known exactly, and may weigh otherwise by now
         rows, at, slope = self.problem.prior_slope(h)
-        first = len(r) - h.told[0]
+        first = len(r) - h.prior_terms[0]
         J[first:] = 0.0
         J[first + rows, at] = slope
         return r, J
@@ -350,15 +352,12 @@ class Fitter:
         J = 0.5 * (forward + backward)
         return Fitted(h, Fit(f.x, f.cost, Linearised.known(r, J), f.status, f.iterations, f.predicted_gain), fitted.n)
 
-    def validate(self, fitted: Fitted, samples: Sequence[np.ndarray] | None = None, blocks: int = 40) -> HeldOut | None:
-        """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is.
-
-        ``samples``: those (N,) of each recording that count, all when None.
-        """
+    def validate(self, fitted: Fitted, blocks: int = 40) -> HeldOut | None:
+        """Free-run error on the held-out experiments; phases and initial speeds are estimated anew there, nothing else is."""
         h = fitted.hypothesis
         sse, count, squares, total, spread = [], [], 0.0, 0, 0.0
         errors = []
-        for i, experiment in enumerate(self.held_out):
+        for experiment in self.held_out:
             solved = self.own_values(h, fitted, experiment)
             if solved is None:
                 return None
@@ -368,8 +367,6 @@ class Fitter:
                 return None
             keep = self.counted(experiment)
             w, valid = self.whitened(e, experiment)
-            if samples is not None:
-                keep, valid = keep & samples[i], valid & samples[i]
             w2 = w**2
             errors.append(w[valid])
             for part in np.array_split(np.flatnonzero(valid), blocks):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import enum
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -89,26 +89,18 @@ class Fit:
 
 Task = Callable[[], np.ndarray | None]
 Run = Callable[[Sequence[Task]], list[np.ndarray | None]]
-Beside = Callable[[Task, Task], tuple[np.ndarray | None, Task | None]]
 
 
 def jacobian(
     residual: Residual, x: np.ndarray, r0: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, run: Run,
-    which: Sequence[int] | None = None, begun: Mapping[bytes, Task] | None = None,
+    which: Sequence[int] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
     """Forward secants (N, p), or of the numbers ``which`` (k,) alone (N, k); turned inward at a bound.
 
-    One that cannot be run is turned too; None when that fails as well. ``begun``: how to ask for residuals that are worked out
-    already, by the bytes of their points.
+    One that cannot be run is turned too; None when that fails as well.
     """
-    points, steps = _beside(x, step, lower, upper, which)
-    known = begun or {}
-
-    def at(y: np.ndarray) -> np.ndarray | None:
-        mark = y.tobytes()
-        return known[mark]() if mark in known else residual(y)
-
-    return _secants(r0, *_turned(residual, x, run([partial(at, y) for y in points]), points, steps, run))
+    points, steps = _secant_points(x, step, lower, upper, which)
+    return _secants(r0, *_turned(residual, x, run([partial(residual, y) for y in points]), points, steps, run))
 
 
 def residual_and_jacobian(
@@ -116,7 +108,7 @@ def residual_and_jacobian(
     which: Sequence[int] | None = None,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:  # fmt: skip
     """Residual (N,) at x and `jacobian` there, all run side by side; None for what could not be run."""
-    points, steps = _beside(x, step, lower, upper, which)
+    points, steps = _secant_points(x, step, lower, upper, which)
     r, *columns = run([partial(residual, y) for y in (x, *points)])
     return r, None if r is None else _secants(r, *_turned(residual, x, columns, points, steps, run))
 
@@ -135,7 +127,7 @@ def _turned(
     return columns, steps
 
 
-def _beside(
+def _secant_points(
     x: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, which: Sequence[int] | None
 ) -> tuple[list[np.ndarray], list[float]]:
     """Points a step away from x in one number each, and these steps."""
@@ -164,7 +156,7 @@ def orthonormal(columns: np.ndarray) -> np.ndarray:
 
 
 def _bounded_step(A: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Minimiser of g d + d A d / 2 within the bounds: coordinates that would leave are held, those that want back are let go."""
+    """Minimiser of g d + d A d / 2 within the bounds: coordinates at a bound are held while the slope points outward."""
     n = len(x)
     d = np.zeros(n)
     free = np.ones(n, bool)
@@ -209,7 +201,6 @@ class _Point:
     d: np.ndarray
     gain: float = np.inf
     actual: float = 0.0
-    begun: dict[bytes, Task] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +216,6 @@ class _Method:
     secant: bool
     fresh: Sequence[int]
     reach: np.ndarray | None
-    beside: Beside | None
 
     def there(self, x: np.ndarray) -> Residual:
         """The residual whose secants at x are the Jacobian."""
@@ -237,9 +227,7 @@ class _Method:
             return self._by_secant(now)
         J = given
         if J is None:
-            J = jacobian(
-                self.there(now.x), now.x, now.r, self.step, self.lower, self.upper, self.run, begun=now.begun
-            )  # fmt: skip
+            J = jacobian(self.there(now.x), now.x, now.r, self.step, self.lower, self.upper, self.run)
         if J is None:
             return False
         now.J = J
@@ -259,14 +247,12 @@ class _Method:
             now.J[:, self.fresh] = part
         return True
 
-    def descend(self, now: _Point, tolerance: float, *, last: bool) -> Status | None:
+    def descend(self, now: _Point, tolerance: float) -> Status | None:
         """One step to a lower cost, damped as far as it takes; the status with which the fit ends, None where it goes on."""
         A, g = now.J.T @ now.J, now.J.T @ now.r
         scale = np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A)) + 1e-300)
         moved = partial(_moved, A, scale, g, now.x, self.lower, self.upper, self.reach)
         first_gain: float | None = None
-        tried: dict[bytes, Task] = {}
-        failed = False
         for _ in range(12):
             trial = moved(now.mu)
             now.d = d = trial - now.x
@@ -277,32 +263,10 @@ class _Method:
             if now.gain <= 0:
                 now.mu = max(now.mu, 1e-6) * 10
                 continue
-            if trial.tobytes() in tried:
-                r = tried.pop(trial.tobytes())()
-            elif failed and self.beside is not None:
-                r, tried = self._with_next_step(trial, moved(max(now.mu, 1e-6) * 10))
-            else:
-                r = self._with_next_column(now, trial, last=last)
-            if _accepted(now, trial, r):
+            if _accepted(now, trial, self.residual(trial)):
                 return Status.CONVERGED if now.actual < tolerance or now.cost == 0.0 else None
-            failed = True
             now.mu = max(now.mu, 1e-6) * 10
         return Status.CONVERGED if first_gain is not None and first_gain < 10 * tolerance else Status.STALLED
-
-    def _with_next_step(self, trial: np.ndarray, following: np.ndarray) -> tuple[np.ndarray | None, dict[bytes, Task]]:
-        """The residual of a trial step, and how to ask for that of the one that follows if it fails."""
-        assert self.beside is not None
-        r, ask = self.beside(partial(self.residual, trial), partial(self.residual, following))
-        return r, {following.tobytes(): ask} if ask is not None else {}
-
-    def _with_next_column(self, now: _Point, trial: np.ndarray, *, last: bool) -> np.ndarray | None:
-        """The residual of a trial step; beside it the first column of the next Jacobian, where there will be one."""
-        if self.beside is None or self.slope is not None or self.secant or last:
-            return self.residual(trial)
-        (first,), _ = _beside(trial, self.step, self.lower, self.upper, [0])
-        r, ask = self.beside(partial(self.residual, trial), partial(self.residual, first))
-        now.begun = {first.tobytes(): ask} if ask is not None else {}
-        return r
 
 
 def _accepted(now: _Point, trial: np.ndarray, r: np.ndarray | None) -> bool:
@@ -332,7 +296,6 @@ def levenberg_marquardt(
     fresh: Sequence[int] = (),
     reach: np.ndarray | None = None,
     coarse: tuple[float, float] = (np.inf, 0.0),
-    beside: Beside | None = None,
     slope: Callable[[np.ndarray], Residual] | None = None,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
@@ -340,12 +303,10 @@ def levenberg_marquardt(
     tolerance: relative gain of the cost below which it has converged; J0: a Jacobian for the first iteration, which is written
     to, r0: the residual at x0, when known;
     secant: from the second iteration on the Jacobian is brought up to date by Broyden's rank-one formula (C. G. Broyden,
-    Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that only has to show whether it is worth going on;
+    Math. Comp. 19 (1965) 577) and not differenced anew: cheap, for a fit that is only compared with others;
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
     coarse: a cost, and the tolerance that is enough above it;
-    beside: the answer of a task, and how to ask for that of another one if somebody works that out: the first column of the next
-    Jacobian beside a step, or, once one has failed, the next step beside it; neither changes an outcome;
     slope: of a point, the residual whose secants there are the Jacobian, where those of the residual itself tell little.
     """
     lower, upper = bounds
@@ -361,7 +322,7 @@ def levenberg_marquardt(
     now = _Point(x, r, float(r @ r), J, damping, r, np.zeros(len(x)))
     if now.cost == 0.0:
         return Fit(x, 0.0, Linearised.known(r, J), Status.CONVERGED, 0, 0.0)
-    method = _Method(residual, slope, lower, upper, step, run, secant, fresh, reach, beside)
+    method = _Method(residual, slope, lower, upper, step, run, secant, fresh, reach)
     status, iteration = Status.BUDGET, 0
     for iteration in range(1, max_iterations + 1):
         first = iteration == 1
@@ -369,7 +330,7 @@ def levenberg_marquardt(
             status = Status.STALLED
             break
         enough = max(tolerance, coarse[1]) if now.cost > coarse[0] else tolerance
-        ended = method.descend(now, enough, last=iteration == max_iterations)
+        ended = method.descend(now, enough)
         if ended is not None:
             status = ended
             break

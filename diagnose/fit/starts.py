@@ -1,51 +1,31 @@
-"""Starts of a fit: from the numbers of another structure, and from the starts that an effect declares."""
+"""Multistart: a structure fitted from all starts that one of its effects declares."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from functools import partial
 
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.pool import Key
-from diagnose.problem.hypothesis import Hypothesis, make
-from diagnose.thresholds import STARTS_FITTED
+from diagnose.problem.hypothesis import make
 from mjsim.effects import Effect
 
-__all__ = ["best_of_starts", "restarted", "warm_started"]
+__all__ = ["multistart"]
 
 
-def warm_started(fitter: Fitter, richer: Fitted, key: Key, iterations: int) -> Fitted:
-    """A poorer structure ``key`` fitted from the numbers of a richer one."""
-    effects = tuple(e for e in richer.effects if e.key in key)
-    return fitter.fit(fitter.hypothesis(effects, richer.linear, richer.own), iterations=iterations)
+def multistart(fitter: Fitter, f: Fitted, effect: Effect) -> Fitted:
+    """The best fit of a structure from the starts of an effect at the nominal linear parameters; ``f`` where none is better.
 
-
-def best_of_starts(fitter: Fitter, starts: Sequence[Hypothesis], most: int, tolerance: float = 1e-3) -> Fitted:
-    """The best of ``most`` starts, those of the least cost, after a few iterations by secants; not `ok` where none can be run."""
-    costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
-    order = sorted(range(len(starts)), key=lambda i: costs[i])[:most]
-    fits = fitter.map([partial(fitter.fit, starts[i], iterations=8, tolerance=tolerance, secant=True, rival=True) for i in order])
-    return min(fits, key=lambda g: g.chi2)
-
-
-def restarted(
-    fitter: Fitter, f: Fitted, chosen: Sequence[Effect], linear: Sequence[Mapping[str, float] | None] | None = None
-) -> Fitted:
-    """The best fit of a structure from every start of the effects ``chosen``, at linear parameters ``linear`` (None: nominal).
-
-    By default at its own and at the nominal ones.
+    Starts are ranked by their cost. The best, twice as many as the effect's ``multistart``, are fitted by a few iterations by
+    secants, and the best of these goes on.
     """
-    starts = []
-    for effect in chosen:
-        cls, rest = type(effect), tuple(e for e in f.effects if e.key != effect.key)
-        own = {k: v for k, v in f.own.items() if k[0] != effect.key}
-        for values in cls.starts(fitter.scales_for(cls, effect.place)):
-            again = (*rest, make(cls.id, effect.place, values))
-            starts += [fitter.hypothesis(again, at, own) for at in linear or (f.linear, None)]
-    if not starts:
-        return f
-    best = best_of_starts(fitter, starts, STARTS_FITTED)
-    on = fitter.by_secants(best.hypothesis, best.fit.x) if best.ok else best
+    cls, others = type(effect), tuple(e for e in f.effects if e.key != effect.key)
+    own = {k: v for k, v in f.own.items() if k[0] != effect.key}
+    values = cls.starts(fitter.scales_for(cls, effect.place))
+    starts = [fitter.hypothesis((*others, make(cls.id, effect.place, v)), None, own) for v in values]
+    costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
+    order = sorted(range(len(starts)), key=lambda i: costs[i])[: 2 * cls.multistart]
+    begin = partial(fitter.fit, iterations=8, tolerance=1e-3, secant=True, rival=True)
+    best = min(fitter.map([partial(begin, starts[i]) for i in order]), key=lambda g: g.chi2, default=f)
+    on = fitter.by_secants(best.hypothesis, best.fit.x) if best.ok and best is not f else f
     return on if on.ok and on.chi2 < f.chi2 else f

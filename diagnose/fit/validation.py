@@ -9,14 +9,14 @@ from functools import partial
 import numpy as np
 
 from diagnose.data.experiment import hold_out_blocks
-from diagnose.fit.fitted import Fitted, HeldOut
+from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import over_horizons
-from diagnose.problem.view import MotionView, most_led
-from diagnose.thresholds import FAR, MODELS_APART, POOLED_SLOWLY, PREDICTED, SAME, UNEXPLAINED
+from diagnose.problem.view import MotionView, highest_observer_gain
+from diagnose.thresholds import FAR, MATERIAL, SAME, SMALL, STALLED, UNEXPLAINED
 from mjsim.axis import Axis
 
-__all__ = ["error_on", "in_blocks", "observed_error", "observed_held_out", "pooled", "predicted_samples"]
+__all__ = ["error_on", "in_blocks", "observed_error", "pooled", "predicted_samples"]
 
 
 def pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
@@ -36,16 +36,16 @@ def pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
 
 def _fit_pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
     everything = (*fitter.experiments, *fitter.held_out)
-    wider = fitter.beside(fitter.problem.on(everything, everything).relax(prior_weight=1.0))
+    wider = fitter.related(fitter.problem.on(everything, everything).relax(prior_weight=1.0))
     # one that leaves much of both need not be known to the last digit
     much = fitter.noise.cost_at(FAR, sum(int(np.sum(fitter.counted(e))) for e in everything))
     h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
-    joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, POOLED_SLOWLY))
+    joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, STALLED))
     if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not fitter.spent:
         # a nonsmooth free run diverges on a recording that the parameters were not fitted to
         again = over_horizons(wider, joint, fitted.linear)
         joint = again if again.ok and again.chi2 < joint.chi2 else joint
-    fitter.took(wider.work)
+    fitter.count_work(wider.work)
     if not joint.ok:
         return fitted
     own = {k: v for k, v in joint.own.items() if k[2] < len(fitter.experiments)}
@@ -62,21 +62,21 @@ def in_blocks(fitter: Fitter) -> Fitter | None:
         tuple(dataclasses.replace(e, counts=e.counts & m[part]) for e, m in zip(fitter.experiments, masks, strict=True))
         for part in (0, 1)
     )
-    return fitter.beside(fitter.problem.on(fitted, fitter.experiments, held_out=held))
+    return fitter.related(fitter.problem.on(fitted, fitter.experiments, held_out=held))
 
 
 def predicted_samples(fitter: Fitter, fitted: Fitted, count: int = 6, seed: int = 0) -> list[np.ndarray] | None:
     """Which held-out samples (N,), for each recording, a model predicts in spite of the errors of its parameters.
 
-    Models drawn by the covariance of the fit are run beside it. Once they come apart by more than ``MODELS_APART`` of the noise,
-    over a tenth of a second, the free run is no prediction: events come at other moments, and the rest follows. They
+    Models drawn by the covariance of the fit are run beside it. Once they come apart by more than ``MATERIAL`` of the noise
+    variance, over a tenth of a second, the free run is no prediction: events come at other moments, and the rest follows. They
     may come together again, but then with each other and not with the machine. None where the model is smooth, or predicts too
     little.
     """
     h = fitted.hypothesis
     if not fitted.rough:
         return None
-    models = [h.axis(x, 0) for x in fitted.drawn(np.ones(count), seed)]
+    models = [h.axis(x, 0) for x in fitted.covariance_draws(np.ones(count), seed)]
     out = []
     for experiment in fitter.held_out:
         solved = fitter.own_values(h, fitted, experiment)
@@ -88,11 +88,11 @@ def predicted_samples(fitter: Fitter, fitted: Fitted, count: int = 6, seed: int 
         spread = [np.full(len(s.predicted), np.inf) if r is None else (r.predicted - s.predicted) ** 2 for r in runs]
         width = max(1, round(0.1 / experiment.recording.dt / fitter.view.decimate))
         local = np.convolve(np.mean(spread, axis=0), np.ones(width) / width, "same")
-        apart = np.flatnonzero(local >= (MODELS_APART * fitter.sigma(experiment)) ** 2)
+        apart = np.flatnonzero(local >= MATERIAL * fitter.sigma(experiment) ** 2)
         until = int(apart[0]) if len(apart) else len(local)
         out.append(fitter.counted(experiment) & (np.arange(len(local)) < until))
     share = sum(int(s.sum()) for s in out) / sum(int(np.sum(fitter.counted(e))) for e in fitter.held_out)
-    return out if share >= PREDICTED else None
+    return out if share >= SMALL else None
 
 
 def error_on(fitter: Fitter, fitted: Fitted, samples: Sequence[np.ndarray]) -> float | None:
@@ -109,16 +109,11 @@ def error_on(fitter: Fitter, fitted: Fitted, samples: Sequence[np.ndarray]) -> f
     return total / count if count else None
 
 
-def observed_held_out(fitter: Fitter, fitted: Fitted, gain: float) -> HeldOut | None:
-    """The held-out error under an observer gain [1/s]; None where it cannot be had."""
-    if not isinstance(fitter.view, MotionView) or gain > most_led(fitted.axis):
-        return None
-    return fitter.beside(fitter.problem.under_observer(gain, fitter.held_out)).validate(fitted)
-
-
 def observed_error(fitter: Fitter, fitted: Fitted, gain: float) -> float | None:
-    """Mean square of the weighted, whitened held-out error under an observer gain [1/s]; None where it cannot be had."""
-    held = observed_held_out(fitter, fitted, gain)
+    """Mean square of the weighted, whitened held-out error under an observer gain [1/s]; None where it cannot be computed."""
+    if not isinstance(fitter.view, MotionView) or gain > highest_observer_gain(fitted.axis):
+        return None
+    held = fitter.related(fitter.problem.under_observer(gain, fitter.held_out)).validate(fitted)
     return None if held is None else held.chi2 / float(np.sum(held.n))
 
 

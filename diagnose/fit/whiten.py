@@ -1,4 +1,4 @@
-"""The colour of what is left: an autoregressive filter that whitens the residual, so that its correlation is counted.
+"""The colour of the residual: an autoregressive filter that whitens it, so that its correlation is counted.
 
 By least squares over the stretches that count (the covariance method), order by BIC. The residual's autocorrelation would take
 it for nought beyond their ends, and each end for an innovation as large as the residual itself: noise 19 times as large as its
@@ -17,10 +17,10 @@ from diagnose.thresholds import GRID, GUIDE, PRIOR
 from mjsim.signals import freqz
 
 __all__ = [
-    "alike",
     "autoregression",
     "effective_share",
-    "guide_of",
+    "effective_share_between",
+    "effective_share_of_errors",
     "innovation",
     "lagged_products",
     "lags_of",
@@ -28,10 +28,10 @@ __all__ = [
     "noise_psd",
     "noise_rms",
     "offset_share",
-    "settle",
+    "same_filter",
+    "tempered_prior_weight",
+    "whitened_fit",
     "whitening_filter",
-    "worth",
-    "worth_of_errors",
 ]
 
 
@@ -81,7 +81,7 @@ def _stretches(counts: np.ndarray, least: int) -> list[slice]:
 
 
 def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
-    """Share of the samples that are worth an independent one, 1 / (1 + 2 sum rho_k^2), from the residual of the first experiment.
+    """Effective sample size over the number of samples, 1 / (1 + 2 sum rho_k^2), from the residual of the first experiment.
 
     Source: M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536. Used where the residual is the model's own error rather than
     sensor noise:
@@ -96,16 +96,16 @@ def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
     return float(1.0 / (1.0 + 2.0 * np.sum(_correlation(e, lags) ** 2)))
 
 
-def guide_of(fitter: Fitter, f: Fitted) -> float:
+def tempered_prior_weight(fitter: Fitter, f: Fitted) -> float:
     """Weight by which a prior of ``GUIDE`` on the nominal linear parameters counts beside what a structure leaves.
 
-    Such an error is correlated: its samples are worth few, by Bartlett's share, of a variance as large as the misfit.
+    Such an error is correlated: its effective sample size is small, and its variance is as large as the misfit.
     """
     return f.chi2 / f.n / effective_share(fitter, f) * (PRIOR / GUIDE) ** 2
 
 
-def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> float:
-    """Share of the samples that are worth an independent one to tell two models apart, 1 / (1 + 2 sum rho_k sigma_k).
+def effective_share_between(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> float:
+    """Effective sample size, over the number of samples, to distinguish two models: 1 / (1 + 2 sum rho_k sigma_k).
 
     rho: autocorrelation of the richer model's residual, sigma: that of the difference of the two predictions, over a ``span`` [s]
     of the first experiment. A slow error says little about a slow effect and much about a fast one. The poorer model's
@@ -119,7 +119,7 @@ def worth(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> 
         if e is None:
             return 1.0
         errors.append(np.where(fitter.counted(experiment), e, 0.0))
-    return worth_of_errors(errors[0] - errors[1], errors[1], lags_of(fitter, span))
+    return effective_share_of_errors(errors[0] - errors[1], errors[1], lags_of(fitter, span))
 
 
 def lags_of(fitter: Fitter, span: float = 2.0) -> int:
@@ -127,8 +127,8 @@ def lags_of(fitter: Fitter, span: float = 2.0) -> int:
     return round(span / (fitter.experiments[0].recording.dt * fitter.view.decimate))
 
 
-def worth_of_errors(difference: np.ndarray, left: np.ndarray, lags: int) -> float:
-    """The share of `worth` from the difference (N,) of two predictions and the residual (N,) of the better."""
+def effective_share_of_errors(difference: np.ndarray, left: np.ndarray, lags: int) -> float:
+    """The share of `effective_share_between` from the difference (N,) of two predictions and the residual (N,) of the better."""
     lags = min(lags, len(left) // 4)
     rho, sigma = _correlation(left, lags), _correlation(difference, lags)
     return 1.0 / max(1.0, 1.0 + 2.0 * float(rho @ sigma))
@@ -168,7 +168,7 @@ def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material
 def offset_share(fitter: Fitter, fitted: Fitted, blocks: int = 20, sure: float = 1e-4) -> float:
     """Largest share of a residual's mean square, over the experiments, that its mean has; of means that stand out only.
 
-    The mean of coloured noise strays from nought as well: by the means of ``blocks`` of it, each long beside its memory, it must
+    The mean of coloured noise differs from zero as well: by the means of ``blocks`` of it, each long beside its memory, it must
     be no chance (two-sided Student's t at ``sure``).
     """
     from scipy.special import stdtr
@@ -200,14 +200,14 @@ def innovation(fitter: Fitter, fitted: Fitted, filter_: np.ndarray) -> float:
     return float(np.sqrt(total / count)) if total > 0 else 1.0
 
 
-def alike(a: np.ndarray, b: np.ndarray, tolerance: float = 0.02) -> bool:
+def same_filter(a: np.ndarray, b: np.ndarray, tolerance: float = 0.02) -> bool:
     """Whether two filters differ by less than ``tolerance`` in each coefficient."""
     width = max(len(a), len(b))
     return bool(np.max(np.abs(np.pad(a, (0, width - len(a))) - np.pad(b, (0, width - len(b))))) < tolerance)
 
 
-def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray, Fitted] | None:
-    """The filter that its own fit bears out, and that fit; None where the structure leaves white errors.
+def whitened_fit(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray, Fitted] | None:
+    """A structure fitted on errors that its own filter whitens, and that filter; None where its errors are white.
 
     The structure is refitted on filtered errors and the filter taken from what it leaves, in turns.
 
@@ -224,7 +224,7 @@ def settle(fitter: Fitter, fitted: Fitted, rounds: int = 8) -> tuple[np.ndarray,
         new = whitening_filter(fitter, current)
         if not current.ok or new is None:
             break
-        settled = alike(new, now, 2e-3) and current.fit.status is not Status.BUDGET
+        settled = same_filter(new, now, 2e-3) and current.fit.status is not Status.BUDGET
         now = new
         if settled:
             break

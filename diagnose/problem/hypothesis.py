@@ -159,7 +159,7 @@ class Hypothesis:
         return self.nominal.kept_beside(self.effects)
 
     @cached_property
-    def told(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    def prior_terms(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
         """What the nominal axis says of numbers: of how many, whatever is supposed; then, of those that are in the vector, which.
 
         Their rows among all of them (k,), where they stand in the vector (k,), and their nominal values, scaled (k,).

@@ -116,9 +116,9 @@ class Problem:
     def under_observer(self, gain: float, held_out: tuple[Experiment, ...] = ()) -> Problem:
         """The same under an observer gain [1/s]: the measured velocity corrects the model, by its own inertia times the gain."""
         assert isinstance(self.view, MotionView)
-        return self.on(self.experiments, self.experiments, dataclasses.replace(self.view, lead=gain), held_out)
+        return self.on(self.experiments, self.experiments, dataclasses.replace(self.view, observer_gain=gain), held_out)
 
-    def thinned(self, experiments: tuple[Experiment, ...], view: View, every: int) -> Problem:
+    def decimated(self, experiments: tuple[Experiment, ...], view: View, every: int) -> Problem:
         """On every so-manyth sample: costs, and what the nominal model says, are so many times smaller."""
         return self.on(experiments, self.experiments, view).relax(prior_weight=self.prior_weight / every)
 
@@ -187,7 +187,7 @@ class Problem:
             return None
         held = rounding is not None and s.rounding is not None
         predicted = s.predicted - s.rounding + rounding if held else s.predicted
-        how = self.counted(experiment), self.whitening, self._told(experiment)
+        how = self.counted(experiment), self.whitening, self._counted_whitened(experiment)
         count = int(weigh_into(s.measured, predicted, self.sigma(experiment), *how, out))
         return None if count < 0 else count
 
@@ -196,9 +196,9 @@ class Problem:
         w = e / self.sigma(experiment)
         if len(self.whitening) > 1:
             w = lfilter(self.whitening, [1.0], np.where(self.counted(experiment), w, 0.0))
-        return w, self._told(experiment)
+        return w, self._counted_whitened(experiment)
 
-    def _told(self, experiment: Experiment) -> np.ndarray:
+    def _counted_whitened(self, experiment: Experiment) -> np.ndarray:
         """Which of the whitened errors count: not those that the filter reaches past a gap."""
         keep, p = self.counted(experiment), len(self.whitening) - 1
         if p == 0:
@@ -216,7 +216,7 @@ class Problem:
         """
 
         def of(x: np.ndarray) -> np.ndarray | None:
-            out, at = np.empty(sum(len(self.counted(e)) for e in self.experiments) + h.told[0]), 0
+            out, at = np.empty(sum(len(self.counted(e)) for e in self.experiments) + h.prior_terms[0]), 0
             for r, experiment in enumerate(self.experiments):
                 try:
                     axis = h.axis(x, r)
@@ -226,8 +226,8 @@ class Problem:
                 if count is None:
                     return None
                 at += count
-            out[at : at + h.told[0]] = self.prior(h, x)
-            return out[: at + h.told[0]]
+            out[at : at + h.prior_terms[0]] = self.prior(h, x)
+            return out[: at + h.prior_terms[0]]
 
         return of
 
@@ -262,12 +262,12 @@ class Problem:
         It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
         a parameter that is wrong by half costs one unit of chi-square, times ``prior_weight``.
         """
-        count, rows, at, nominal = h.told
+        count, rows, at, nominal = h.prior_terms
         said = np.zeros(count)
         said[rows] = math.sqrt(self.prior_weight) * ((x[at] - nominal) / PRIOR)
         return said
 
     def prior_slope(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray, float]:
         """Rows and columns of the prior's Jacobian that are not zero, and their value."""
-        _, rows, at, _ = h.told
+        _, rows, at, _ = h.prior_terms
         return rows, at, math.sqrt(self.prior_weight) / PRIOR

@@ -20,7 +20,7 @@ import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
 from diagnose.data.runs import free_run, with_known
-from diagnose.thresholds import DITHER, DITHER_SAMPLES, KEPT_TORQUES, LEAST_DELIVERED, MOST_SUBSTEPS, OBSERVER_NOISE, STIFFER
+from diagnose.thresholds import DITHER, KEPT_TORQUES, LEAST_SAMPLES, MOST_SUBSTEPS, SMALL, STIFFER, TWICE_NOISE
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
@@ -29,7 +29,7 @@ from mjsim.recording import Recording
 from mjsim.signals import lfilter
 from mjsim.system import MOST_STEPS, STEP, System, assemble
 
-__all__ = ["ForceView", "MotionView", "Signals", "View", "most_led"]
+__all__ = ["ForceView", "MotionView", "Signals", "View", "highest_observer_gain"]
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Signals:
     rounding: np.ndarray | None = None
 
 
-def most_led(axis: Axis) -> float:
-    """The highest rate [1/s] at which a model may be led by its measured velocity; 0 where it cannot be run.
+def highest_observer_gain(axis: Axis) -> float:
+    """The highest observer gain [1/s] by which the measured velocity may correct a model; 0 where it cannot be run.
 
     Ahead of a sensor's lag T the noise that leads it is rate T times as large: a body that would stick is shaken by that.
     """
@@ -56,7 +56,7 @@ def most_led(axis: Axis) -> float:
         lag = assemble(axis).output_lag
     except (NotApplicableError, ValueError):
         return 0.0
-    return OBSERVER_NOISE / lag if lag > 0 else math.inf
+    return TWICE_NOISE / lag if lag > 0 else math.inf
 
 
 def _delivered(s: System, torque: np.ndarray, dt: float, before: float) -> np.ndarray:
@@ -115,7 +115,7 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
         off = clean[part] / step - level
         return np.asarray(step * (level + ndtr((off - 0.5) / r) - ndtr((-0.5 - off) / r)))
 
-    some = slice(None, None, max(1, len(clean) // DITHER_SAMPLES))
+    some = slice(None, None, max(1, len(clean) // LEAST_SAMPLES))
     errors = [float(np.sum((measured[some] - mean(some, r))[counts[some]] ** 2)) for r in DITHER]
     count_work(2 * len(clean))
     return mean(slice(None), DITHER[int(np.argmin(errors))])
@@ -131,14 +131,14 @@ class MotionView:
     """Free run on the recorded input, judged on motor velocity, or on the angle where the input is the command of a servo.
 
     lead [1/s]: rate at which a torque draws the model to the recorded velocity, by its own motor inertia; 0 for a free run.
-    A led model has forgotten within 1/lead what it did before: events do not add up, and its error has fewer minima.
+    Under an observer gain a model forgets its past within 1 / gain: events do not add up, and its error has fewer minima.
     most_substeps: of a run, a sample; a model that needs more is not run. step [rad]: by which the fastest motion turns in one.
     Source: C. P. Vyasarayani et al., Multibody Syst. Dyn. 26 (2011) 411.
     """
 
     channel: str = "velocity"
     decimate: int = 1
-    lead: float = 0.0
+    observer_gain: float = 0.0
     most_substeps: int = MOST_SUBSTEPS
     step: float = STEP
 
@@ -158,9 +158,9 @@ class MotionView:
         try:
             if self.channel == "angle":
                 return self._angles(axis, experiment, initial)
-            system = assemble(with_known(self._led(axis), experiment))
-            if self.lead > 0:  # lead J (v - v_model): the first part is input, past the actuator, the second viscous friction
-                torque = self._drawn(system, experiment, axis)
+            system = assemble(with_known(self._with_observer_damping(axis), experiment))
+            if self.observer_gain > 0:  # gain J (v - v_model): the first part is input, the second viscous friction
+                torque = self._observer_torque(system, experiment, axis)
                 system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
             rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
             if rounding:
@@ -189,10 +189,10 @@ class MotionView:
             measured = measured + experiment.correction
         return Signals(experiment.recording.time, measured, run.angle)
 
-    def _drawn(self, system: System, experiment: Experiment, axis: Axis) -> np.ndarray:
+    def _observer_torque(self, system: System, experiment: Experiment, axis: Axis) -> np.ndarray:
         """The torque (N,) past the actuator that draws a model to a recording."""
         delivered, velocity = self._path(system, experiment)
-        return delivered + self.lead * axis.chain.bodies[0].inertia / system.gain * velocity
+        return delivered + self.observer_gain * axis.chain.bodies[0].inertia / system.gain * velocity
 
     def _path(self, system: System, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
         """What an actuator makes of the recorded torque, and the velocity ahead of a sensor, kept: a fit asks for few others."""
@@ -213,12 +213,12 @@ class MotionView:
             experiment.kept[path] = known
         return known
 
-    def _led(self, axis: Axis) -> Axis:
+    def _with_observer_damping(self, axis: Axis) -> Axis:
         """The axis with the loss of the lead as viscous friction."""
-        if self.lead <= 0:
+        if self.observer_gain <= 0:
             return axis
         first, *others = axis.chain.bodies
-        first = dataclasses.replace(first, viscous=first.viscous + self.lead * first.inertia)
+        first = dataclasses.replace(first, viscous=first.viscous + self.observer_gain * first.inertia)
         return dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=(first, *others)))
 
     def counts(self, experiment: Experiment) -> np.ndarray:
@@ -309,7 +309,7 @@ class ForceView:
         # an actuator that delivers next to nothing asks next to nothing of the model: the error is one of the command
         keep = self.counts(experiment)
         asked, delivered = (float(np.std(x[keep])) for x in (commanded[every], acting))
-        if not delivered > LEAST_DELIVERED * asked:
+        if not delivered > SMALL * asked:
             return None
         return Signals(r.time[every], asked / delivered * acting, asked / delivered * needed[every])
 

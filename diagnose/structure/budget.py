@@ -16,8 +16,8 @@ class SearchOptions:
 
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
     held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
-    depth: most effects; width: rivals fitted in full at each move; beam: structures from which the next move starts; runs,
-    seconds: budgets after which no further structure is tried; free: errors are those of free runs, which may have folds.
+    depth: most effects; width: rivals fitted in full at each move; beam: structures from which effects are added;
+    seconds: elapsed time after which no further structure is tried.
     """
 
     price: float = KnownNoise.prices.price
@@ -28,9 +28,7 @@ class SearchOptions:
     width: int = 10
     beam: int = 2
     only: tuple[str, ...] = ()
-    runs: int = 14_000
     seconds: float = math.inf
-    free: bool = True
 
     @property
     def prices(self) -> Prices:

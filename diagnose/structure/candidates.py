@@ -1,39 +1,16 @@
-"""Which effects can be supposed next: every registered effect at every place that the chain has."""
+"""Which effects can be added to an axis: every registered effect at every place that the chain has."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-
-import numpy as np
 
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.least_squares import Fit, orthonormal
 from diagnose.problem.hypothesis import make
-from diagnose.thresholds import WRONG_SIGN
-from mjsim.axis import Chain
 from mjsim.effects import Effect, NotApplicableError, effect_class, registered
-from mjsim.effects.base import need_body
 
-__all__ = [
-    "Candidate",
-    "Screened",
-    "candidates",
-    "conflicts",
-    "inherit",
-    "left_over",
-    "related",
-    "replaced",
-    "screen",
-    "span",
-    "takes_place",
-]
-
-
-QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
+__all__ = ["Candidate", "can_replace", "candidates", "conflicts", "inherit", "related", "replaced"]
 
 
 @dataclass(frozen=True)
@@ -49,21 +26,11 @@ class Candidate:
         return f"{self.id}@{self.place}"
 
 
-@dataclass(frozen=True)
-class Screened:
-    """A candidate's best start and what a linearised fit says it would gain [chi-square]."""
-
-    candidate: Candidate
-    effect: Effect
-    gain: float
-    starts: tuple[Effect, ...]
-
-
 def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """All effects and places that this axis offers; ``only`` restricts the identifiers (an unknown one raises KeyError).
+    """All effects and places that this axis has; ``only`` restricts the identifiers (an unknown one raises KeyError).
 
-    What the nominal axis has is fitted with its parameters. What refines it is offered, and takes its place; what says it again,
-    or less of it, is not.
+    Effects of the nominal axis are fitted with its parameters. A refinement of one is a candidate that takes its place; an effect
+    that repeats one, or is a reduced form of it, is none.
     """
     for name in only:
         effect_class(name)
@@ -86,7 +53,7 @@ def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...
 
 
 def conflicts(candidate: Candidate, present: Sequence[Effect]) -> bool:
-    """Whether a candidate says again what a present effect says: the same one, or one that refines or is refined by it."""
+    """Whether a candidate repeats a present effect: the same one, or one that refines or is refined by it."""
     cls = effect_class(candidate.id)
     for e in present:
         if e.key == candidate.key or (cls.once and e.id == candidate.id):
@@ -98,65 +65,7 @@ def conflicts(candidate: Candidate, present: Sequence[Effect]) -> bool:
     return False
 
 
-def _variants(effect: Effect) -> Iterator[Effect]:
-    """The start itself and, when it has a phase, the same a quarter period on."""
-    yield effect
-    if "phase_rad" in effect.values:
-        yield effect.with_values({"phase_rad": effect.values["phase_rad"] + np.pi / 2})
-
-
-def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacing: Effect | None = None) -> list[Screened]:
-    """What each candidate promises on top of a fitted base, strongest first.
-
-    The response of the candidate at its start (a secant) is made orthogonal to the base's own parameters; the residual's
-    projection
-    on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has it. A phase
-    enters as two responses in quadrature. An amplitude of the wrong sign counts less. With ``replacing``, each
-    candidate takes the place
-    of that effect of the base, from which it inherits the parameters that they share; so does one that refines an effect of the
-    nominal axis.
-    """
-    q = _spanned(base.fit)
-    r0 = base.fit.residual
-    present = tuple(e for e in base.effects if replacing is None or e.key != replacing.key)
-    linear, own = base.linear, base.own
-    starts: list[tuple[Candidate, Effect]] = []
-    variants: list[list[Effect]] = []
-    gone = {c: replacing or replaced(base, c) for c in supposed}
-    for candidate in supposed:
-        cls, old = effect_class(candidate.id), gone[candidate]
-        for values in cls.starts(fitter.scales_for(cls, candidate.place)):
-            if old is not None:
-                values = inherit(cls, values, old, _torques(fitter.nominal.chain, old.place, candidate.place))
-            effect = make(candidate.id, candidate.place, values)
-            if old is None or "phase_rad" not in effect.values or "phase_rad" in old.values:
-                starts.append((candidate, effect))
-                variants.append(list(_variants(effect)))
-            else:  # what comes in place of an effect is not moved: its phase is one of four
-                turned = [effect.with_values({"phase_rad": effect.values["phase_rad"] + turn}) for turn in QUARTERS]
-                starts += [(candidate, e) for e in turned]
-                variants += [[e] for e in turned]
-    tasks = [fitter.at_start(fitter.hypothesis((*present, e), linear, own)) for some in variants for e in some]
-    answers = iter(fitter.run(tasks))
-    responses = [[next(answers) for _ in some] for some in variants]
-    project = partial(_project, r0=r0, q=q)
-    projected = fitter.map([
-        partial(project, effect, some, move=gone[c] is None) for (c, effect), some in zip(starts, responses, strict=True)
-    ])  # fmt: skip
-    best: dict[Candidate, list[tuple[float, Effect]]] = {c: [] for c in supposed}
-    for (candidate, _), scored in zip(starts, projected, strict=True):
-        if scored is not None:
-            best[candidate].append(scored)
-    out = []
-    for candidate, scored_starts in best.items():
-        scored_starts.sort(key=lambda s: -s[0])
-        if scored_starts:
-            out.append(Screened(candidate, scored_starts[0][1], scored_starts[0][0], tuple(s[1] for s in scored_starts)))
-    out.sort(key=lambda s: -s.gain)
-    return out
-
-
-def takes_place(c: Candidate, effect: Effect) -> bool:
+def can_replace(c: Candidate, effect: Effect) -> bool:
     """Whether a candidate stands where an effect does: at its place, or, refining it, at one that the effect cannot have.
 
     A weight hangs on the arm; what it comes to over little travel is an offset of the motor's torque.
@@ -191,71 +100,9 @@ def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect, rati
     return merged
 
 
-def _torques(chain: Chain, place: str, other: str) -> float | None:
-    """Torque at another place that does as much as one of 1 at a place; None where it is the same."""
-    if place == other:
-        return None
-    return chain.total_ratio(need_body(chain, place)) / chain.total_ratio(need_body(chain, other))
-
-
-def _project(
-    effect: Effect, responses: list[np.ndarray | None], r0: np.ndarray, q: np.ndarray, *, move: bool
-) -> tuple[float, Effect] | None:
-    """(gain, start moved to the best amplitude and phase) for one start; None when it cannot be run."""
-    columns = []
-    for r in responses:
-        if r is None or len(r) != len(r0):
-            return None
-        d = r - r0
-        columns.append(d - q @ (q.T @ d))
-    D = np.column_stack(columns)
-    gram = D.T @ D
-    if not np.all(np.diag(gram) > 0):
-        return 0.0, effect
-    c = D.T @ r0
-    a = -np.linalg.lstsq(gram, c, rcond=1e-12)[0]
-    gain = float(-a @ c)
-    cls = type(effect)
-    amplitudes = cls.amplitudes
-    if not move:
-        return max(gain, 0.0), effect
-    if len(columns) == 2:
-        factor = float(np.hypot(a[0], a[1]))
-        effect = effect.with_values({"phase_rad": effect.values["phase_rad"] + float(np.arctan2(a[1], a[0]))})
-    else:
-        factor = float(a[0])
-    if amplitudes:
-        signed = all(s.lower < 0 for s in cls.specs() if s.name in amplitudes)
-        if factor < 0 and not signed:
-            # far from the solution a secant may point the wrong way: it stays in the race, behind
-            return WRONG_SIGN * max(gain, 0.0), effect
-        factor = float(np.sign(factor) * np.clip(abs(factor), 0.02, 20.0))
-        moved = {n: effect.values[n] * factor for n in amplitudes}
-        effect = make(effect.id, effect.place, {**effect.values, **moved})
-    return max(gain, 0.0), effect
-
-
 def related(name: str, effect: Effect) -> bool:
     """Whether an effect refines another, or both refine the same; another form of an effect refines it, or other refinements."""
     cls = effect_class(name)
     if cls.form_of:
         return effect.id in cls.refines and (effect.id == cls.form_of or bool(type(effect).refines))
     return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
-
-
-def span(f: Fitted) -> np.ndarray | None:
-    """Orthonormal columns that span what the parameters of a fit can take up; None of one that could not be run."""
-    return _spanned(f.fit) if f.ok else None
-
-
-@lru_cache(2)  # a race asks the same of its base, and of that at the nominal parameters, for every entrant
-def _spanned(fit: Fit) -> np.ndarray:
-    return orthonormal(fit.J)
-
-
-def left_over(residual: np.ndarray | None, taken: np.ndarray | None) -> float:
-    """Squares of a residual (N,) beside what orthonormal columns (N, p) take up; inf where there is none."""
-    if residual is None:
-        return math.inf
-    squares = float(residual @ residual)
-    return squares if taken is None or len(residual) != len(taken) else squares - float(np.sum((taken.T @ residual) ** 2))

@@ -22,15 +22,22 @@ from diagnose.evidence.sensor_offset import excluded_by_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.validation import pooled
-from diagnose.fit.whiten import alike, effective_share, guide_of, innovation, offset_share, settle, whitening_filter, worth
+from diagnose.fit.whiten import (
+    effective_share,
+    effective_share_between,
+    innovation,
+    offset_share,
+    same_filter,
+    tempered_prior_weight,
+    whitened_fit,
+    whitening_filter,
+)
 from diagnose.options import Options
-from diagnose.problem.view import MotionView
 from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
-from diagnose.structure.observer_search import among_led
 from diagnose.structure.search import Search
-from diagnose.thresholds import MOST_FILTERS, OFFSET, REFUSED, SWUNG, TAKEN
+from diagnose.thresholds import MATERIAL, MOST_FILTERS, ORDERS_TRIED, TWICE_NOISE
 from mjsim.errors import InputError
 
 __all__ = ["searched"]
@@ -56,7 +63,7 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[fl
     arm = len(fitter.nominal.chain.bodies) - 1
     ratio = fitter.nominal.chain.total_ratio(arm)
     b, a = torque_to_velocity(fitted.axis, r.dt, arm)
-    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=SWUNG, inertia=True)
+    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=ORDERS_TRIED, inertia=True)
 
 
 def _search(
@@ -64,14 +71,14 @@ def _search(
     options: Options,
     progress: Progress,
     began: float,
-    settled_by: Callable[[Fitter, Fitted], bool] | None = None,
+    leaves_noise_by: Callable[[Fitter, Fitted], bool] | None = None,
     known: Fitted | None = None,
 ) -> tuple[Search, Fitted]:
     """One search by the fitter's present weights; ``known``: a structure of an earlier one, which is a rival from the start."""
     left = options.seconds - (time.monotonic() - began)
     chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
     chosen = dataclasses.replace(chosen, **dataclasses.asdict(fitter.noise.prices))
-    search = Search(fitter, chosen, progress=progress, settled_by=settled_by)
+    search = Search(fitter, chosen, progress=progress, leaves_noise_by=leaves_noise_by)
     base = search.nominal()
     if not base.ok:
         raise InputError(
@@ -83,18 +90,16 @@ def _search(
         fitter = fitter.paced_by(base.axis)
         search.use(fitter)
     if known is not None and known.effects:
-        search.know(known)
+        search.warm_start(known)
     fitter = fitter.with_orders(*_orders(fitter, base))
     search.use(fitter)
-    search.state.only_beside = excluded_by_angle(fitter.experiments)
-    search.state.consider([c for c in candidates(fitter, options.effects) if search.state.only_beside.get(c.id) != ""])
+    search.state.requires = excluded_by_angle(fitter.experiments)
+    search.state.consider([c for c in candidates(fitter, options.effects) if search.state.requires.get(c.id) != ""])
     search.orders_of = _orders
-    if fitter.noise.absolute and isinstance(fitter.view, MotionView) and len(fitter.whitening) == 1:
-        search.observed_by = partial(among_led, search)
     if not fitter.noise.absolute:
         search.context.effective = effective_share(fitter, base)
         search.effective_of = effective_share
-        search.context.worth_of = partial(worth, fitter)
+        search.context.share_between = partial(effective_share_between, fitter)
     return search, search.run()
 
 
@@ -118,30 +123,30 @@ def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:
 
 
 def _whitening(fitter: Fitter, search: Search, best: Fitted) -> tuple[np.ndarray, bool]:
-    """The filter of the residual ([1] where it is white), and whether it is that of a structure that earns its own.
+    """The filter of the residual ([1] where it is white), and whether it is that of the best structure.
 
-    That of the refitted nominal model unless the best structure earns its own.
+    That of the refitted nominal model unless the innovations of the best structure are significantly better.
     A structure that was found on plain errors may have taken the noise for physics, under feedback above all, and its filter then
     keeps what it took. The two are compared by the likelihood of their innovations, each with its own filter.
     """
-    settled = settle(fitter, best)
+    settled = whitened_fit(fitter, best)
     if settled is None:
         return np.ones(1), False
     if not best.effects:
         return settled[0], False
-    nominal = settle(fitter, search.nominal())
+    nominal = whitened_fit(fitter, search.nominal())
     if nominal is None or search.criterion(nominal[1]) - search.criterion(settled[1]) > search.options.entry:
         return settled[0], True
     return nominal[0], False
 
 
-def _settled_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitter, Fitted], bool]) -> Fitted | None:
+def _whitened_from_nominal(fitter: Fitter, base: Fitted, noise_only: Callable[[Fitter, Fitted], bool]) -> Fitted | None:
     """The nominal structure settled with its own filter, where it leaves noise alone; None where it does not, or is white.
 
     Started where its nominal parameters hold it. What the estimation recordings leave open is asked of all recordings together.
     """
-    held = fitter.relax(prior_weight=guide_of(fitter, base)).fit(fitter.hypothesis(()))
-    settled = settle(fitter, held)
+    held = fitter.relax(prior_weight=tempered_prior_weight(fitter, base)).fit(fitter.hypothesis(()))
+    settled = whitened_fit(fitter, held)
     if settled is None or noise_only(fitter, settled[1]):
         return None if settled is None else settled[1]
     by_all = pooled(fitter.relax(whitening=settled[0]), settled[1])
@@ -163,12 +168,12 @@ class _NoiseOnly:
         return self.unknown if found is None else found < self.missed
 
 
-def _settled_by(fitter: Fitter, f: Fitted, missed: float) -> bool:
+def _leaves_coloured_noise(fitter: Fitter, f: Fitted, missed: float) -> bool:
     """Whether a structure leaves coloured noise alone, so that nothing more is sought on plain errors.
 
     It must leave more colour than the motion that may be missed can give, and no offset, which is the sensor's and no motion.
     """
-    if whitening_filter(fitter, f, material=2 * missed) is None or offset_share(fitter, f) >= OFFSET:
+    if whitening_filter(fitter, f, material=2 * missed) is None or offset_share(fitter, f) >= MATERIAL / 2:
         return False
     found = motion_error(fitter, f)
     if found is None or found < missed:
@@ -179,8 +184,8 @@ def _settled_by(fitter: Fitter, f: Fitted, missed: float) -> bool:
     surely = _NoiseOnly(missed)
     if surely(fitter, pooled(fitter, f)):  # or the excitation leaves parameters open, which noise has settled
         return True
-    may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TAKEN
-    return may_be_noise and _settled_from_nominal(fitter, f, surely) is not None
+    may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TWICE_NOISE**2
+    return may_be_noise and _whitened_from_nominal(fitter, f, surely) is not None
 
 
 def searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
@@ -193,12 +198,14 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     then it is sought once more.
     """
     known = fitter.noise.absolute
-    search, best = _search(fitter, options, progress, began, partial(_settled_by, missed=options.missed) if known else None)
+    search, best = _search(
+        fitter, options, progress, began, partial(_leaves_coloured_noise, missed=options.missed) if known else None
+    )
     fitter = search.fitter
     noise_only = _NoiseOnly(options.missed, unknown=True)
     if not known or not (noise_only(fitter, best) or noise_only(fitter, pooled(fitter, best))):
         # or a fit on plain errors took the colour for response, where the excitation leaves parameters open
-        settled = _settled_from_nominal(fitter, search.nominal(), _NoiseOnly(options.missed)) if known else None
+        settled = _whitened_from_nominal(fitter, search.nominal(), _NoiseOnly(options.missed)) if known else None
         if settled is None:
             return search, best, False
         best = settled
@@ -206,50 +213,21 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         spent = fitter.spent
         if spent and (turn or not best.effects):  # a search that could not look would find nothing
             break
-        filter_, earned = _whitening(fitter, search, best)
-        if alike(filter_, fitter.whitening / fitter.whitening[0]) or (spent and earned):
+        filter_, own_filter = _whitening(fitter, search, best)
+        if same_filter(filter_, fitter.whitening / fitter.whitening[0]) or (spent and own_filter):
             break
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         before, found = search, best
         whitened = fitter.relax(whitening=_scaled(fitter, best, filter_))
-        search, best = _search(whitened, options, progress, began, known=best if turn or earned else None)
+        search, best = _search(whitened, options, progress, began, known=best if turn or own_filter else None)
         fitter = search.fitter
         search.state.tested += before.tested
         if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
             before.use(before.fitter.with_orders(fitter.orders, fitter.problem.swung))
             return before, found, len(before.fitter.whitening) > 1
-    search, best = _less_coloured(options, progress, began, search, best)
     return search, best, len(search.fitter.whitening) > 1
 
 
 def _scaled(fitter: Fitter, f: Fitted, filter_: np.ndarray) -> np.ndarray:
     """A filter that leaves the residual of a structure at rms one."""
     return filter_ / innovation(fitter, f, filter_) if len(filter_) > 1 else filter_
-
-
-def _less_coloured(options: Options, progress: Progress, began: float, search: Search, best: Fitted) -> tuple[Search, Fitted]:
-    """The search once more by the filter of a structure that held-out data refused by the filter of a poorer one.
-
-    A filter from a residual with a missed effect in it takes the effect for noise: it lets little of it through, on held-out data
-    too. What the estimation data want all the same may bear out another filter, under which it is significant; else all stays.
-    """
-    fitter = search.fitter
-    rivals = [f for f in search.pool.values() if set(best.key) < set(f.key)]
-    refused = min(rivals, key=search.criterion, default=None)
-    if len(fitter.whitening) == 1 or fitter.spent or refused is None:
-        return search, best
-    if search.context.gain(best, refused) < REFUSED * search.options.entry:
-        return search, best
-    settled = settle(fitter, refused)
-    filter_ = np.ones(1) if settled is None else settled[0]
-    if alike(filter_, fitter.whitening / fitter.whitening[0]):
-        return search, best
-    progress.stage("search", "again, since a structure that was refused leaves less colour")
-    whitened = fitter.relax(whitening=_scaled(fitter, refused, filter_))
-    again, better = _search(whitened, options, progress, began, known=refused)
-    again.state.tested += search.tested
-    if better.effects and len(better.effects) > len(best.effects):
-        return again, better
-    search.use(fitter.with_orders(again.fitter.orders, again.fitter.problem.swung))
-    search.state.tested = again.tested
-    return search, best

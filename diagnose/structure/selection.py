@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from diagnose.fit.fitted import Fitted
-from diagnose.structure.moves import refines
+from diagnose.structure.graph import refines
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
 from diagnose.thresholds import SAME_SIZE
@@ -22,17 +22,17 @@ class Selection:
 
     def best(self, current: Fitted) -> Fitted:
         """The structure with the best criterion among those that are significant against the current one."""
-        context, pool, attempt = self.state.context, self.state.pool, 0
-        for f in sorted(pool.values(), key=context.criterion):
-            current = pool.newest(current)
+        context, fits, attempt = self.state.context, self.state.fits, 0
+        for f in sorted(fits.values(), key=context.criterion):
+            current = fits.best(current)
             larger = self.larger(f, current)
             unseen = context.unseen_gain(current, f) if larger and f.key != current.key else 0.0
             if f.key == current.key or context.ahead(f, current) + unseen < self.needed(f, current):
                 continue
             attempt += larger
-            if self._takes_over(f, current, attempt, larger=larger):
+            if self._wins(f, current, attempt, larger=larger):
                 return f
-        return pool.newest(current)
+        return fits.best(current)
 
     def needed(self, f: Fitted, current: Fitted) -> float:
         """How far C of a structure must lie below that of the current one for the evidence to be asked."""
@@ -41,11 +41,11 @@ class Selection:
     def larger(self, f: Fitted, current: Fitted) -> bool:
         """Whether a structure says more than the current one: more effects, a refinement, or (by held-out data) more numbers."""
         larger = len(f.effects) > len(current.effects) or refines(f, current)
-        if self.state.context.worth_of is None:
+        if self.state.context.share_between is None:
             return larger
         return larger or len(f.hypothesis.entries) > len(current.hypothesis.entries)
 
-    def _takes_over(self, f: Fitted, current: Fitted, attempt: int, *, larger: bool) -> bool:
+    def _wins(self, f: Fitted, current: Fitted, attempt: int, *, larger: bool) -> bool:
         if larger:
             return self.significance.significant(current, f, attempt)
         return self.significance.dominates(f, current) and not self.significance.contradicted(f, current)

@@ -59,7 +59,7 @@ def diagnosis(
         refusals=refusals(search, best),
         failed=dict(search.state.failed),
         notes=said,
-        next_experiment=next_experiment(fitter, search.pool.values(), best, found),
+        next_experiment=next_experiment(fitter, search.fits.values(), best, found),
         channel=fitter.view.channel,
         unit=outcome.unit,
         view="motion (free run)" if fitter.view.channel != "torque" else "force (inverse dynamics)",

@@ -9,8 +9,8 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
 from diagnose.result import Estimate, Verdict
-from diagnose.structure.search import ALIKE_C, Search
-from diagnose.thresholds import TWO_SIDED
+from diagnose.structure.search import Search
+from diagnose.thresholds import EQUIVALENT, TWO_SIDED
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.effects import Effect
 
@@ -68,7 +68,7 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
     return held, float(chdtrc(extra, max(gain, 0.0))), gain
 
 
-def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = ALIKE_C) -> tuple[str, ...]:
+def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQUIVALENT) -> tuple[str, ...]:
     """Identifiers that could stand in this effect's place: same rest of the structure, criterion within ``margin``.
 
     A margin of 10 in C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely
@@ -76,7 +76,7 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = AL
     """
     rest = {k for k in best.key if k != effect.key}
     out = []
-    for f in search.pool.values():
+    for f in search.fits.values():
         others = set(f.key) - rest
         if len(f.key) != len(best.key) or len(others) != 1 or not rest <= set(f.key):
             continue

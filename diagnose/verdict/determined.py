@@ -40,14 +40,14 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | Non
     In place of one whose numbers the recording cannot show a rival of the search stands as well, if it is significant.
     """
     effect = found.effect
-    fits: list[Callable[[], Fitted]] = [lambda: search.reduction.without(best, effect), *search.reduction.simpler(best, effect)]
+    fits: list[Callable[[], Fitted]] = [lambda: search.pruning.without(best, effect), *search.pruning.simplified(best, effect)]
     rivals = [fit() for fit in fits]
-    rivals += [f for f in search.starts.limits(best) if effect.key not in f.key]
+    rivals += [f for f in search.pruning.limits(best) if effect.key not in f.key]
     usable = [f for f in rivals if f.ok and effect.key not in f.key and search.state.admitted([e.id for e in f.effects])]
     least = min(usable, key=search.criterion, default=None)
     if least is None or isinstance(found, Open):
         return least
-    others = [f for f in search.pool.values() if f.ok and effect.key not in f.key]
+    others = [f for f in search.fits.values() if f.ok and effect.key not in f.key]
     for f in sorted((f for f in others if search.criterion(f) < search.criterion(least)), key=search.criterion):
         if not out_of_range(f, search.fitter) and f.effects and search.significance.significant(search.nominal(), f):
             return f

@@ -9,9 +9,9 @@ from diagnose.explain.weight_friction import follows_weight, load_effects
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding, NominalEffect
-from diagnose.structure.moves import put_together
-from diagnose.structure.search import ALIKE_C, Search
-from diagnose.thresholds import FOLLOWS_WEIGHT, SOME_ANGLES
+from diagnose.structure.graph import merged as compounds
+from diagnose.structure.search import Search
+from diagnose.thresholds import EQUIVALENT, FOLLOWS_WEIGHT, SOME_ANGLES
 from diagnose.verdict.decide import equivalents, estimates, p_values
 from mjsim.effects import Effect
 
@@ -20,11 +20,11 @@ __all__ = ["element_of", "findings", "merged", "nominal_effect"]
 
 def merged(search: Search, best: Fitted) -> Fitted:
     """The best structure with one compound effect for two, where the data do not tell them apart."""
-    for effects in put_together(search.state.candidates, best.effects):
+    for effects in compounds(search.state.candidates, best.effects):
         simpler = search.fitter.fit(search.fitter.hypothesis(effects, best.linear, best.own), iterations=10)
-        if simpler.ok and search.context.ahead(best, simpler) <= ALIKE_C:
+        if simpler.ok and search.context.ahead(best, simpler) <= EQUIVALENT:
             search.keep(simpler)
-            return search.pool[simpler.key]
+            return search.fits[simpler.key]
     return best
 
 
@@ -34,9 +34,9 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
     Rivals that may do as much in its place are fitted first, so that its equivalents are told from converged fits.
     """
     out = []
-    fewer = search.fitter.map([partial(search.reduction.without, best, effect) for effect in best.effects])
+    fewer = search.fitter.map([partial(search.pruning.without, best, effect) for effect in best.effects])
     for effect, poorer in zip(best.effects, fewer, strict=True):
-        search.reduction.fit_confounders(best, effect)
+        search.pruning.fit_confounders(best, effect)
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)
@@ -77,7 +77,7 @@ def _by_weight(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
 def nominal_effect(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:
     """An effect of the nominal model, as it was given and as the best structure has it: what the recordings exercise of it."""
     found = estimates(best, fitter, owner=effect.key)
-    said = len(best.fit.residual) - best.hypothesis.told[0]
+    said = len(best.fit.residual) - best.hypothesis.prior_terms[0]
     for e, column in zip(best.hypothesis.entries, best.fit.J[:said].T, strict=True):
         if e.owner == effect.key and not column.any():
             found.pop(e.name, None)

@@ -13,7 +13,7 @@ from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.result import Finding, Verdict
 from diagnose.structure.search import Search
-from diagnose.thresholds import TAKEN
+from diagnose.thresholds import TWICE_NOISE
 from diagnose.verdict.refusals import refusals, refused_in_words
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.axis import Axis
@@ -118,7 +118,7 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
         )
     held = outcome.search.held_out(outcome.best)
     level = noise_rms(fitter, fitter.experiments[0])
-    far = held is not None and fitter.noise.absolute and held.rms**2 > TAKEN * level**2
+    far = held is not None and fitter.noise.absolute and held.rms**2 > TWICE_NOISE**2 * level**2
     if far and held is not None and outcome.verdict is Verdict.MISSING_PHYSICS and not remaining.diverges:
         yield (
             f"What is left on held-out data is {held.rms / level:.3g} times the noise: the effects named are most of the "
@@ -191,7 +191,7 @@ def _steps(search: Search, best: Fitted, unit: str) -> list[str]:
     for effect in best.effects:
         rest = [k for k in best.key if k != effect.key]
         for simple in type(effect).refines:
-            f = search.pool.get(tuple(sorted([*rest, f"{simple}@{effect.place}"])))
+            f = search.fits.get(tuple(sorted([*rest, f"{simple}@{effect.place}"])))
             held = search.held_out(f) if f is not None else None
             if held and after and before:
                 out.append(

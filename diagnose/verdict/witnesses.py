@@ -18,7 +18,7 @@ import numpy as np
 
 from diagnose.data.experiment import held_rows
 from diagnose.data.noise import white_noise_level
-from diagnose.evidence.encoder import fit_beside_encoder
+from diagnose.evidence.encoder import fit_with_encoder_error
 from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
@@ -27,7 +27,7 @@ from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.problem.view import ForceView
 from diagnose.structure.search import Search
-from diagnose.thresholds import EVENTS, POWER, SENSOR_SHARE, TAKEN
+from diagnose.thresholds import CLEAR, OBSERVER_GAINS, SENSOR_SHARE, TWICE_NOISE
 
 __all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
 
@@ -97,7 +97,7 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
     now = _judged_again(search, base, by_all, now, options)
     now = dataclasses.replace(now, unexplained=now.unexplained or _left_on_estimation(fitter, base, by_all, options))
     now = dataclasses.replace(now, by_parameters=not now.unexplained)
-    beside = fit_beside_encoder(fitter, best, search.options.entry) if now.unexplained else None
+    beside = fit_with_encoder_error(fitter, best, search.options.entry) if now.unexplained else None
     if beside is None:
         return now
     # parameters that have bent to an encoder's error miss motion by it
@@ -153,7 +153,7 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
 
 
 def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: float | None) -> bool:
-    """Whether the error is more than noise of any colour: over `TAKEN` times the mean square that the recording shows.
+    """Whether the error is more than noise of any colour: over `TWICE_NOISE**2` times the mean square that the recording shows.
 
     Asked where one channel alone shows the motion, so that no second one can tell noise from it (``missed`` is None).
     """
@@ -161,17 +161,17 @@ def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: 
         return False
     for i, experiment in enumerate(fitter.experiments):
         e, level = fitter.error_of(best, i), fitter.view.noise(experiment)
-        if e is not None and level and float(np.mean(e[fitter.counted(experiment)] ** 2)) > TAKEN * level**2:
+        if e is not None and level and float(np.mean(e[fitter.counted(experiment)] ** 2)) > TWICE_NOISE**2 * level**2:
             return True
     levels = [level for e in fitter.held_out if (level := fitter.view.noise(e))]
-    return held is not None and bool(levels) and held.rms**2 > TAKEN * float(np.mean(np.square(levels)))
+    return held is not None and bool(levels) and held.rms**2 > TWICE_NOISE**2 * float(np.mean(np.square(levels)))
 
 
 def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> bool:
     """Whether the force that a model misses is more than sensors make of it: over `options.left` of its variance.
 
     The band is such that the noise of the angle, differentiated twice, has `SENSOR_SHARE` of the torque's power; the torque's
-    is the white part of it in the same band. `TAKEN` times their sum is allowed.
+    is the white part of it in the same band. `TWICE_NOISE**2` times their sum is allowed.
     """
     view = fitter.view
     if held is None or not isinstance(view, ForceView):
@@ -181,7 +181,7 @@ def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> b
         u, dt = e.recording.torque, e.recording.dt
         band = min(1.0, 2.0 * dt * (view.cutoff_hz or 0.1 / dt))
         sensors = max(sensors, SENSOR_SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
-    return held.nrmse**2 > max(options.left, TAKEN * sensors)
+    return held.nrmse**2 > max(options.left, TWICE_NOISE**2 * sensors)
 
 
 def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
@@ -199,12 +199,12 @@ def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options)
             return False
         # the measured noise enters through the observer gain: what is left is little, or little of what there was
         little = after - 1.0 < options.missed or closed(before - 1.0, after - 1.0) >= options.closed
-        return little and before - 1.0 > POWER * options.missed
+        return little and before - 1.0 > CLEAR * options.missed
 
     samples = predicted_samples(fitter, best)
     if samples is not None and judged(error_on(fitter, base, samples), error_on(fitter, best, samples)):
         return True
-    return any(judged(*(observed_error(fitter, f, gain) for f in (base, best))) for gain in EVENTS)
+    return any(judged(*(observed_error(fitter, f, gain) for f in (base, best))) for gain in OBSERVER_GAINS)
 
 
 def _left_on_estimation(fitter: Fitter, base: Fitted, by_all: Fitted, options: Options) -> bool:

@@ -9,10 +9,11 @@ import pytest
 
 from diagnose.evidence.context import Context
 from diagnose.problem.noise_model import KnownNoise, ModelError
-from diagnose.thresholds import ABOVE_NOISE, BELOW_NOISE, LAW_ERROR, LONG
+from diagnose.thresholds import LONG, MATERIAL, UNEXPLAINED
 from mjsim.effects import effect_class
 
 PRICE, ENTRY = KnownNoise.prices.price, KnownNoise.prices.entry
+ABOVE, BELOW = UNEXPLAINED, 2.0 - UNEXPLAINED  # of the noise variance
 COULOMB = effect_class("coulomb_friction")(torque_Nm=0.1)
 AT_ARM = effect_class("coulomb_friction")(place="arm", torque_Nm=0.1)
 
@@ -40,25 +41,25 @@ def test_the_criterion_is_the_logarithm_of_chi_square_and_a_price():
     assert c.criterion(last) - c.criterion(first) == len(type(COULOMB).places) - 1 == 2, "the first place of its list stands"
 
 
-def test_a_gain_counts_samples_for_what_they_are_worth():
+def test_a_gain_counts_the_effective_sample_size():
     poorer, richer = structure(chi2=1000 * math.e, numbers=2), structure(COULOMB, chi2=1000.0, numbers=3)
-    plain, weighed = context(), context(worth_of=lambda a, b: 0.1 if (a, b) == (poorer, richer) else math.nan)
+    plain, weighed = context(), context(share_between=lambda a, b: 0.1 if (a, b) == (poorer, richer) else math.nan)
     assert plain.gain(poorer, richer) == pytest.approx(1000 - PRICE) == plain.criterion(poorer) - plain.criterion(richer)
     assert weighed.gain(poorer, richer) == pytest.approx(100 - PRICE)
     elsewhere = structure(AT_ARM, chi2=1000.0, numbers=3)
-    weighed = context(worth_of=lambda a, b: 0.1)
+    weighed = context(share_between=lambda a, b: 0.1)
     assert weighed.gain(poorer, elsewhere) == pytest.approx(100 - PRICE - 2)
     assert weighed.gain(elsewhere, poorer) == pytest.approx(-100 + PRICE + 2)
     assert plain.ahead(richer, poorer) == pytest.approx(1000 - PRICE)
 
 
-@pytest.mark.parametrize(("ratio", "visible"), [(ABOVE_NOISE + 1e-6, True), (ABOVE_NOISE, False), (BELOW_NOISE, False)])
+@pytest.mark.parametrize(("ratio", "visible"), [(ABOVE + 1e-6, True), (ABOVE, False), (BELOW, False)])
 def test_what_leaves_noise_alone_lacks_nothing_to_be_seen(ratio, visible):
     assert context().visible(structure(chi2=1000.0 * ratio)) is visible
     assert context(ModelError()).visible(structure(chi2=1000.0 * ratio)), "it cannot be known"
 
 
-@pytest.mark.parametrize(("chi2", "low"), [(BELOW_NOISE * 1000 - 0.1, True), (BELOW_NOISE * 1000, False)])
+@pytest.mark.parametrize(("chi2", "low"), [(BELOW * 1000 - 0.1, True), (BELOW * 1000, False)])
 def test_what_leaves_less_than_noise_lacks_what_has_a_colour(monkeypatch, chi2, low):
     for filter_, coloured in ((object(), True), (None, False)):
         monkeypatch.setattr("diagnose.evidence.context.whitening_filter", lambda *_, material, f=filter_: f)
@@ -71,14 +72,12 @@ def test_a_long_run_is_slow(seconds, slow):
 
 
 @pytest.mark.parametrize("spread", [0.0, 400.0, 5000.0])
-def test_an_effect_must_promise_more_than_the_error_of_a_law(monkeypatch, spread):
-    """A part of what another law changed, below the noise a larger one; half the residual at the most."""
+def test_a_score_test_must_exceed_the_error_of_a_law(monkeypatch, spread):
+    """A part of what another law changed; half the residual at the most."""
     law = effect_class("coulomb_friction_with_creep")(torque_Nm=0.1, creep_velocity_rad_s=1.0)
     base, c = structure(law, COULOMB, chi2=2000.0), context()
-    for name in ("pool", "fits"):
-        if hasattr(c, name):
-            getattr(c, name).keep(structure(COULOMB, effect_class("coulomb_friction")(torque_Nm=0.2), chi2=2000.0 + spread))
-    expected = LAW_ERROR[0] * spread + LAW_ERROR[1] * min(spread, 1000.0)
+    c.fits.keep(structure(COULOMB, effect_class("coulomb_friction")(torque_Nm=0.2), chi2=2000.0 + spread))
+    expected = MATERIAL * spread
     assert c.law_error(base) == pytest.approx(expected)
     assert c.law_error(structure(COULOMB)) == 0.0
     assert c.floor(base) == pytest.approx(max(0.4 * ENTRY, -1000.0 * math.log(1.0 - expected / 2000.0)))

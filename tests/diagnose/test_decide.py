@@ -52,7 +52,7 @@ def search(*structures, residual=None, held=0.5):
     )  # fmt: skip
     fits = {f.key: f for f in structures}
     return SimpleNamespace(
-        fitter=fitter, options=SEARCH, pool=fits, fits=fits, criterion=lambda f: f.criterion,
+        fitter=fitter, options=SEARCH, fits=fits, criterion=lambda f: f.criterion,
         context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, held)),
     )  # fmt: skip
 

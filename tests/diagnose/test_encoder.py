@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diagnose.data.experiment import prepare
-from diagnose.evidence.encoder import encoder_gain, fit_beside_encoder, gain_beside_encoder
+from diagnose.evidence.encoder import encoder_gain, fit_with_encoder_error, gain_with_encoder_error
 from diagnose.evidence.predictable import motion_error
 from diagnose.fit.fitter import Fitter
 from diagnose.pipeline import Options, diagnose
@@ -86,13 +86,13 @@ def fits(robot, recording, effect):
 def test_what_the_encoder_explains_is_no_gain_of_an_effect(robot, record):
     fitter, base, best = fits(robot, erring(record()), ripple(1e-3))
     assert base.chi2 - best.chi2 > 25
-    assert gain_beside_encoder(fitter, base, best) < 0.3 * (base.chi2 - best.chi2)
+    assert gain_with_encoder_error(fitter, base, best) < 0.3 * (base.chi2 - best.chi2)
 
 
 def test_an_effect_that_is_there_gains_beside_the_encoder(robot, record):
     friction = effect_class("coulomb_friction")(torque_Nm=0.05)
     fitter, base, best = fits(robot, erring(record(friction)), friction)
-    assert gain_beside_encoder(fitter, base, best) > 0.5 * (base.chi2 - best.chi2) > 1000
+    assert gain_with_encoder_error(fitter, base, best) > 0.5 * (base.chi2 - best.chi2) > 1000
 
 
 def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch):
@@ -128,11 +128,11 @@ def refitted(robot):
 
 def test_parameters_that_bent_to_the_encoder_are_put_right(refitted, record):
     fitter, base = refitted(erring(record(seconds=8), 2e-3))
-    beside = fit_beside_encoder(fitter, base, 25.0)
+    beside = fit_with_encoder_error(fitter, base, 25.0)
     assert beside.chi2 > base.chi2, "more is left of what the encoder shows"
     assert motion_error(fitter, beside) < 0.3 * motion_error(fitter, base), "and less of motion"
 
 
 def test_an_encoder_that_does_not_err_changes_nothing(refitted, record):
     fitter, base = refitted(record())
-    assert fit_beside_encoder(fitter, base, 50.0) is None
+    assert fit_with_encoder_error(fitter, base, 50.0) is None

@@ -12,7 +12,7 @@ from diagnose.evidence.outcome import PASS, Pair, Veto
 from diagnose.evidence.rivals import encoder
 from diagnose.evidence.rivals.encoder import no_error_of_the_encoder
 from diagnose.problem.noise_model import KnownNoise, ModelError
-from diagnose.thresholds import BEATS_ENCODER
+from diagnose.thresholds import MATERIAL
 from mjsim.effects import effect_class
 
 RIPPLE = effect_class("torque_ripple")(amplitude_Nm=1.0, cycles_per_rev=4.0, phase_rad=0.0)
@@ -31,7 +31,7 @@ def judged(monkeypatch):
 
     def judge(gain, own=0.0, beside=1e9, noise=None, before=(), after=(RIPPLE,), context=None):
         monkeypatch.setattr(encoder, "encoder_gain", lambda fitter, poorer, effect: asked.append("own") or own)
-        monkeypatch.setattr(encoder, "gain_beside_encoder", lambda fitter, poorer, richer: asked.append("beside") or beside)
+        monkeypatch.setattr(encoder, "gain_with_encoder_error", lambda fitter, poorer, richer: asked.append("beside") or beside)
         noise = noise or KnownNoise()
         context = context or SimpleNamespace(
             prices=noise.prices, fitter=SimpleNamespace(noise=noise), memo=SimpleNamespace(encoder={})
@@ -47,7 +47,7 @@ def judged(monkeypatch):
 @pytest.mark.parametrize("gain", [100.0, 1e5])
 def test_an_effect_must_beat_the_encoder_of_its_order(judged, gain):
     """By the entry, or by a fiftieth of its gain where that is more."""
-    over = max(ENTRY, BEATS_ENCODER * gain)
+    over = max(ENTRY, MATERIAL * gain)
     assert judged(gain, own=gain - over) is PASS
     refused = judged(gain, own=gain - over + 0.01)
     assert refused == Veto("encoder", {"gain": gain, "needed": pytest.approx(gain + 0.01)})

@@ -16,11 +16,11 @@ from diagnose.evidence.rivals.gain import gains
 from diagnose.evidence.rivals.generalises import generalises
 from diagnose.evidence.rivals.law import no_error_of_a_law
 from diagnose.evidence.rivals.servo import no_answer_of_a_servo
-from diagnose.fit.pool import Pool
+from diagnose.fit.fits import Fits
 from diagnose.problem.noise_model import KnownNoise, ModelError
 from diagnose.result import Refused
 from diagnose.structure.state import Refusal
-from diagnose.thresholds import ANSWERED, FEW_PERIODS, TAKEN_BY_FEW_PERIODS
+from diagnose.thresholds import FEW_PERIODS, MOST, TAKEN_BY_FEW_PERIODS
 from diagnose.verdict.refusals import refusals
 from mjsim.effects import effect_class
 
@@ -78,7 +78,7 @@ def test_held_out_data_judge_by_size_and_chance_over_all_hypotheses():
 
 
 @pytest.mark.parametrize(("noise", "share", "passes"), [
-    (ModelError(), ANSWERED - 0.01, False), (ModelError(), ANSWERED, True), (KnownNoise(), 0.0, True),
+    (ModelError(), MOST - 0.01, False), (ModelError(), MOST, True), (KnownNoise(), 0.0, True),
 ])  # fmt: skip
 def test_a_delay_must_take_more_than_a_servo_answers(noise, share, passes):
     pair = Pair(structure(chi2=1000.0), structure(delay(), chi2=1000.0 * (1.0 - share)))
@@ -126,28 +126,20 @@ def test_an_unknown_noise_level_is_neither_exceeded_nor_kept():
     assert math.isnan(unknown.floor(0.1))
 
 
-def test_a_pool_keeps_the_best_fit_and_remembers_the_lowest_error():
-    pool, asked = Pool(), []
+def test_the_best_fit_of_each_structure_is_kept_with_its_held_out_error():
+    fits, asked = Fits(), []
     fitter = SimpleNamespace(validate=lambda f: asked.append(f.chi2) or f.chi2)
     worse, better = structure(friction(), chi2=20.0), structure(friction(), chi2=10.0)
-    pool.keep(worse)
-    assert pool.held_out(worse, fitter) == pool.held_out(worse, fitter) == 20.0
-    pool.keep(better)
-    assert pool.held_out(better, fitter) == 10.0, "it is computed anew for another fit"
-    pool.keep(worse)
-    pool.keep(structure(friction(), chi2=math.inf))
-    assert pool.newest(worse) is better
+    fits.keep(worse)
+    assert fits.held_out(worse, fitter) == fits.held_out(worse, fitter) == 20.0
+    fits.keep(better)
+    assert fits.known_held_out(better) is None
+    assert fits.held_out(better, fitter) == 10.0, "it is computed again for another fit"
+    fits.keep(worse)
+    fits.keep(structure(friction(), chi2=math.inf))
+    assert fits.best(worse) is better
     assert asked == [20.0, 10.0]
-    other = pool.beside(worse)
-    assert other.newest(better) is worse
-    assert pool.newest(worse) is better, "a copy changes nothing"
-    other.held_out(worse, fitter)
-    pool.adopt(worse, other)
-    assert pool.held_out(worse, fitter) == 20.0
-    pool.clear()
-    assert len(pool) == 0
-    assert pool.least(worse.key, math.inf) == 10.0
-    assert pool.common(worse, structure(delay())) is None
+    assert fits.common(worse, structure(delay())) is None
 
 
 def test_a_problem_is_frozen_and_relaxed_problems_leave_it_as_it_is(fitter_of, pair):
@@ -161,8 +153,8 @@ def test_a_problem_is_frozen_and_relaxed_problems_leave_it_as_it_is(fitter_of, p
     assert problem.with_orders((5.0,)).orders == (5.0,)
     assert problem.orders == ()
     observed = problem.under_observer(100.0)
-    assert observed.view.lead == 100.0
-    assert problem.view.lead == 0.0
+    assert observed.view.observer_gain == 100.0
+    assert problem.view.observer_gain == 0.0
     (experiment,) = problem.experiments
     assert problem.with_sigma(experiment, 7.0).sigma(experiment) == 7.0 != problem.sigma(experiment)
 
@@ -173,7 +165,7 @@ def test_leading_rivals_are_told_with_the_test_that_refused_them():
     refusal = Refusal(asked.key, best.key, Veto("encoder", {"gain": 3.0, "needed": 25.0}))
     selection = SimpleNamespace(needed=lambda rival, best: 25.0 if len(rival.key) > len(best.key) else 0.5)
     search = SimpleNamespace(
-        pool={f.key: f for f in (never, best, asked, poorer)},
+        fits={f.key: f for f in (never, best, asked, poorer)},
         criterion=lambda f: f.chi2,
         state=SimpleNamespace(refusals={asked.key: refusal}),
         selection=selection,

@@ -36,17 +36,17 @@ def search_of(robot, without=None, simpler=(), limits=(), admitted=lambda ids: T
     """The parts of a search that are asked; ``without``: the structure without an effect, by its key."""
     fits = {}
     pruning = SimpleNamespace(
-        without=lambda best, effect: without[effect.key], simpler=lambda best, effect: [lambda f=f: f for f in simpler],
+        without=lambda best, effect: without[effect.key], simplified=lambda best, effect: [lambda f=f: f for f in simpler],
         limits=lambda best: list(limits), fit_confounders=lambda best, effect: asked.append(effect.key),
     )  # fmt: skip
-    pruning.simplified, asked = pruning.simpler, []
+    asked: list[str] = []
     return SimpleNamespace(
         fitter=SimpleNamespace(
             noise=KnownNoise(), nominal=robot, map=lambda tasks: [t() for t in tasks], refined=lambda f: f,
             hypothesis=lambda effects, linear=None, own=None: effects, fit=lambda effects, iterations: fits["next"],
         ),
-        reduction=pruning, pruning=pruning, starts=pruning, polish=lambda f: f, criterion=lambda f: f.criterion, asked=asked,
-        state=SimpleNamespace(admitted=admitted, candidates=()), pool=fits, fits=fits, tested=0,
+        pruning=pruning, polish=lambda f: f, criterion=lambda f: f.criterion, asked=asked,
+        state=SimpleNamespace(admitted=admitted, candidates=()), fits=fits, tested=0,
         keep=lambda f: fits.__setitem__(f.key, f), held_out=lambda f: SimpleNamespace(rms=f.chi2 / 1000),
         context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, 0.02)),
     )  # fmt: skip
@@ -127,9 +127,9 @@ def test_one_compound_effect_for_two_that_are_not_told_apart(robot, monkeypatch,
     monkeypatch.setattr(findings_module, name, lambda candidates, effects: [(STRIBECK,)])
     best, simpler = structure(COULOMB, OFFSET, criterion=1.0), structure(STRIBECK, criterion=1.0 + behind, ok=ok)
     search = search_of(robot)
-    search.pool["next"] = simpler
+    search.fits["next"] = simpler
     assert merged(search, best) is (simpler if is_merged else best)
-    assert (simpler.key in search.pool) is is_merged
+    assert (simpler.key in search.fits) is is_merged
 
 
 @pytest.mark.parametrize(("tested", "corrected"), [(0, 0.02), (1, 0.02), (5, 0.1), (80, 1.0)])

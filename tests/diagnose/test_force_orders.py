@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from diagnose.data.experiment import prepare
 from diagnose.evidence.force_orders import force_orders, line_energy, stands_out
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.whiten import levinson, worth
+from diagnose.fit.whiten import effective_share_between, levinson
 from diagnose.problem.view import ForceView
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
@@ -91,9 +91,9 @@ def test_a_sample_is_worth_more_to_a_fast_effect_than_to_a_slow_one():
     slow = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(torque_Nm=1.0),)))
     ripple = effect_class("torque_ripple")(amplitude_Nm=0.5, cycles_per_rev=TURN, phase_rad=0.7)
     fast = fitter.fit(fitter.hypothesis((ripple,)))
-    assert worth(fitter, base, slow) < 0.2
-    assert worth(fitter, base, fast) > 0.5
-    assert worth(fitter, base, base) == 1.0  # no difference, nothing to be correlated with
+    assert effective_share_between(fitter, base, slow) < 0.2
+    assert effective_share_between(fitter, base, fast) > 0.5
+    assert effective_share_between(fitter, base, base) == 1.0  # no difference, nothing to be correlated with
 
 
 def test_judged_by_motion_has_no_orders_of_force():

@@ -83,40 +83,6 @@ def test_a_wall_is_stepped_back_from():
     np.testing.assert_allclose(solve(walled, [-1.2, 1.0], tolerance=1e-12).x, [1, 1], rtol=1e-5)
 
 
-@given(st.lists(st.booleans(), min_size=1, max_size=20), st.tuples(st.floats(-2, 2), st.floats(-2, 2)))
-@settings(max_examples=40, deadline=None)
-def test_a_step_that_is_tried_beside_another_changes_nothing(idle, x0):
-    """Whatever threads are idle and when."""
-
-    def walled(x):
-        return None if x[0] > 1.5 else rosenbrock(x)
-
-    asked = []
-
-    def beside(first, other):
-        asked.append(other)
-        return first(), other if idle[len(asked) % len(idle)] else None
-
-    alone, helped = solve(walled, x0), solve(walled, x0, beside=beside)
-    assert helped.status is alone.status
-    assert helped.cost == alone.cost
-    np.testing.assert_array_equal(helped.x, alone.x)
-
-
-def test_a_step_is_tried_beside_the_one_before_once_one_has_failed():
-    ran = []
-
-    def beside(first, other):
-        def ask():
-            ran.append(other)
-            return other()
-
-        return first(), ask
-
-    solve(rosenbrock, [-1.2, 1.0], tolerance=1e-12, beside=beside)
-    assert ran
-
-
 def test_a_known_jacobian_is_used_for_the_first_step():
     a = np.array([[2.0, 1.0], [1.0, 3.0], [0.0, 1.0]])
     b = np.array([1.0, 2.0, 3.0])
@@ -255,29 +221,3 @@ def test_a_column_that_cannot_be_run_is_turned():
     wide = np.full(2, np.inf)
     J = jacobian(residual, x, residual(x), np.full(2, 1e-6), -wide, wide, lambda tasks: [task() for task in tasks])
     np.testing.assert_allclose(J, [[2.0, -1.0], [0.0, 4.0], [0.0, 0.0]], atol=1e-5)
-
-
-def test_a_column_begun_beside_a_step_changes_nothing():
-    def residual(x):
-        return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
-
-    begun = []
-
-    def idle(first, other):
-        def ask():
-            begun.append(other)
-            return other()
-
-        return first(), ask
-
-    alone, beside = (
-        levenberg_marquardt(
-            residual, np.array([-1.2, 1.0]), (np.full(2, -5.0), np.full(2, 5.0)), step=np.full(2, 1e-6),
-            run=lambda tasks: [task() for task in tasks], max_iterations=60, beside=helper,
-        )
-        for helper in (None, idle)
-    )  # fmt: skip
-    assert begun
-    np.testing.assert_array_equal(alone.x, beside.x)
-    np.testing.assert_array_equal(alone.J, beside.J)
-    assert alone.iterations == beside.iterations

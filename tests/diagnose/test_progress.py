@@ -27,29 +27,18 @@ class Clock:
         return self.now
 
 
-def test_the_guess_is_right_for_rounds_of_even_pace():
+def test_the_time_left_is_that_of_the_stage_by_its_pace():
     clock, steps = Clock(), []
     p = Progress(steps.append, clock)
-    p.stage("search", "round 1")
-    p.begin_round(more=1)
-    assert steps[-1].seconds is None, "nothing is known yet"
+    p.stage("search", "add to the nominal model")
+    assert (steps[-1].left, steps[-1].seconds) == (None, None)
     clock.now = 15.0
     p.rivals(10)
-    for _ in range(10):
+    assert steps[-1].seconds is None, "no rival is done yet"
+    for _ in range(4):
         clock.now += 6.0
         p.rival()
-    assert steps[-1].left == 0
-    p.rivals(2)
-    assert steps[-1].seconds == pytest.approx(25.0 + 100.0 + 50.0)  # this round, one more, the tail
-    clock.now = 100.0
-    p.end_round()
-    p.begin_round(more=0)
-    clock.now += 15.0
-    p.rivals(4)
-    clock.now += 30.0
-    p.rival(), p.rival()
-    assert steps[-1].left == 2
-    assert steps[-1].seconds == pytest.approx(55.0 + 50.0)
+    assert (steps[-1].left, steps[-1].seconds) == (6, pytest.approx(36.0))
     p.stage("validate")
     assert (steps[-1].left, steps[-1].seconds) == (None, None)
 

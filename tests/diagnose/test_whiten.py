@@ -23,7 +23,7 @@ from diagnose.fit.whiten import (
     levinson,
     noise_rms,
     offset_share,
-    settle,
+    whitened_fit,
     whitening_filter,
 )
 from diagnose.problem.view import MotionView
@@ -68,7 +68,7 @@ def test_noise_far_larger_than_its_innovations_is_whitened_by_its_own_poles(reco
     fitter, f = fitted(record, robot, noise)
     (experiment,) = fitter.experiments
     part = dataclasses.replace(experiment, counts=counts)
-    fitter = fitter.beside(fitter.problem.on((part,), (experiment,)))
+    fitter = fitter.related(fitter.problem.on((part,), (experiment,)))
     np.testing.assert_allclose(whitening_filter(fitter, f)[:3], poles, atol=0.05)
     counts[::30] = False  # no stretch is long enough
     assert whitening_filter(fitter, f) is not None
@@ -117,7 +117,7 @@ def test_a_filter_is_not_settled_before_the_fit_behind_it_is(record, robot, monk
         return fit(self, h, x0, **{**how, "iterations": 2})
 
     monkeypatch.setattr(Fitter, "fit", short)
-    filter_, settled = settle(fitter, begin)
+    filter_, settled = whitened_fit(fitter, begin)
     assert len(few) > 2
     assert settled.fit.status is Status.CONVERGED or len(few) == 8
     np.testing.assert_allclose(filter_[1], -0.85, atol=0.03)

@@ -88,10 +88,11 @@ class _Search:
             scales=dict.fromkeys(("motor",), SCALES), scales_for=lambda cls, place: SCALES, refined=lambda f: f, noise=None
         )
         bare = self.fitted(())
-        self.reduction = SimpleNamespace(without=lambda best, effect: bare, simpler=lambda best, effect: [])
-        self.starts = SimpleNamespace(limits=lambda best: [])
+        self.pruning = SimpleNamespace(
+            without=lambda best, effect: bare, simplified=lambda best, effect: [], limits=lambda best: []
+        )
         self.state = SimpleNamespace(admitted=lambda ids: True)
-        self.pool = {f.key: f for f in (self.fitted((ripple,), 10.0), *rivals)}
+        self.fits = {f.key: f for f in (self.fitted((ripple,), 10.0), *rivals)}
         self.significance = SimpleNamespace(significant=lambda before, after: after.chi2 < 40.0)
 
     @staticmethod

@@ -7,9 +7,9 @@ has, it is that effect's rival.
 from __future__ import annotations
 
 from diagnose.evidence.context import Context
-from diagnose.evidence.encoder import encoder_gain, gain_beside_encoder
+from diagnose.evidence.encoder import encoder_gain, gain_with_encoder_error
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
-from diagnose.thresholds import BEATS_ENCODER
+from diagnose.thresholds import MATERIAL
 
 __all__ = ["no_error_of_the_encoder"]
 
@@ -24,9 +24,9 @@ def no_error_of_the_encoder(context: Context, pair: Pair) -> Outcome:
     asked = (before.key, before.chi2, new[0], after.chi2)
     if asked not in context.memo.encoder:
         own = encoder_gain(context.fitter, before, new[0])
-        by_order = own > gain - max(entry, BEATS_ENCODER * gain)
-        context.memo.encoder[asked] = own, entry if by_order else gain_beside_encoder(context.fitter, before, after)
+        by_order = own > gain - max(entry, MATERIAL * gain)
+        context.memo.encoder[asked] = own, entry if by_order else gain_with_encoder_error(context.fitter, before, after)
     own, beside = context.memo.encoder[asked]
-    if own > gain - max(entry, BEATS_ENCODER * gain):
-        return Veto("encoder", {"gain": gain, "needed": own + max(entry, BEATS_ENCODER * gain)})
+    if own > gain - max(entry, MATERIAL * gain):
+        return Veto("encoder", {"gain": gain, "needed": own + max(entry, MATERIAL * gain)})
     return Veto("encoder", {"gain": beside, "needed": entry}) if beside < entry else PASS

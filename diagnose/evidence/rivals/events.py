@@ -11,11 +11,11 @@ import math
 
 from diagnose.evidence.context import Context
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
+from diagnose.fit.fits import Key
 from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import observed
-from diagnose.fit.pool import Key
-from diagnose.fit.starts import warm_started
-from diagnose.thresholds import FAIR, LEAD, SAME, UNEXPLAINED
+from diagnose.thresholds import FAIR, OBSERVER_GAINS, SAME, UNEXPLAINED
 
 __all__ = ["no_moment_of_an_event"]
 
@@ -35,13 +35,14 @@ def no_moment_of_an_event(context: Context, pair: Pair) -> Outcome:
 
 
 def _gain_under_observer(context: Context, before: Fitted, after: Fitted) -> float:
-    """The gain in C under the observer gain ``LEAD``; infinite where one of the two cannot be run so."""
+    """The gain in C under the lowest of ``OBSERVER_GAINS``; infinite where one of the two cannot be run so."""
     fitter, memo = context.fitter, context.memo.observed
     asked = next((a for a in memo if _alike(a, before, after)), (before.key, before.chi2, after.key, after.chi2))
     if asked not in memo:
-        richer, own = (observed(fitter, f, LEAD, 15, spread=0 if context.slow(f) else 8, keep=2) for f in (after, before))
-        begun = warm_started(fitter, after, before.key, 0)
-        poorer = [f for f in (own, observed(fitter, begun, LEAD, 15) if begun.ok else None) if f is not None]
+        gain = OBSERVER_GAINS[0]
+        richer, own = (observed(fitter, f, gain, 15, spread=0 if context.slow(f) else 8, keep=2) for f in (after, before))
+        started = _warm_started(fitter, after, before.key)
+        poorer = [f for f in (own, observed(fitter, started, gain, 15) if started.ok else None) if f is not None]
         if richer is None or not poorer:
             memo[asked] = math.inf
         else:
@@ -53,3 +54,9 @@ def _alike(asked: tuple[Key, float, Key, float], before: Fitted, after: Fitted) 
     """Whether two structures are those that were asked about, by keys and chi-squares, but for the last digits of a fit."""
     same = (asked[0], asked[2]) == (before.key, after.key)
     return same and all(abs(math.log(f.chi2 / known)) < SAME for f, known in ((before, asked[1]), (after, asked[3])))
+
+
+def _warm_started(fitter: Fitter, richer: Fitted, key: Key) -> Fitted:
+    """A poorer structure at the parameters of a richer one."""
+    effects = tuple(e for e in richer.effects if e.key in key)
+    return fitter.fit(fitter.hypothesis(effects, richer.linear, richer.own), iterations=0)

@@ -23,11 +23,11 @@ def generalises(context: Context, pair: Pair) -> Outcome:
     blocks = context.compared_in_blocks(pair.before, pair.after)
     if blocks is not None and significant(context, blocks, pair.hypotheses):
         return PASS
-    told = held if blocks is None else blocks
+    judged = held if blocks is None else blocks
     return Veto(
         "held_out",
         {
-            "relative_gain": told.relative_gain, "needed": context.prices.material,
-            "p_value": min(1.0, told.p_value * pair.hypotheses), "largest_p_value": context.prices.p_enter,
+            "relative_gain": judged.relative_gain, "needed": context.prices.material,
+            "p_value": min(1.0, judged.p_value * pair.hypotheses), "largest_p_value": context.prices.p_enter,
         },
     )  # fmt: skip

@@ -13,7 +13,7 @@ from diagnose.evidence.context import Context
 from diagnose.evidence.intervals import open_sizes
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
 from diagnose.fit.fitted import Fitted
-from diagnose.thresholds import ANSWERED
+from diagnose.thresholds import MOST
 
 __all__ = ["no_answer_of_a_servo", "size_is_open"]
 
@@ -30,7 +30,7 @@ def no_answer_of_a_servo(context: Context, pair: Pair) -> Outcome:
     if not alike and not size_is_open(context, after, {e.key: e.amplitudes for e in added}):
         return PASS
     share = min(1.0 - after.chi2 / before.chi2, context.compared(before, after).relative_gain)
-    return Veto("servo", {"share": share, "needed": ANSWERED}) if share < ANSWERED else PASS
+    return Veto("servo", {"share": share, "needed": MOST}) if share < MOST else PASS
 
 
 def size_is_open(context: Context, f: Fitted, sizes: Mapping[str, tuple[str, ...]]) -> bool:

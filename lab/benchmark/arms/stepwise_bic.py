@@ -32,22 +32,22 @@ def fit(task: Task) -> Answer:
     """Add effects while BIC falls."""
     with fitting(task) as fitter:
         base = refitted(fitter)
-        # entry 0: whatever promises any gain at all may be fitted
+        # entry 0: any gain in the score test is enough to be fitted
         search = Search(fitter, SearchOptions(entry=0.0, depth=DEPTH))
-        search.pool.put(base.fitted)
+        search.keep(base.fitted)
         current = base.fitted
         while len(current.effects) < DEPTH:
             search.use(search.fitter.with_orders(orders(fitter, current)))
             search.state.consider(candidates(search.fitter))
-            search.growth.expand(current)
-            richer = [f for f in search.pool.values() if len(f.effects) == len(current.effects) + 1]
+            search.expand(current)
+            richer = [f for f in search.fits.values() if len(f.effects) == len(current.effects) + 1]
             best = min(richer, key=bic, default=current)
             if bic(best) >= bic(current):
                 break
             current = best
         held = fitter.validate(current)
         rms = held.rms if held is not None else math.nan
-    tried = len(search.pool) - 1
+    tried = len(search.fits) - 1
     return Answer(rms, base.held_out_rms, named=current.key, note=f"{tried} structures fitted, {current.n} samples")
 
 

@@ -1,9 +1,9 @@
-"""What has been fitted, kept on disk as it is found, so that a diagnosis that was broken off goes on where it stopped.
+"""The ledger of fits: append-only, keyed by problem, structure and start; on disk, so that an interrupted diagnosis resumes.
 
-A file of lines: the first says what everything follows from (recordings, model, options, code), each other one is a fit under the
-hash of what it was asked. The search is deterministic: run again, it asks the same fits in the same order, and those that are
-known are answered from the file; residual and Jacobian, which are large, are computed anew for the few fits that others build on.
-A line is written whole and flushed; one that was cut off is dropped when the file is read.
+The first line of the file is a hash of what every fit depends on (recordings, model, options, code); each other line is a fit
+under the hash of its request. The search is deterministic: run again, it requests the same fits in the same order, and known ones
+are read from the file. Residual and Jacobian are large and are computed again for the few fits that others build on. A line is
+written whole and flushed; a line that was cut off is dropped when the file is read.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from diagnose.fit.least_squares import Fit, Status
 from mjsim.axis import Axis
 from mjsim.recording import Recording
 
-__all__ = ["Known", "Memory", "fingerprint"]
+__all__ = ["Entry", "Ledger", "fingerprint"]
 
 FORMAT = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Entry:
     """A fit without its arrays: solution x (p,), cost, status, iterations, gain; n: samples; work: what it took."""
 
     x: np.ndarray
@@ -42,15 +42,15 @@ class Known:
     work: int
 
 
-class Memory:
-    """Fits by key, on disk.
+class Ledger:
+    """Fits by the hash of their request, on disk.
 
-    ``follows``: a hash of all that they follow from; a file that follows from something else is not used.
+    ``follows``: a hash of what every fit depends on; a file with another one is not used.
     """
 
     def __init__(self, path: Path, follows: str) -> None:
         self.path, self.follows = path, follows
-        self._known: dict[str, Known] = {}
+        self._known: dict[str, Entry] = {}
         self._lock = threading.Lock()
         self._made: list[Path] = []
         self._ready = False
@@ -70,7 +70,7 @@ class Memory:
         for line in lines[1:]:
             said = _parsed(line)
             try:
-                self._known[said["key"]] = Known(
+                self._known[said["key"]] = Entry(
                     np.array([float.fromhex(v) for v in said["x"]]), float.fromhex(said["cost"]), Status[said["status"]],
                     int(said["iterations"]), float.fromhex(said["gain"]), int(said["n"]), int(said["work"]),
                 )  # fmt: skip
@@ -83,13 +83,13 @@ class Memory:
             os.replace(part, self.path)
         self._ready = True
 
-    def recall(self, key: str) -> Known | None:
+    def recall(self, key: str) -> Entry | None:
         """What is known under a key."""
         return self._known.get(key)
 
     def keep(self, key: str, fit: Fit, n: int, work: int) -> None:
         """Write a fit down."""
-        known = Known(fit.x, fit.cost, fit.status, fit.iterations, fit.predicted_gain, n, work)
+        known = Entry(fit.x, fit.cost, fit.status, fit.iterations, fit.predicted_gain, n, work)
         said = {
             "key": key, "x": [float(v).hex() for v in fit.x], "cost": float(fit.cost).hex(), "status": fit.status.name,
             "iterations": fit.iterations, "gain": float(fit.predicted_gain).hex(), "n": n, "work": work,
@@ -140,14 +140,14 @@ def _parsed(line: str) -> dict[str, Any]:
     return said if isinstance(said, dict) else {}
 
 
-def fingerprint(nominal: Axis, recordings: Iterable[Recording], *told: object) -> str:
-    """Hash of what every fit follows from: the axis, the samples as read, whatever else is told, the code and the libraries."""
+def fingerprint(nominal: Axis, recordings: Iterable[Recording], *options: object) -> str:
+    """Hash of what every fit depends on: the axis, the samples as read, the options, the code and the libraries."""
     from importlib.metadata import version
 
     import diagnose
     import mjsim
 
-    digest = hashlib.sha256(repr((nominal, told)).encode())
+    digest = hashlib.sha256(repr((nominal, options)).encode())
     for r in recordings:
         digest.update(repr((r.sha256, r.dt, r.judge, r.loop, r.varies)).encode())
         arrays = (r.time, r.torque, r.velocity, r.angle, r.second_angle, r.second_velocity, r.command, r.known_torque)

@@ -1,4 +1,4 @@
-"""The first look at rivals: by as few samples as tell what all would."""
+"""Screening of neighbours by as few samples as give the same answer as all."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import pytest
 from diagnose.data.experiment import hold_out_blocks, prepare
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.view import ForceView, MotionView
-from diagnose.structure.candidates import candidates, screen
-from diagnose.structure.screening import Look, look
+from diagnose.structure.candidates import candidates
+from diagnose.structure.score import screen
+from diagnose.structure.screening import Screening, screening_of
 from mjsim.effects import effect_class
 from mjsim.excitation import chirp
 from mjsim.ode import simulate
@@ -50,8 +51,8 @@ def base(fitter):
     return fitter.fit(fitter.hypothesis(()))
 
 
-def test_where_much_is_left_a_part_of_the_samples_is_looked_at(fitter, base):
-    thin = look(fitter, base)
+def test_where_much_is_left_a_part_of_the_samples_is_screened(fitter, base):
+    thin = screening_of(fitter, base)
     assert thin.every == 3
     assert thin.base.chi2 / thin.base.n == pytest.approx(base.chi2 / base.n, rel=0.05)
     r = thin.fitter.residual(base.hypothesis)(base.fit.x)
@@ -59,14 +60,14 @@ def test_where_much_is_left_a_part_of_the_samples_is_looked_at(fitter, base):
 
 
 def test_its_sensitivities_are_those_of_all_samples(fitter, base):
-    thin = look(fitter, base)
+    thin = screening_of(fitter, base)
     anew = thin.fitter.fit(base.hypothesis, base.fit.x, iterations=1)
     for a, b in zip(anew.fit.J.T, thin.base.fit.J.T, strict=True):
         assert np.linalg.norm(a - b) < 0.03 * np.linalg.norm(b)
 
 
 def test_it_promises_what_all_samples_promise(fitter, base):
-    thin, supposed = look(fitter, base), candidates(fitter)
+    thin, supposed = screening_of(fitter, base), candidates(fitter)
     some = {s.candidate: s.gain for s in thin.screen(supposed)}
     every = screen(fitter, base, supposed)
     large = [s for s in every if s.gain > 0.1 * base.chi2]
@@ -76,9 +77,9 @@ def test_it_promises_what_all_samples_promise(fitter, base):
 
 
 def test_what_enters_is_judged_by_all_samples_and_near_its_minimum(fitter, base):
-    thin = look(fitter, base)
+    thin = screening_of(fitter, base)
     (friction,) = thin.screen([c for c in candidates(fitter) if c.key == "coulomb_friction@motor"])
-    entered = thin.enter((), friction, True)
+    entered = thin.start((), friction, True)
     full = fitter.fit(entered.hypothesis, entered.fit.x)
     assert entered.n == base.n
     assert full.chi2 <= entered.chi2 < 1.02 * full.chi2
@@ -87,49 +88,49 @@ def test_what_enters_is_judged_by_all_samples_and_near_its_minimum(fitter, base)
 
 
 def test_what_it_simulates_is_counted(fitter, base):
-    thin = look(fitter, base)
+    thin = screening_of(fitter, base)
     before = fitter.work
     thin.screen(candidates(fitter)[:4])
     assert fitter.work > before
     assert thin.fitter.work == 0
 
 
-def test_where_little_is_left_all_samples_are_looked_at(fitter, base):
+def test_where_little_is_left_all_samples_are_screened(fitter, base):
     right = fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(**FRICTION),)))
     assert fitter.misfit(right) < 1.1
-    assert look(fitter, right).every == 1
+    assert screening_of(fitter, right).every == 1
 
 
-def test_where_a_part_would_tell_something_else_all_are_looked_at(robot, fitter, monkeypatch):
+def test_where_a_part_would_tell_something_else_all_are_screened(robot, fitter, monkeypatch):
     """A gap strikes at other moments when it is run by other steps: what its run leaves is then no measure."""
     loose = fitter.fit(fitter.hypothesis((effect_class("backlash")(gap_rad=5e-4),)), iterations=1)
     assert loose.rough
-    monkeypatch.setattr("diagnose.structure.screening.FAITHFUL", (0.5, 0.0))
-    assert look(fitter, loose).every == 1
+    monkeypatch.setattr("diagnose.structure.screening.SMALL", 0.0)
+    assert screening_of(fitter, loose).every == 1
 
 
 @pytest.mark.parametrize("view", [ForceView(), MotionView()])
-def test_errors_that_are_filtered_are_looked_at_in_full(robot, recordings, view):
+def test_errors_that_are_filtered_are_screened_in_full(robot, recordings, view):
     experiment = prepare(recordings[0])
     whitened = Fitter(robot, view, (experiment,), (experiment,), 1).relax(whitening=np.array([1.0, -0.5]))
     f = whitened.fit(whitened.hypothesis(()), iterations=1)
-    assert look(whitened, f).every == 1
+    assert screening_of(whitened, f).every == 1
 
 
-def test_an_angle_alone_is_looked_at_in_full(robot, recordings):
+def test_an_angle_alone_is_screened_in_full(robot, recordings):
     experiment = prepare(dataclasses.replace(recordings[0], velocity=None))
     made = Fitter(robot, MotionView(), (experiment,), (experiment,), 1)
-    assert look(made, made.fit(made.hypothesis(()), iterations=1)).every == 1
+    assert screening_of(made, made.fit(made.hypothesis(()), iterations=1)).every == 1
 
 
-def test_a_short_recording_is_looked_at_in_full(robot, recordings):
+def test_a_short_recording_is_screened_in_full(robot, recordings):
     experiment = prepare(recordings[0].slice(0, 8000))
     made = Fitter(robot, MotionView(), (experiment,), (experiment,), 1)
-    assert look(made, made.fit(made.hypothesis(()), iterations=1)).every == 1
+    assert screening_of(made, made.fit(made.hypothesis(()), iterations=1)).every == 1
 
 
-def test_a_look_at_all_samples_is_the_fitter_itself(fitter, base):
-    whole = Look(fitter, base, fitter)
+def test_a_screening_of_all_samples_is_the_fitter_itself(fitter, base):
+    whole = Screening(fitter, base, fitter)
     (best, *_) = screen(fitter, base, candidates(fitter))
     assert whole.screen(candidates(fitter))[0].gain == best.gain
     assert whole.fitter is fitter

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.fit.workers import Counted, SideBySide
+from diagnose.fit.workers import Counted, WorkerPool
 from mjsim.ode import count_work
 
 
 @given(st.integers(1, 4), st.lists(st.integers(0, 6), max_size=6))
 @settings(max_examples=60, deadline=None)
 def test_answers_stand_in_the_order_of_the_tasks(jobs, sizes):
-    threads = SideBySide(jobs)
+    threads = WorkerPool(jobs)
 
     def inner(i: int, k: int) -> tuple[int, int]:
         return i, k
@@ -34,7 +34,7 @@ def test_answers_stand_in_the_order_of_the_tasks(jobs, sizes):
 
 
 def test_an_idle_thread_helps_with_the_tasks_of_a_task():
-    threads = SideBySide(2)
+    threads = WorkerPool(2)
     together = threading.Barrier(2)
 
     def lone() -> list[int]:
@@ -48,7 +48,7 @@ def test_an_idle_thread_helps_with_the_tasks_of_a_task():
 
 @pytest.mark.parametrize("jobs", [1, 2, 3])
 def test_no_more_are_at_work_than_were_asked_for(jobs):
-    threads = SideBySide(jobs)
+    threads = WorkerPool(jobs)
     lock = threading.Lock()
     at_work, most = 0, 0
 
@@ -69,7 +69,7 @@ def test_no_more_are_at_work_than_were_asked_for(jobs):
 
 
 def test_one_that_waits_for_its_last_task_helps_with_what_that_asks_for():
-    threads = SideBySide(2)
+    threads = WorkerPool(2)
     taken, together = threading.Event(), threading.Barrier(2)
 
     def first() -> None:
@@ -88,7 +88,7 @@ def test_one_that_waits_for_its_last_task_helps_with_what_that_asks_for():
 def test_threads_that_nobody_uses_any_more_end():
     before = threading.active_count()
     for _ in range(5):
-        threads = SideBySide(3)
+        threads = WorkerPool(3)
         assert threads.map([lambda: 1, lambda: 2, lambda: 3]) == [1, 2, 3]
     del threads
     until = time.monotonic() + 20
@@ -98,7 +98,7 @@ def test_threads_that_nobody_uses_any_more_end():
 
 
 def test_the_error_of_a_task_is_raised_and_the_rest_is_left():
-    threads = SideBySide(2)
+    threads = WorkerPool(2)
     ran = []
 
     def bad() -> None:
@@ -113,72 +113,32 @@ def test_the_error_of_a_task_is_raised_and_the_rest_is_left():
 
 
 def test_closed_threads_refuse_what_a_running_task_asks_for():
-    threads = SideBySide(2)
+    threads = WorkerPool(2)
     threads.close()
     with pytest.raises(RuntimeError):
         threads.map([lambda: 1, lambda: 2])
 
 
-def test_what_may_come_next_is_worked_out_beside_by_an_idle_thread_only():
-    threads = SideBySide(2)
-    try:
-        begun = threading.Event()
-
-        def other() -> int:
-            begun.set()
-            return 2
-
-        answer, ask = threads.beside(lambda: begun.wait(20), other)  # somebody is idle, and comes to it
-        assert answer
-        assert ask is not None
-        assert ask() == 2
-        together = threading.Barrier(2)
-
-        def busy() -> tuple[int, object]:
-            together.wait(20)
-            found = threads.beside(lambda: 1, lambda: 2)
-            together.wait(20)
-            return found
-
-        assert threads.map([busy, busy]) == [(1, None), (1, None)]
-        assert threads.map([busy, busy]) == [(1, None), (1, None)], "nothing is left over"
-    finally:
-        threads.close()
-    assert SideBySide(1).beside(lambda: 1, lambda: 2) == (1, None)
-
-
-def test_the_longest_is_begun_first_and_the_answers_keep_their_order() -> None:
-    begun: list[int] = []
+def test_the_longest_starts_first_and_the_answers_keep_their_order() -> None:
+    started: list[int] = []
 
     def task(i: int) -> int:
-        begun.append(i)
+        started.append(i)
         time.sleep(0.01)
         return i
 
-    threads = SideBySide(2)
+    threads = WorkerPool(2)
     assert threads.map([partial(task, i) for i in range(5)], [1.0, 3.0, 9.0, 2.0, 5.0]) == list(range(5))
     threads.close()
-    assert set(begun[:2]) == {2, 4}
-    assert begun[-1] == 0
+    assert set(started[:2]) == {2, 4}
+    assert started[-1] == 0
 
 
-def test_work_is_counted_whoever_has_done_it() -> None:
-    threads = SideBySide(2)
+def test_work_is_counted_on_every_thread() -> None:
+    threads = WorkerPool(2)
     counted = Counted(threads)
-    begun = threading.Event()
-
-    def other() -> None:
-        count_work(7)
-        begun.set()
-
-    def first() -> None:
-        begun.wait(20)
-
     try:
-        _, ask = counted.beside(first, other)
-        assert ask is not None
-        assert counted.work == 0, "nobody has asked for it"
-        counted.run([ask, partial(count_work, 5), partial(count_work, 5)])
+        counted.run([partial(count_work, k) for k in (5, 5, 7)])
     finally:
         threads.close()
     assert counted.work == 17

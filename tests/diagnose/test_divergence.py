@@ -61,7 +61,9 @@ def test_divergence_by_event_times_is_told_from_missing_physics(robot, sealed, m
         base = fitter.fit(fitter.hypothesis(()))
         start = fitter.hypothesis((effect_class("backlash")(place="gearbox", gap_rad=GAP),))
         fit = fitter.fit(start)
-        drawn = [dataclasses.replace(fit, fit=dataclasses.replace(fit.fit, x=x)) for x in fit.drawn(np.full(16, 2.0), 0)]
+        drawn = [
+            dataclasses.replace(fit, fit=dataclasses.replace(fit.fit, x=x)) for x in fit.covariance_draws(np.full(16, 2.0), 0)
+        ]
         errors = [fitter.validate(f).rms for f in drawn]
         worst = drawn[int(np.argmax(errors))]
         assert max(errors) > 3 * NOISE

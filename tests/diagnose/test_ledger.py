@@ -18,9 +18,9 @@ from robot_axis import effect
 
 import simgap.pipeline as pipeline
 from diagnose.data.experiment import prepare
-from diagnose.fit.fit_cache import Memory, fingerprint
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Fit, Linearised, Status
+from diagnose.fit.ledger import Ledger, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from mjsim.mjcf import load_axis
@@ -37,7 +37,7 @@ def answer(result):
     return json.dumps(said, default=float)
 
 
-class Broken(Memory):
+class Broken(Ledger):
     """Breaks the diagnosis off after so many fits, as Ctrl-C does."""
 
     left = 0
@@ -55,13 +55,13 @@ def whole(pair, robot):
     recordings = pair(effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.05, stribeck_velocity_rad_s=3.0))
     options = Options(jobs=1, effects=FEW)
     counted = Counted()
-    result = diagnose(robot, recordings[:1], recordings[1:], options, memory=counted)
+    result = diagnose(robot, recordings[:1], recordings[1:], options, ledger=counted)
     assert answer(result) == answer(diagnose(robot, recordings[:1], recordings[1:], options)), "remembering changes nothing"
     return recordings, options, answer(result), counted.kept
 
 
 class Counted:
-    """A memory that knows nothing and counts."""
+    """A ledger that knows nothing and counts."""
 
     kept = 0
 
@@ -76,28 +76,28 @@ class Counted:
 def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path, share, jobs):
     recordings, options, expected, count = whole
     options = dataclasses.replace(options, jobs=jobs)
-    memory = Broken(tmp_path / "state.jsonl", "this")
-    memory.left = int(share * count)
+    ledger = Broken(tmp_path / "state.jsonl", "this")
+    ledger.left = int(share * count)
     with pytest.raises(KeyboardInterrupt):
-        diagnose(robot, recordings[:1], recordings[1:], options, memory=memory)
-    memory.close()
-    again = Memory(tmp_path / "state.jsonl", "this")
+        diagnose(robot, recordings[:1], recordings[1:], options, ledger=ledger)
+    ledger.close()
+    again = Ledger(tmp_path / "state.jsonl", "this")
     known = int(share * count) - (jobs - 1)  # another thread may be at the point of writing when the file is closed
     assert again.recalled >= known
-    assert answer(diagnose(robot, recordings[:1], recordings[1:], options, memory=again)) == expected
+    assert answer(diagnose(robot, recordings[:1], recordings[1:], options, ledger=again)) == expected
     assert again.size - again.recalled < count - known + 1, "what was known was not fitted again"
 
 
 def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch):
     recordings, options, expected, count = whole
-    memory = Memory(tmp_path / "state.jsonl", "this")
-    diagnose(robot, recordings[:1], recordings[1:], options, memory=memory)
-    again = Memory(tmp_path / "state.jsonl", "this")
-    assert again.recalled == memory.size == count
+    ledger = Ledger(tmp_path / "state.jsonl", "this")
+    diagnose(robot, recordings[:1], recordings[1:], options, ledger=ledger)
+    again = Ledger(tmp_path / "state.jsonl", "this")
+    assert again.recalled == ledger.size == count
     asked = []
     recall = again.recall
     monkeypatch.setattr(again, "recall", lambda key: asked.append(key) or recall(key))
-    assert answer(diagnose(robot, recordings[:1], recordings[1:], options, memory=again)) == expected
+    assert answer(diagnose(robot, recordings[:1], recordings[1:], options, ledger=again)) == expected
     assert again.size == count
     assert set(asked) <= set(again._known)
 
@@ -106,37 +106,37 @@ def test_a_second_search_over_all_recordings_is_remembered_too(whole, robot, tmp
     (estimation, held_out), options, *_ = whole
     options = dataclasses.replace(options, effects=("stribeck_friction",))
     monkeypatch.setattr("diagnose.pipeline._only_held_out_shows", lambda result: True)
-    memory = Memory(tmp_path / "state.jsonl", "this")
-    first = diagnose(robot, [estimation], [held_out], options, memory=memory)
+    ledger = Ledger(tmp_path / "state.jsonl", "this")
+    first = diagnose(robot, [estimation], [held_out], options, ledger=ledger)
     assert any(note.startswith("The estimation recordings fit without it") for note in first.notes)
-    again = Memory(tmp_path / "state.jsonl", "this")
-    assert answer(diagnose(robot, [estimation], [held_out], options, memory=again)) == answer(first)
-    assert again.size == again.recalled == memory.size
+    again = Ledger(tmp_path / "state.jsonl", "this")
+    assert answer(diagnose(robot, [estimation], [held_out], options, ledger=again)) == answer(first)
+    assert again.size == again.recalled == ledger.size
 
 
 def test_other_samples_of_a_recording_are_another_fit(whole, robot, tmp_path):
     (estimation, held_out), *_ = whole
-    memory = Memory(tmp_path / "state.jsonl", "this")
+    ledger = Ledger(tmp_path / "state.jsonl", "this")
     whole_of_it = prepare(estimation)
     half = dataclasses.replace(whole_of_it, counts=whole_of_it.counts & (np.arange(len(estimation)) % 2 == 0))
     for experiment in (whole_of_it, half):
-        fitter = Fitter(robot, MotionView(), (experiment,), (prepare(held_out),), 1, memory=memory)
+        fitter = Fitter(robot, MotionView(), (experiment,), (prepare(held_out),), 1, ledger=ledger)
         fitter = Fitter.of(fitter.problem.with_sigma(experiment, 1.0), fitter.engine)
         fitter.fit(fitter.hypothesis(()), iterations=1)
-    assert memory.size == 2
+    assert ledger.size == 2
 
 
 def test_a_fit_that_is_recalled_is_the_fit(whole, robot, tmp_path):
     (estimation, held_out), *_ = whole
-    memory = Memory(tmp_path / "state.jsonl", "this")
+    ledger = Ledger(tmp_path / "state.jsonl", "this")
 
-    def fits(memory):
-        fitter = Fitter(robot, MotionView(), (prepare(estimation),), (prepare(held_out),), 1, memory=memory)
+    def fits(ledger):
+        fitter = Fitter(robot, MotionView(), (prepare(estimation),), (prepare(held_out),), 1, ledger=ledger)
         base = fitter.fit(fitter.hypothesis(()), iterations=5)
         h = fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.05),), base.linear)
-        return base, fitter.fit(h, iterations=3, borrow=base, secant=True), fitter.runs
+        return base, fitter.fit(h, iterations=3, neighbour=base, secant=True), fitter.runs
 
-    first, second = fits(memory), fits(Memory(tmp_path / "state.jsonl", "this"))
+    first, second = fits(ledger), fits(Ledger(tmp_path / "state.jsonl", "this"))
     assert first[2] == second[2], "a budget of runs counts what was recalled"
     for a, b in zip(first[:2], second[:2], strict=True):
         np.testing.assert_array_equal(a.fit.x, b.fit.x)
@@ -147,14 +147,14 @@ def test_a_fit_that_is_recalled_is_the_fit(whole, robot, tmp_path):
 
 def test_lines_come_back_to_the_last_digit_and_a_cut_one_is_dropped(tmp_path):
     path = tmp_path / "deep" / "state.jsonl"
-    memory = Memory(path, "this")
+    ledger = Ledger(path, "this")
     assert not path.parent.exists(), "nothing is made before there is a fit"
     for key in ("a", "b", "a"):
-        memory.keep(key, FIT, 7, 11)
+        ledger.keep(key, FIT, 7, 11)
     text = path.read_text()
     assert len(text.splitlines()) == 3
     path.write_text(text[:-20])
-    again = Memory(path, "this")
+    again = Ledger(path, "this")
     assert again.recalled == 1
     known = again.recall("a")
     assert known is not None
@@ -162,24 +162,24 @@ def test_lines_come_back_to_the_last_digit_and_a_cut_one_is_dropped(tmp_path):
     assert (known.cost, known.status, known.n, known.work) == (0.1, Status.BUDGET, 7, 11)
     assert known.predicted_gain == np.inf
     again.keep("b", FIT, 7, 11)
-    assert Memory(path, "this").recalled == 2
+    assert Ledger(path, "this").recalled == 2
     assert [p.name for p in path.parent.iterdir()] == ["state.jsonl"]
 
 
 def test_what_follows_from_something_else_is_not_used(tmp_path):
     path = tmp_path / "state.jsonl"
-    Memory(path, "this").keep("a", FIT, 7, 11)
-    other = Memory(path, "that")
+    Ledger(path, "this").keep("a", FIT, 7, 11)
+    other = Ledger(path, "that")
     assert other.recall("a") is None
     other.keep("c", FIT, 7, 11)
-    assert Memory(path, "this").recalled == 0
-    assert Memory(path, "that").recalled == 1
+    assert Ledger(path, "this").recalled == 0
+    assert Ledger(path, "that").recalled == 1
     path.write_bytes(b"\xff\xfe rubbish")
-    assert Memory(path, "this").recalled == 0
-    memory = Memory(tmp_path / "a" / "b" / "state.jsonl", "this")
-    memory.keep("a", FIT, 7, 11)
-    memory.discard()
-    memory.keep("b", FIT, 7, 11)
+    assert Ledger(path, "this").recalled == 0
+    ledger = Ledger(tmp_path / "a" / "b" / "state.jsonl", "this")
+    ledger.keep("a", FIT, 7, 11)
+    ledger.discard()
+    ledger.keep("b", FIT, 7, 11)
     assert not (tmp_path / "a").exists()
 
 
@@ -221,7 +221,7 @@ def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(files, tm
     assert CliRunner().invoke(cli, command(files, straight, *fewer)).exit_code == 0
     Broken.left = 6
     with monkeypatch.context() as m:
-        m.setattr(pipeline, "Memory", Broken)
+        m.setattr(pipeline, "Ledger", Broken)
         broken = CliRunner().invoke(cli, command(files, out, *fewer))
     assert broken.exit_code == 130
     assert broken.stderr.strip().splitlines() == [
@@ -237,7 +237,7 @@ def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(files, tm
 
 def test_interrupted_before_the_first_fit_nothing_is_there(files, tmp_path, monkeypatch):
     Broken.left = 0
-    monkeypatch.setattr(pipeline, "Memory", Broken)
+    monkeypatch.setattr(pipeline, "Ledger", Broken)
     broken = CliRunner().invoke(cli, command(files, tmp_path / "report"))
     assert broken.exit_code == 130
     assert "nothing was written" in broken.stderr
