@@ -36,8 +36,11 @@ def strip(traces: Sequence[Trace], names: Sequence[str], width: int, height: int
     small, big = _font(max(11, height // 13)), _font(max(13, height // 10))
     pad = height // 12
     wide = (width - pad) // len(traces)
+    room = wide - draw.textlength(f"{traces[-1].name} [{traces[-1].unit}]", font=small) - pad
+    under = len(names) > 1 and sum(draw.textlength(n, font=small) + pad for n in names) > room  # no room beside the last title
+    foot = int(0.14 * height) if under else pad
     for i, trace in enumerate(traces):
-        left, right, top, bottom = pad + i * wide, (i + 1) * wide, int(0.36 * height), height - pad
+        left, right, top, bottom = pad + i * wide, (i + 1) * wide, int(0.36 * height), height - foot
         draw.text((left, int(0.04 * height)), f"{trace.name} [{trace.unit}]", fill=_SOFT, font=small)
         y = int(0.17 * height)
         x = left
@@ -65,7 +68,7 @@ def strip(traces: Sequence[Trace], names: Sequence[str], width: int, height: int
         x = width - pad
         for k in reversed(range(len(names))):
             x -= int(draw.textlength(names[k], font=small))
-            draw.text((x, int(0.04 * height)), names[k], fill=COLOURS[k], font=small)
+            draw.text((x, int((0.87 if under else 0.04) * height)), names[k], fill=COLOURS[k], font=small)
             x -= pad
     return np.asarray(image)
 
