@@ -232,6 +232,7 @@ class Explorer {
     const samples = chosen.band ? "" : ` ${percent(part.n / Math.max(1, all.n))} of the samples,`;
     this.say.selection.textContent = part.n === 0 ? "The selection holds no sample."
       : `Selected, ${what} from ${number(s.low)} to ${number(s.high)} ${unit}:${samples} ${percent(share)} of the squared error of the model "${name}", ${number(Math.sqrt(part.sum / part.n))} ${this.spec.unit} rms.`;
+    this.say.selection.prepend(Panels.key("accent", "thick"));
     function percent(v) { return `${(100 * v).toPrecision(v >= 0.9995 ? 3 : 2)} %`; }
   }
 

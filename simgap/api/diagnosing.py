@@ -177,6 +177,15 @@ class Diagnosis:
             write_report(self._result, path, corrected_diff=self._difference(), film=film)
         return path
 
+    def summary_file(self, path: str | Path) -> Path:
+        """Write the answer as Markdown, for a pull request; returns its path. Raises `InputError` for a robot."""
+        from diagnose.report.summary import write_summary
+
+        if isinstance(self._result, RobotDiagnosis):
+            raise InputError("summary", "the diagnosis is of a robot", "one axis", "use report.html or diagnosis.json")
+        write_summary(self._result, Path(path))
+        return Path(path)
+
     def save(self, folder: str | Path) -> Path:
         """Write ``diagnosis.json``, ``corrected.xml`` and ``report.html`` into a folder; returns it."""
         out = Path(folder)

@@ -51,6 +51,7 @@ __all__ = ["command"]
     help="The joint to diagnose, of a log that holds several; of a robot repeatable; default: the driven one, or all that move.",
 )
 @click.option("--film", is_flag=True, help="Put a short film of the model and a recording into the report; some seconds more.")
+@click.option("--markdown", is_flag=True, help="Write summary.md as well: the answer as Markdown, for a pull request.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on standard output.")
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def command(
@@ -67,6 +68,7 @@ def command(
     accept_log: bool,
     joints: tuple[str, ...],
     film: bool,
+    markdown: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -74,7 +76,7 @@ def command(
     import json
 
     need_folder(out)
-    written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html")
+    written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html", "summary.md")
     spare_inputs([out / name for name in written], [*recordings, *held_out, model])
     only = tuple(e.strip() for e in effects.split(",") if e.strip())
     from simgap.api.diagnosing import diagnose
@@ -90,6 +92,8 @@ def command(
         left = f"the fits are kept in {kept}: the same command continues" if kept.exists() else "nothing was written"
         click.echo(f"simgap: interrupted; {left}", err=True)
         raise SystemExit(130) from None
+    if markdown:
+        found.summary_file(out / "summary.md")
     if film:
         found.report(out / "report.html", film_of=[*recordings, *held_out])
     if as_json:
