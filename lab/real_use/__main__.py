@@ -19,6 +19,19 @@ from lab.real_use.score import line, tables
 __all__ = ["main"]
 
 
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+
+
+def _put(path: Path, text: str) -> int:
+    before, _, rest = path.read_text(encoding="utf-8").partition(BEGIN)
+    _, found, after = rest.partition(END)
+    if not found:
+        print(f"{path}: no markers {BEGIN} and {END}", file=sys.stderr)
+        return 2
+    path.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
+    return 0
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(
@@ -34,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     run.add_argument("--out", type=Path, required=True, help="file of records (JSON lines)")
     table = commands.add_parser("table", help="score records, as Markdown")
     table.add_argument("records", type=Path)
+    table.add_argument("--into", type=Path, help="replace what stands between the two markers of this Markdown file")
     table.add_argument("--lines", action="store_true", help="a line for each case as well")
     files = commands.add_parser("files", help="write model and logs of one case")
     files.add_argument("--seed", type=int, required=True)
@@ -45,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if options.command == "table":
         records = list(read(options.records).values())
+        if options.into is not None:
+            return _put(options.into, tables(records))
         print("\n".join([*map(line, records), ""] if options.lines else []) + tables(records))
         return 0
     cases = [c for c in draw(options.count, options.seed) if options.cases is None or c.number in options.cases]

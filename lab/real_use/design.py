@@ -52,7 +52,7 @@ KINDS: dict[str, tuple[str, str, tuple[str, ...], tuple[str, ...]]] = {
     "slack_joint": ("effect", "backlash", ("two_mass",), _TORQUE),
     "hard_shaft": ("effect", "hardening_stiffness", ("two_mass",), _TORQUE),
     "cam": ("effect", "torque_ripple", ("two_mass",), _TORQUE),
-    "spring": ("outside", "", _ANY, _EVERY),
+    "spring": ("outside", "joint_spring", _ANY, _EVERY),
     "stop": ("outside", "", _ANY, _EVERY),
 }
 

@@ -18,6 +18,7 @@ __all__ = [
     "DriveLimit",
     "DriveTorque",
     "DryFriction",
+    "GroundSpring",
     "Native",
     "SensorDelay",
     "Slack",
@@ -114,6 +115,15 @@ class Weight:
 
 
 @dataclass(frozen=True)
+class GroundSpring:
+    """A spring between a body and the ground: stiffness [N m/rad | N/m], rest [rad | m]."""
+
+    body: int
+    stiffness: float
+    rest: float
+
+
+@dataclass(frozen=True)
 class Cogging:
     """Torque amplitude sin(cycles angle + phase) on the driven body [N m | N], positive drives forward; whole cycles per turn."""
 
@@ -168,6 +178,7 @@ Value = (
     | SplitBody
     | Weight
     | Cogging
+    | GroundSpring
     | DriveTorque
     | DriveLimit
     | DriveLag

@@ -79,7 +79,7 @@ def find_chain(layout: Layout, source: object, sensors: tuple[str, str]) -> Foun
         share = _share(p, inverse, base)
         where = np.flatnonzero(share)
         if len(where) == 1:
-            if any(p.stiffness):
+            if any(p.stiffness) and (where[0] > 0 or any(p.stiffness[1:]) or p.gap > 0):  # a linear spring of the driven body
                 raise outside(source, f"the spring at {p.name!r} holds {names[where[0]]!r} to the ground", "remove it")
             on_body[where[0]].append(Part(p, float(share[where[0]])))
         elif len(where) == 2:

@@ -48,7 +48,7 @@ class Mass:
 class Passive:
     """A spring, damper and dry friction on a row: force -(k x + k2 x^2 + k3 x^3) - (d v + d2 v |v| + d3 v^3) - f sign v.
 
-    ``gap`` is the width of a dead band of its spring. ``kind`` is joint, tendon or actuator.
+    ``gap`` is the width of a dead band of its spring, ``rest`` where it is at rest. ``kind`` is joint, tendon or actuator.
     """
 
     kind: str
@@ -59,6 +59,7 @@ class Passive:
     damping: tuple[float, ...]
     friction: float
     gap: float = 0.0
+    rest: float = 0.0
 
     @property
     def acts(self) -> bool:
@@ -285,7 +286,7 @@ def _passives(
                 "joint", j, model.joint(j).name, _unit(model, j),
                 (float(model.jnt_stiffness[j]), *map(float, model.jnt_stiffnesspoly[j])),
                 (float(model.dof_damping[dof]), *map(float, model.dof_dampingpoly[dof])),
-                float(model.dof_frictionloss[dof]),
+                float(model.dof_frictionloss[dof]), rest=float(model.qpos_spring[model.jnt_qposadr[j]]),
             )
         )  # fmt: skip
     for t, row in enumerate(tendons):
@@ -295,7 +296,7 @@ def _passives(
             "tendon", t, name, np.zeros(model.nv) if row is None else row,
             (float(model.tendon_stiffness[t]), *map(float, model.tendon_stiffnesspoly[t])),
             (float(model.tendon_damping[t]), *map(float, model.tendon_dampingpoly[t])),
-            float(model.tendon_frictionloss[t]), high - low,
+            float(model.tendon_frictionloss[t]), high - low, (high + low) / 2,
         )  # fmt: skip
         if row is None and item.acts:
             raise outside(source, f"tendon {_label(name, t)} is spatial and has forces of its own", "use a fixed tendon")

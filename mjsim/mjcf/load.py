@@ -182,17 +182,21 @@ def _no_contact(model: mujoco.MjModel, path: Path) -> None:
 
 
 def _at_rest(found: Found, path: Path, carried: custom.Carried | None) -> None:
-    """Springs must be at rest where the angles are zero, and nothing else may push (fluid, gravity compensation).
+    """Springs of the chain must be at rest where the angles are zero, and nothing else may push (fluid, gravity compensation).
 
     In a corrected file gravity compensation stands for another weight.
     """
     model = found.layout.model
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    spring = found.layout.base.T @ data.qfrc_spring
-    scale = sum((np.abs(p.element.row) * abs(p.element.stiffness[0]) for ps in found.on_coupling for p in ps), np.zeros(model.nv))
-    if np.max(np.abs(spring)) > 1e-9 * max(1.0, float(np.max(scale))):
+    springs = [p.element for ps in found.on_coupling for p in ps if p.element.stiffness[0]]
+    spring, scale = np.zeros(model.nv), np.zeros(model.nv)
+    for p in springs:
+        stretch = float(p.row @ model.qpos0) - p.rest
+        stretch -= min(max(stretch, -0.5 * p.gap), 0.5 * p.gap)
+        spring += p.stiffness[0] * stretch * p.row
+        scale += p.stiffness[0] * np.abs(p.row)
+    if np.max(np.abs(found.layout.base.T @ spring)) > 1e-9 * max(1.0, float(np.max(scale))):
         raise outside(path, "a spring is loaded in the zero position", "let springref equal ref")
+    data = mujoco.MjData(model)
     data.qvel[:] = found.layout.base @ np.ones(found.layout.base.shape[1])
     mujoco.mj_forward(model, data)
     if np.any(data.qfrc_fluid) or (np.any(data.qfrc_gravcomp) and carried is None):

@@ -44,6 +44,9 @@ def _on_bodies(found: Found) -> Iterator[N.Value]:
         drag = sum(p.element.damping[1] * abs(p.scale) ** 3 for p in parts)
         if drag:
             yield N.SquareDrag(i, drag)
+        pull = sum(p.scale**2 * p.element.stiffness[0] for p in parts)
+        if pull:
+            yield N.GroundSpring(i, pull, sum(p.scale * p.element.stiffness[0] * p.element.rest for p in parts) / pull)
 
 
 def _on_couplings(found: Found) -> Iterator[N.Value]:

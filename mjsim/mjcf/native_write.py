@@ -65,6 +65,7 @@ class NativeWriter:
             N.CubicSpring: self._cubic_spring,
             N.SplitBody: self._split_body,
             N.Weight: self._weight,
+            N.GroundSpring: self._ground_spring,
             N.Cogging: self._cogging,
             N.DriveTorque: self._drive_torque,
             N.DriveLimit: self._drive_limit,
@@ -143,6 +144,25 @@ class NativeWriter:
     def _viscous_damping(self, value: N.ViscousDamping) -> str:
         """Damping of a tendon along the body's absolute angle, where the chain has none."""
         self.editor.absolute_tendon(value.body, "viscous", chain=False, damping=number(value.coefficient))
+        return ""
+
+    def _ground_spring(self, value: N.GroundSpring) -> str:
+        """Stiffness and rest position of the one spring that the body has, else of its joint."""
+        editor = self.editor
+        parts = [p for p in editor.found.on_body[value.body] if p.element.stiffness[0]]
+        if len(parts) > 1:
+            return "several springs hold the body"
+        kind, name, scale = "joint", editor.joint_of(value.body), 1.0
+        if parts:
+            kind, name, scale = parts[0].element.kind, parts[0].element.name, parts[0].scale
+        if name is None:
+            return NOT_ONE_JOINT
+        stiffness, rest = number(value.stiffness / scale**2), value.rest * scale
+        if kind == "tendon":
+            editor.set(kind, name, stiffness=stiffness, springlength=number(rest))
+        else:
+            rest = math.degrees(rest) if editor.degrees() else rest
+            editor.set(kind, name, stiffness=stiffness, springref=number(rest))
         return ""
 
     def _square_drag(self, value: N.SquareDrag) -> str:

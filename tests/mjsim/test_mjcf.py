@@ -215,7 +215,7 @@ def spring(name: str, one: str, two: str, extra: str = "") -> str:
             bodies(ONE, TWO, THREE, actuator=MOTOR, tendon=spring("s", "a", "b") + spring("t", "a", "c")),
             "the chain branches",
         ),
-        (bodies('<joint name="a" stiffness="3"/>', actuator=MOTOR), "holds 'a' to the ground"),
+        (bodies('<joint name="a" stiffness="3 0 1"/>', actuator=MOTOR), "holds 'a' to the ground"),
         (bodies(ONE, TWO, actuator=MOTOR, tendon=spring("s", "a", "b", 'frictionloss="1"')), "acts between two bodies"),
         (
             bodies(ONE, TWO, actuator=MOTOR, equality='<joint joint1="a" joint2="b" polycoef="0 2 1 0 0"/>'),

@@ -166,6 +166,22 @@ def test_a_weight_is_native_in_a_file_that_has_gravity_switched_off(tmp_path):
     assert not mujoco.MjModel.from_xml_path(str(tmp_path / "back.xml")).opt.gravity.any()
 
 
+@pytest.mark.parametrize("degrees", [False, True])
+def test_a_spring_to_the_ground_is_read_and_written(tmp_path, degrees):
+    own = tmp_path / "held.xml"
+    text = PENDULUM.replace('damping="0.05"', f'damping="0.05" stiffness="2.5" springref="{20.0 if degrees else 0.3}"')
+    own.write_text(text.replace('angle="radian"', 'angle="degree"') if degrees else text)
+    axis = load_axis(own)
+    spring = next(e for e in axis.effects if e.key == "joint_spring@motor")
+    rest = np.radians(20.0) if degrees else 0.3
+    assert spring.values == pytest.approx({"stiffness_Nm_rad": 2.5, "rest_rad": rest})
+    assert relative(run_literal(load_model(own), CURVE, 1e-3).velocity, simulate(axis, CURVE, 1e-3).velocity) < 1e-5
+    other = axis.with_values({f"{spring.key}.stiffness_Nm_rad": 4.0, f"{spring.key}.rest_rad": -0.2})
+    assert write_corrected(own, other, tmp_path / "corrected.xml").lacks == ()
+    run = run_literal(load_model(tmp_path / "corrected.xml"), CURVE, 1e-3)
+    assert relative(run.velocity, simulate(other, CURVE, 1e-3).velocity) < 1e-5
+
+
 def test_a_weight_of_a_balanced_body_is_carried(tmp_path):
     own = tmp_path / "balanced.xml"
     own.write_text(PENDULUM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"').replace("0.02 0 -0.3", "0 0 0"))
