@@ -107,7 +107,10 @@ def diagnose_robot_recordings(
         outcome = diagnose_robot(robot, recordings, held_out, options, say)
         out.mkdir(parents=True, exist_ok=True)
         _write_corrected(model, robot, outcome, corrected)
-        result = _by_mujoco(outcome, robot, corrected)
+        from simgap.robot_tracking import with_tracking
+
+        say("all joints together in MuJoCo")
+        result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
     if page:
         from diagnose.robot.page import write_page
         from diagnose.robot.picture import picture

@@ -181,15 +181,18 @@ def _recordings(d: RobotDiagnosis) -> str:
     """Errors of both files by joint and recording, all joints together in MuJoCo."""
     if d.closed_loop is None or "joints" not in d.closed_loop:
         return ""
-    rows = []
+    rows, torque = [], d.closed_loop.get("unit") == "torque"
+    scale, u = (1.0, "N m") if torque else (1e3, "1e-3")
     for joint, table_ in d.closed_loop["joints"].items():
         for row in table_:
             if row["moves"]:
-                errors = [number(1e3 * row[k], 3) if row[k] is not None else "diverged" for k in ("nominal_rms", "corrected_rms")]
+                errors = [
+                    number(scale * row[k], 3) if row[k] is not None else "diverged" for k in ("nominal_rms", "corrected_rms")
+                ]
                 rows.append([escape(joint), escape(row["file"]), row["role"].replace("_", " "), *errors])
     lacking = d.closed_loop.get("lacking") or []
     said = f"{escape(d.closed_loop['engine'])}." + (f" Not run: {escape(', '.join(lacking))}." if lacking else "")
-    head = ["Joint", "Recording", "Role", "file as given [1e-3]", "corrected.xml [1e-3]"]
+    head = ["Joint", "Recording", "Role", f"file as given [{u}]", f"corrected.xml [{u}]"]
     inner = _table(head, rows, (3, 4))
     return (
         f'<section id="closed-loop"><h2>All joints together</h2><p>{said}</p><details><summary>{len(rows)} errors by joint and '

@@ -29,7 +29,8 @@ from mjsim.servo import Target
 __all__ = ["ClosedLoop", "closed_loop"]
 
 FASTEST = 1e6  # [rad/s | m/s]: a run beyond it has diverged
-TRACKING = 2.0  # [Hz]: bandwidth of the tracking loop of joints that are driven by a torque
+SMOOTH = 4.0  # times the bandwidth of the tracking loop: the low-pass of the positions that it follows
+TRACKING = 5.0  # [Hz]: bandwidth of the tracking loop of joints that are driven by a torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +106,8 @@ class _Run:
         self.columns = np.array([j for j, a in enumerate(actuators) if a >= 0], int)
         self.actuators = np.array([a for a in actuators if a >= 0], int)
         data.qpos[:] = robot.tie @ self.recorded[0] + robot.rest
+        rate = np.gradient(_smooth(self.recorded, r.dt)[:3], r.dt, axis=0)[0]
+        data.qvel[:] = robot.tie @ np.where(servo, 0.0, rate)  # joints that follow the recording begin as it does
         self._activate()
         mujoco.mj_forward(model, data)
 
@@ -134,9 +137,10 @@ class _Run:
         z, dz, tracking = (np.full((self.n, m), np.nan) for _ in range(3))
         at = self.t / (per * self.h)
         k = np.minimum(at.astype(int), self.n - 2)
-        where = self.recorded[k] + (at - k)[:, None] * (self.recorded[k + 1] - self.recorded[k])
         dt = per * self.h
-        slope = np.gradient(self.recorded, dt, axis=0)
+        followed = _smooth(self.recorded, dt)
+        where = followed[k] + (at - k)[:, None] * (followed[k + 1] - followed[k])
+        slope = np.gradient(followed, dt, axis=0)
         rate = slope[k] + (at - k)[:, None] * (slope[k + 1] - slope[k])
         stiff, damp = self._gains()
         state, out, loop = np.zeros((m, 4)), np.zeros((m, 5)), np.zeros(m)
@@ -197,6 +201,16 @@ class _Run:
                 g = abs(float(self.robot.gear[j]))
                 self.model.actuator_forcelimited[a] = 1
                 self.model.actuator_forcerange[a] = out[j, 3] / g, out[j, 4] / g
+
+
+def _smooth(z: np.ndarray, dt: float) -> np.ndarray:
+    """Positions (N, m) behind a zero-phase low-pass of `SMOOTH` times the tracking loop's bandwidth."""
+    from scipy.signal import butter, sosfiltfilt
+
+    cutoff = 2 * SMOOTH * TRACKING * dt
+    if cutoff >= 0.9 or len(z) < 30:
+        return z
+    return np.asarray(sosfiltfilt(butter(2, cutoff, output="sos"), z, axis=0))
 
 
 def _actuators(robot: Robot) -> list[int]:

@@ -48,6 +48,10 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     the angle take the recorded angle where there is one. The fit is 100 (1 - nrmse) percent; nrmse is the rms error over the
     standard deviation of the measured channel.
 
+    Of a robot, MuJoCo steps all joints together on the recorded commands; joints that a torque drives are held to the
+    recording by
+    a tracking loop, whose torque is written as well.
+
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
     from mjsim.errors import InputError
@@ -62,6 +66,11 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     if out.suffix and out.suffix.lower() not in WRITERS:
         raise InputError("--out", f"{out.name!r}", f"a name that ends in {', '.join(WRITERS)}", "correct it")
     spare_inputs([out], [recording, model])
+    from simgap.robot import is_robot
+
+    if is_robot([recording], model):
+        _robot(model, recording, out, as_json=as_json)
+        return
     source, subject = load_model(model), Model(model)
     record = loaded(recording, subject, joint=joint)
     assert isinstance(record, Recording)
@@ -100,6 +109,26 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
         click.echo(
             f"torque that the recorded motion needs: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
         )
+    click.echo(printable(f"wrote {out}"))
+
+
+def _robot(model: Path, recording: Path, out: Path, *, as_json: bool) -> None:
+    """Replay of all joints of a robot by MuJoCo, whichever engine is asked for."""
+    from simgap.robot_replay import replay_robot
+
+    found = replay_robot(model, recording, out)
+    if as_json:
+        click.echo(json.dumps(found.as_dict()))
+        return
+    for name, r in found.joints.items():
+        loop = f", torque of the tracking loop {r['tracking_rms']:.4g} rms" if "tracking_rms" in r else ""
+        click.echo(
+            f"{name}: rms error {r['rms']:.6g} {r['unit']}, nrmse {r['nrmse']:.6g}, fit {100 * (1 - r['nrmse']):.3f} %{loop}"
+        )
+    for line in found.effects:
+        click.echo(f"  with {line}")
+    for line in found.lacking:
+        click.echo(f"  not run: {line}")
     click.echo(printable(f"wrote {out}"))
 
 
