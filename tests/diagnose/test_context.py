@@ -42,15 +42,32 @@ def test_the_criterion_is_the_logarithm_of_chi_square_and_a_price():
 
 
 def test_a_gain_counts_the_effective_sample_size():
-    poorer, richer = structure(chi2=1000 * math.e, numbers=2), structure(COULOMB, chi2=1000.0, numbers=3)
+    poorer, richer = structure(chi2=1000 * math.exp(0.5), numbers=2), structure(COULOMB, chi2=1000.0, numbers=5)
     plain, weighed = context(), context(share_between=lambda a, b: 0.1 if (a, b) == (poorer, richer) else math.nan)
-    assert plain.gain(poorer, richer) == pytest.approx(1000 - PRICE) == plain.criterion(poorer) - plain.criterion(richer)
-    assert weighed.gain(poorer, richer) == pytest.approx(100 - PRICE)
-    elsewhere = structure(AT_ARM, chi2=1000.0, numbers=3)
+    assert plain.gain(poorer, richer) == pytest.approx(500 - 3 * PRICE) == plain.criterion(poorer) - plain.criterion(richer)
+    assert weighed.gain(poorer, richer) == pytest.approx(50 - 3 * PRICE)
+    elsewhere = structure(AT_ARM, chi2=1000.0, numbers=5)
     weighed = context(share_between=lambda a, b: 0.1)
-    assert weighed.gain(poorer, elsewhere) == pytest.approx(100 - PRICE - 2)
-    assert weighed.gain(elsewhere, poorer) == pytest.approx(-100 + PRICE + 2)
-    assert plain.ahead(richer, poorer) == pytest.approx(1000 - PRICE)
+    assert weighed.gain(poorer, elsewhere) == pytest.approx(50 - 3 * PRICE - 2)
+    assert weighed.gain(elsewhere, poorer) == pytest.approx(-50 + 3 * PRICE + 2)
+    assert plain.ahead(richer, poorer) == pytest.approx(500 - 3 * PRICE)
+    nothing = structure(COULOMB, chi2=0.0, numbers=5)
+    assert weighed.gain(poorer, nothing) > 5e4, "a residual of zero is no error"
+    assert weighed.gain(nothing, poorer) < -5e4
+
+
+def test_two_structures_are_compared_from_what_they_have_in_common():
+    """Each against the largest structure in both, by what samples are worth to tell it from that."""
+    delay, offset = effect_class("time_delay")(place="actuator", delay_s=1e-3), effect_class("torque_offset")(torque_Nm=0.1)
+    common = structure(COULOMB, chi2=1000 * math.exp(0.4), numbers=2)
+    one, other = (structure(COULOMB, e, chi2=1000 * math.exp(x), numbers=3) for e, x in ((delay, 0.0), (offset, 0.1)))
+    c = context(share_between=lambda poorer, richer: 0.2 if richer is other else 0.1)
+    assert c.ahead(one, other) == pytest.approx(c.criterion(other) - c.criterion(one)), "nothing is in both"
+    c.fits.keep(common)
+    ranks = type(delay).places.index(delay.place) - type(offset).places.index(offset.place)
+    assert c.ahead(one, other) == pytest.approx(1000 * (0.1 * 0.4 - 0.2 * 0.3) - ranks)
+    assert c.ahead(one, common) == pytest.approx(40 - PRICE - type(delay).places.index(delay.place))
+    assert c.ahead(common, one) == -c.ahead(one, common)
 
 
 @pytest.mark.parametrize(("ratio", "visible"), [(ABOVE + 1e-6, True), (ABOVE, False), (BELOW, False)])

@@ -11,6 +11,7 @@ import pytest
 
 from diagnose.evidence.held_out import Comparison
 from diagnose.evidence.outcome import PASS, Pair, Veto, first_veto
+from diagnose.evidence.rivals import servo
 from diagnose.evidence.rivals.few_periods import no_slow_error
 from diagnose.evidence.rivals.gain import gains
 from diagnose.evidence.rivals.generalises import generalises
@@ -74,6 +75,7 @@ def test_held_out_data_judge_by_size_and_chance_over_all_hypotheses():
     assert refused.code == "held_out"
     assert refused.numbers["p_value"] == refused.numbers["largest_p_value"], "it has to lie below"
     assert isinstance(generalises(context(held=(prices.material, 0.0)), pair), Veto), "not material"
+    assert generalises(context(held=(0.0, 0.9)), pair).numbers["p_value"] == 1.0, "a probability"
     assert generalises(context(held=chance, blocks=clear), pair) is PASS, "stretches tell where the recordings cannot"
 
 
@@ -84,6 +86,18 @@ def test_a_delay_must_take_more_than_a_servo_answers(noise, share, passes):
     pair = Pair(structure(chi2=1000.0), structure(delay(), chi2=1000.0 * (1.0 - share)))
     assert (no_answer_of_a_servo(context(noise, held=(0.9, 0.0)), pair) is PASS) is passes
     assert (no_answer_of_a_servo(context(noise, held=(share, 0.0)), pair) is PASS) is passes, "nor on held-out data alone"
+    pair = Pair(structure(chi2=1000.0), structure(delay(), friction(), chi2=1000.0 * (1.0 - share)))
+    assert (no_answer_of_a_servo(context(noise, held=(0.9, 0.0)), pair) is PASS) is passes, "nor beside friction"
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+def test_an_effect_of_an_open_size_is_an_answer_of_a_servo_too(monkeypatch, is_open):
+    """Friction is none, unless its size may be zero."""
+    asked = []
+    monkeypatch.setattr(servo, "open_sizes", lambda f, noise, sizes: asked.append(dict(sizes)) or ([1] if is_open else []))
+    known = Pair(structure(delay(), chi2=1000.0), structure(delay(), friction(), chi2=999.0))
+    assert (no_answer_of_a_servo(context(ModelError(), held=(0.0, 1.0)), known) is PASS) is not is_open
+    assert asked == [{friction().key: friction().amplitudes}], "of what is added"
 
 
 @pytest.mark.parametrize("travel", [1.0, 2.0])

@@ -52,7 +52,8 @@ class Broken(Ledger):
 @pytest.fixture(scope="module")
 def whole(pair, robot):
     """(recordings, options, answer without interruption, its number of fits)."""
-    recordings = pair(effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.05, stribeck_velocity_rad_s=3.0))
+    stribeck = effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.05, stribeck_velocity_rad_s=3.0)
+    recordings = pair(stribeck, seconds=1.5)
     options = Options(jobs=1, effects=FEW)
     counted = Counted()
     result = diagnose(robot, recordings[:1], recordings[1:], options, ledger=counted)
