@@ -15,6 +15,7 @@ from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Verdict
 from diagnose.structure.budget import SearchOptions
 from diagnose.thresholds import TWO_SIDED
+from diagnose.verdict import decide as decide_module
 from diagnose.verdict.decide import decide, equivalents, estimates, only_repeated_rows, p_values
 from diagnose.verdict.witnesses import RepeatedRows
 from mjsim.effects import effect_class
@@ -55,6 +56,23 @@ def search(*structures, residual=None, held=0.5):
         fitter=fitter, options=SEARCH, fits=fits, criterion=lambda f: f.criterion,
         context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, held)),
     )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def bounds(monkeypatch):
+    """Parameters that stand at their bounds, by name: none unless a test adds one."""
+    names = []
+    monkeypatch.setattr(decide_module, "at_bounds", lambda best: tuple(names))
+    return names
+
+
+def test_a_parameter_at_its_bound_explains_nothing(bounds):
+    remaining = SimpleNamespace(unexplained=False)
+    bounds.append("Jm")
+    assert decide(search(residual=np.ones(1000)), structure(), structure(), remaining) is Verdict.UNEXPLAINED
+    assert decide(search(), structure(), structure(COULOMB), remaining) is Verdict.MISSING_PHYSICS, (
+        "an effect is named all the same"
+    )
 
 
 @pytest.mark.parametrize("unexplained", [True, False])

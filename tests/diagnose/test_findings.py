@@ -61,6 +61,7 @@ def open_in(monkeypatch):
             return tuple(Open(e, e.amplitudes[0], 0.01, (-0.02, 0.04)) for e in f.effects if e in effects)
 
         monkeypatch.setattr(determined_module, "open_sizes", found)
+        monkeypatch.setattr(determined_module, "out_of_range", lambda f, fitter: ())
 
     return these
 
@@ -123,8 +124,7 @@ def test_exchange_of_undetermined_effects_ends(robot, open_in):
 @pytest.mark.parametrize(("behind", "ok", "is_merged"), [(10.0, True, True), (10.01, True, False), (0.0, False, False)])
 def test_one_compound_effect_for_two_that_are_not_told_apart(robot, monkeypatch, behind, ok, is_merged):
     """Within a margin of 10 in C, a likelihood ratio of 150."""
-    name = "put_together" if hasattr(findings_module, "put_together") else "compounds"
-    monkeypatch.setattr(findings_module, name, lambda candidates, effects: [(STRIBECK,)])
+    monkeypatch.setattr(findings_module, "compounds", lambda candidates, effects: [(STRIBECK,)])
     best, simpler = structure(COULOMB, OFFSET, criterion=1.0), structure(STRIBECK, criterion=1.0 + behind, ok=ok)
     search = search_of(robot)
     search.fits["next"] = simpler
@@ -133,7 +133,8 @@ def test_one_compound_effect_for_two_that_are_not_told_apart(robot, monkeypatch,
 
 
 @pytest.mark.parametrize(("tested", "corrected"), [(0, 0.02), (1, 0.02), (5, 0.1), (80, 1.0)])
-def test_findings_come_by_their_gain_each_against_the_structure_without_it(robot, tested, corrected):
+def test_findings_come_by_their_gain_each_against_the_structure_without_it(robot, monkeypatch, tested, corrected):
+    monkeypatch.setattr(findings_module, "_by_weight", lambda *_: ())
     best = structure(COULOMB, DELAY, chi2=1000.0)
     search = search_of(robot, {COULOMB.key: structure(DELAY, chi2=1100.0), DELAY.key: structure(COULOMB, chi2=3000.0)})
     search.tested = tested
