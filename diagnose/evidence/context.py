@@ -163,11 +163,6 @@ class Context:
             return False
         return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=MATERIAL) is None
 
-    def solved(self, poorer: Fitted, richer: Fitted) -> bool:
-        """Whether a structure leaves noise alone, or much less than one did that left what passed for noise."""
-        passed = self.fitter.noise.within(self.fitter.misfit(poorer), UNEXPLAINED)
-        return self.leaves_noise(richer) or (passed and richer.chi2 < 0.5 * poorer.chi2)
-
     def slow(self, f: Fitted) -> bool:
         """Whether a run of a structure takes so long that it is fitted no more often than it must."""
         return self.fitter.length(f.hypothesis, f.fit.x) > LONG

@@ -116,7 +116,7 @@ class Fitted:
         left = self.chi2 > UNEXPLAINED * self.n or (noise is not None and not noise.absolute)
         with np.errstate(over="ignore"):  # what the data do not answer to at all has no bound
             squares = variance * np.sum((vt.T / s) ** 2, axis=1)
-            if left and not self.rough:
+            if left and not self.rough and J.any():
                 squares = np.maximum(squares, self._clustered((vt.T / s) @ (vt.T / s).T, scale))
             return slope * np.sqrt(squares) / scale
 

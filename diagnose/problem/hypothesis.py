@@ -16,7 +16,7 @@ import numpy as np
 
 from diagnose.thresholds import MOST_SUBSTEPS
 from mjsim.axis import Axis
-from mjsim.effects import Effect, NotApplicableError, Scales, effect_class
+from mjsim.effects import Effect, Scales, effect_class
 from mjsim.quantity import Quantity
 from mjsim.system import STEP
 
@@ -239,15 +239,6 @@ class Hypothesis:
         out = np.zeros((2, len(chain.bodies)))
         out[1] = [v * chain.total_ratio(i) for i in range(len(chain.bodies))]
         return out
-
-    def applicable(self) -> bool:
-        """Whether every effect has a place on this chain."""
-        try:
-            for effect in self.effects:
-                effect.ports(self.nominal.chain)
-        except NotApplicableError:
-            return False
-        return True
 
 
 def _limits(

@@ -21,7 +21,8 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.problem.choose_view import choose_view, growth_when_held
 from diagnose.problem.view import ForceView, MotionView
 from diagnose.result import Verdict
-from diagnose.structure.candidates import candidates, conflicts, screen
+from diagnose.structure.candidates import candidates, conflicts
+from diagnose.structure.score import screen
 from mjsim.effects import registered
 from mjsim.errors import InputError
 from mjsim.excitation import Cascade, close_loop, trapezoids

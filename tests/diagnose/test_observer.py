@@ -128,6 +128,15 @@ def test_a_slow_sensor_leaves_no_room_for_a_high_rate(robot, fitter):
     assert path.observed(fitter, lagging, 100.0, 0) is not None
 
 
+def test_a_nonsmooth_structure_is_fitted_along_falling_observer_gains(robot, fitter):
+    start = effect_class("static_friction")(torque_Nm=0.05, peak=3.9)
+    far = {p.name: 1.06 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"}
+    plain = fitter.fit(fitter.hypothesis((start,), far), iterations=25)
+    found = path.relaxed(fitter, plain)
+    assert found.chi2 < 0.6 * plain.chi2
+    assert abs(found.effects[0].peak - STICTION["peak"]) < 0.6 * abs(plain.effects[0].peak - STICTION["peak"])
+
+
 def test_the_same_fit_each_time(fitter):
     start = fitter.fit(fitter.hypothesis((effect_class("static_friction")(torque_Nm=0.055, peak=4.0),)), iterations=5)
     first, second = (path.observed(fitter, start, OBSERVER_GAINS[0], 3, spread=4, keep=2) for _ in range(2))

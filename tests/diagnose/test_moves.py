@@ -1,0 +1,56 @@
+"""Moves: how far C may fall by one, and added bodies from all their starts."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+from robot_axis import effect
+
+from diagnose.fit.starts import multistart
+from diagnose.problem.noise_model import KnownNoise, ModelError
+from diagnose.structure.candidates import Candidate
+from diagnose.structure.moves import Moves
+from diagnose.structure.score import Screened
+from diagnose.thresholds import HOPE
+
+N = 1000
+LINEAR = effect("coulomb_friction", torque_Nm=0.1)
+NONLINEAR = effect("hardening_stiffness", place="arm", coefficient_Nm_rad3=1.0)
+
+
+def bound(noise, law, chi2, gain) -> float:
+    """The bound of a move that adds one effect to a structure that leaves ``chi2``."""
+    state = SimpleNamespace(fitter=SimpleNamespace(noise=noise), context=SimpleNamespace(effective=1.0))
+    base = SimpleNamespace(chi2=chi2, n=N)
+    return Moves(state, None)._bound(base, Screened(Candidate(law.id, law.place), law, gain, (law,)))
+
+
+@pytest.mark.parametrize(
+    ("chi2", "gain", "left"), [(4000.0, 500.0, 4000.0 - HOPE * 500.0), (4000.0, 2500.0, N), (900.0, 50.0, 850.0)]
+)
+def test_a_linear_response_is_bounded_by_its_score_test_and_the_noise(chi2, gain, left):
+    assert bound(KnownNoise(), LINEAR, chi2, gain) == pytest.approx(N * math.log(chi2 / left))
+
+
+@pytest.mark.parametrize(("gain", "left"), [(0.0, N), (3900.0, 100.0), (math.inf, N)])
+def test_a_nonlinear_response_may_explain_all_above_the_noise(gain, left):
+    assert bound(KnownNoise(), NONLINEAR, 4000.0, gain) == pytest.approx(N * math.log(4000.0 / left))
+
+
+@pytest.mark.parametrize(("gain", "left"), [(500.0, 4000.0 - HOPE * 500.0), (math.inf, 2000.0)])
+def test_where_the_noise_is_not_known_the_score_test_stands(gain, left):
+    assert bound(ModelError(), NONLINEAR, 4000.0, gain) == pytest.approx(N * math.log(4000.0 / left))
+
+
+def test_an_added_body_is_fitted_from_all_its_starts_at_the_nominal_parameters(fitter_of, pair):
+    """A spring of 0.4 of the nominal one stands in for the body, and no few iterations lead from there to it."""
+    mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
+    fitter = fitter_of(pair(mode))
+    as_is = fitter.fit(fitter.hypothesis(()), iterations=0)
+    linear = as_is.linear | {"ka": 0.4 * as_is.linear["ka"]}
+    far = fitter.fit(fitter.hypothesis([mode.with_values({"inertia_kgm2": 1e-3})], linear), iterations=0)
+    found = multistart(fitter, far, far.effects[0])
+    assert found.chi2 < 1.1 * found.n < 0.1 * far.chi2
+    assert multistart(fitter, found, found.effects[0]) is found
