@@ -56,7 +56,9 @@ def _judged(d: RobotDiagnosis) -> str:
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = ()) -> str:
     """A table; heads and cells are HTML already; the first of a row heads it."""
     columns = [Column(Markup(h), numeric=i in numeric) for i, h in enumerate(head)]
-    return table(columns, [[Markup(cell) for cell in row] for row in rows])
+    return str(
+        table(columns, [[Markup(cell) for cell in row] for row in rows])
+    )  # text: Markup would escape what is put before it
 
 
 def _badge(r: JointResult) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 
 import mujoco
 import numpy as np
@@ -110,6 +111,9 @@ def test_the_folder_holds_what_the_contract_says(rubbing):
     page = (folder / "out" / "report.html").read_text()
     assert "Coulomb friction" in page
     assert "default-src 'none'" in page  # it loads nothing
+    page = re.sub(r"<script.*?</script>", "", page, flags=re.S)
+    assert not re.search(r"(?:src|href)=\"(?!#|data:)", page)
+    assert "&lt;" not in page  # markup that was escaped
 
 
 def test_a_payload_is_a_number_and_no_physics(case, tmp_path):
