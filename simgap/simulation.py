@@ -38,8 +38,16 @@ def run_torque(source: Model, torque: np.ndarray, record: Recording, engine: str
     return ode.simulate(source.axis, torque, record.dt, initial=initial, angle=angle)
 
 
-def run_servo(source: Model, record: Recording, engine: str) -> Trajectory:
-    """One run under the model's own servo on the recorded command, from the angle that was measured first."""
+def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = False) -> Trajectory:
+    """One run under the model's own servo on the recorded command, from the angle that was measured first.
+
+    ``rest``: from rest at angle 0, of a command that no motion was recorded with.
+    """
+    if rest and engine == "ode":
+        from mjsim import ode
+
+        still = np.zeros((2, len(source.axis.chain.bodies)))
+        return ode.simulate(source.axis, record.input, record.dt, initial=still, hold=record.hold)
     from diagnose.data.experiment import prepare
     from diagnose.data.runs import free_run
     from diagnose.data.servo import as_servo

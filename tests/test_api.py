@@ -100,6 +100,22 @@ def test_what_is_saved_is_read_back(log, tmp_path, suffix):
     assert [p.name for p in tmp_path.iterdir()] == [f"log{suffix}"]
 
 
+def test_a_log_of_the_model_itself_without_noise():
+    """Nothing is left of the nominal model: no error to divide by."""
+    t = np.arange(0, 3, DT)
+    run = simgap.simulate("pendulum", 3 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t), dt=DT)
+    assert simgap.diagnose(run, "pendulum", effects=["torque_offset"]).findings == ()
+
+
+def test_the_command_of_a_servo_is_followed_from_rest():
+    spec = simgap.Model("pendulum").spec
+    spec.actuator("torque").set_to_position(kp=200.0, kv=10.0)
+    run = simgap.simulate(spec, np.full(1000, 0.2), dt=DT)
+    assert run.angle[0] == 0.0
+    assert run.angle[-1] == pytest.approx(0.2, abs=0.01)
+    assert list(run.signals())[:2] == ["time_s", "command_rad"]
+
+
 def test_a_model_can_be_a_specification():
     spec = mujoco.MjSpec.from_file(str(shipped_model("pendulum")))
     spec.joint("pendulum").damping = [0.2, 0.0, 0.0]

@@ -144,6 +144,8 @@ class Context:
 
     def floor(self, base: Fitted) -> float:
         """The gain in C that a score test must predict beside a structure, at least the possible error of a law in it."""
+        if not base.chi2 > 0:  # nothing is left: a log without noise, of the model itself
+            return 0.4 * self.prices.entry
         law = min(self.law_error(base), 0.5 * base.chi2)
         return max(0.4 * self.prices.entry, -base.n * self.effective * math.log(1.0 - law / base.chi2))
 

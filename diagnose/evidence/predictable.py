@@ -126,6 +126,8 @@ def remaining_structure(fitter: Fitter, fitted: Fitted, blocks: int = 25) -> Str
         gain = 2 * z * predicted - predicted**2
         gains += [float(np.sum(p)) for p in np.array_split(gain, blocks)]
         before += float(z @ z)
+    if not before > 0:  # nothing is left to predict
+        return Structure(0.0, 1.0)
     g = np.array(gains)
     t = float(np.mean(g) / (np.std(g, ddof=1) / np.sqrt(len(g)) + 1e-300))
     return Structure(float(np.sum(g)) / before, float(stdtr(len(g) - 1, -t)))
@@ -216,6 +218,6 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
     # the spread of the products is as large as they are where the motion is a short burst; that of independent noises alone is at
     # most half the root of E d^4 >= (E d^2)^2 >= 4 var(speed) var(angle)
     spread = min(float(np.std(p, ddof=1)), 0.5 * float(np.sqrt(np.mean(np.square(apart)))))
-    if np.mean(p) < 4.0 * spread / np.sqrt(len(p)):
+    if np.mean(p) <= 4.0 * spread / np.sqrt(len(p)):
         return 0.0
     return float(np.mean(p) / np.mean(noise))

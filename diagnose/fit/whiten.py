@@ -42,6 +42,9 @@ def levinson(r: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     variance = np.empty(order + 1)
     variance[0] = r[0]
     for m in range(1, order + 1):
+        if not variance[m - 1] > 0:  # nothing is left to predict
+            variance[m:] = variance[m - 1]
+            break
         k = -float(a[:m] @ r[m:0:-1]) / variance[m - 1]
         a[1 : m + 1] += k * a[m - 1 :: -1][:m]
         variance[m] = variance[m - 1] * (1 - k * k)

@@ -31,7 +31,10 @@ def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> 
     if as_is is None:
         return Verdict.PARAMETERS_ONLY
     count = len(base.hypothesis.entries)
-    gain = base.n * math.log(float(as_is @ as_is) / base.chi2)
+    given = float(as_is @ as_is)
+    if not given > base.chi2:  # also where nothing is left of either
+        return Verdict.NO_MISMATCH
+    gain = base.n * math.log(given / base.chi2) if base.chi2 > 0 else math.inf
     return Verdict.PARAMETERS_ONLY if gain > search.options.entry + search.options.price * count / 2 else Verdict.NO_MISMATCH
 
 

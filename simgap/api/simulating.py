@@ -24,6 +24,7 @@ from simgap.simulation import ENGINES, STARTS, at_first_sample, run_servo, run_t
 
 __all__ = ["simulate"]
 
+INPUT = "input"  # source of an input from memory, with which no motion was recorded
 UNITS = {
     Motion.HINGE: {"time": "s", "torque": "Nm", "velocity": "rad/s", "angle": "rad"},
     Motion.SLIDE: {"time": "s", "torque": "N", "velocity": "m/s", "angle": "m"},
@@ -72,7 +73,7 @@ def simulate(
     record = _input(source, dt, subject, servo=servo, joint=joint)
     try:
         if servo:
-            run = run_servo(given, record, engine)
+            run = run_servo(given, record, engine, rest=record.source == INPUT)
         else:
             initial = at_first_sample(given, record, start) if record.velocity is not None or record.angle is not None else None
             run = run_torque(given, record.torque, record, engine, initial)
@@ -106,7 +107,7 @@ def _input(source: Any, dt: float | None, model: Model, *, servo: bool, joint: s
     time, none = dt * np.arange(len(values)), np.full(len(values), np.nan)
     return Recording(
         time, none if servo else values, None, np.zeros(len(values)) if servo else None, float(dt),
-        source="input", command=values if servo else None,
+        source=INPUT, command=values if servo else None,
     )  # fmt: skip
 
 
