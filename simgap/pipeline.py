@@ -14,8 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from diagnose.check import LogVerdict, Machine, check_log
+from diagnose.check import LogCheck, LogVerdict, Machine, check_log
 from diagnose.check.answer import wrong_log
+from diagnose.check.left_out import told_as_left_out, without_late_velocity
 from diagnose.data.channels import with_common_channels
 from diagnose.data.content import at_content_rate
 from diagnose.data.experiment import without_derived_velocity
@@ -141,7 +142,9 @@ def diagnose_recordings(
         _need_place(name, nominal, model)
     recordings, held_out, alike = with_common_channels(recordings, held_out)
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
-    log = None if nominal.chain.servo is not None else check_log(Machine.of(load_model(model)), [*recordings, *held_out])
+    log = None
+    if nominal.chain.servo is None:
+        log, recordings, held_out = _checked(Machine.of(load_model(model)), recordings, held_out, accept_log)
     if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
     recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
@@ -168,6 +171,17 @@ def diagnose_recordings(
     result = _written(result, nominal, model, out, truth, page, given, options.jobs)
     ledger.discard()
     return result
+
+
+def _checked(
+    machine: Machine, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
+) -> tuple[LogCheck, Sequence[Recording], Sequence[Recording]]:
+    """The check of the log, and the recordings; without a velocity that is late, where the angle can take its place."""
+    log = check_log(machine, [*recordings, *held_out])
+    fewer = None if accept else without_late_velocity(log, recordings, held_out)
+    if fewer is None:
+        return log, recordings, held_out
+    return told_as_left_out(log, check_log(machine, [*fewer[0], *fewer[1]])), *fewer
 
 
 def _at_content_rate(
