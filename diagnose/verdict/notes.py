@@ -149,6 +149,11 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
             "parameters far within their intervals, and the rest follows. Where these leave no doubt of the motion nothing "
             "material is left: what remains is how far such events carry, and no missing physics."
         )
+    if remaining.by_torque_noise:
+        yield (
+            "What is left is no more than the noise of the recorded torque makes of a free run, and falls once that torque is "
+            "smoothed: it is noise of the torque's sensor. Record the commanded torque, or judge by force."
+        )
     if remaining.by_encoder:
         yield (
             "What is left repeats with the turn of the encoder, whatever the speed: the encoder errs, the axis does not move so."

@@ -20,6 +20,7 @@ from diagnose.data.experiment import held_rows
 from diagnose.data.noise import white_noise_level
 from diagnose.evidence.encoder import fit_with_encoder_error
 from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
+from diagnose.evidence.torque_noise import made_by_torque_noise
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.validation import error_on, observed_error, pooled, predicted_samples
@@ -40,7 +41,8 @@ class Remaining:
     refitted nominal model and the best structure miss, over the noise variance, None where it cannot be told; unexplained: a
     material error is left that is no effect of the library; diverges: it is that of a free run whose events come at other
     moments; by_parameters: parameters fitted to every recording leave nothing; by_encoder: it repeats with the encoder's turn;
-    beyond_sensors: judged by force, it is more than the noise of angle and torque can be.
+    beyond_sensors: judged by force, it is more than the noise of angle and torque can be; by_torque_noise: it is what the noise
+    of the recorded torque makes of a free run.
     """
 
     structure: Structure
@@ -50,6 +52,7 @@ class Remaining:
     by_parameters: bool = False
     by_encoder: bool = False
     beyond_sensors: bool = False
+    by_torque_noise: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,8 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
         return dataclasses.replace(now, unexplained=not diverges, diverges=diverges)
     if _only_diverges(fitter, base, best, options):
         return dataclasses.replace(now, unexplained=False, diverges=True)
+    if made_by_torque_noise(fitter, best):
+        return dataclasses.replace(now, unexplained=False, by_torque_noise=True)
     # what the estimation recordings leave open is no missing physics: every recording may settle the parameters
     by_all = pooled(fitter, best)
     now = _judged_again(search, base, by_all, now, options)

@@ -1,0 +1,60 @@
+"""What the noise of a recorded torque makes of a free run: an error of the input, and no missing physics.
+
+White noise of rms s_u on the recorded torque is not in the torque that acts. A free run that is driven by it errs by
+
+    var e(t_n) = s_u^2 sum_{k <= n} h_k^2
+
+with h the impulse response from torque to velocity. Noise that a controller puts into its command is white as well, and acts: a
+model that is driven by a smoothed torque then errs more, and less where the noise is the sensor's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from diagnose.data.experiment import Experiment
+from diagnose.data.noise import white_noise_level
+from diagnose.evidence.orders import torque_to_velocity
+from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
+from diagnose.thresholds import SMOOTHED_OVER, TWICE_NOISE
+from mjsim.axis import Axis
+from mjsim.signals import lfilter
+
+__all__ = ["made_by_torque_noise", "of_torque_noise"]
+
+
+def of_torque_noise(axis: Axis, experiment: Experiment) -> float:
+    """Mean square of the velocity error [(rad/s)^2 | (m/s)^2] that the white part of the recorded torque makes of a free run."""
+    r = experiment.recording
+    b, a = torque_to_velocity(axis, r.dt)
+    h = lfilter(b, a, np.concatenate([[1.0], np.zeros(len(r) - 1)]))
+    return white_noise_level(r.torque) ** 2 * float(np.mean(np.cumsum(h**2)[experiment.counts]))
+
+
+def made_by_torque_noise(fitter: Fitter, fitted: Fitted) -> bool:
+    """Whether the held-out error is no more than the noise of sensor and recorded torque make, and falls once that is smoothed.
+
+    `TWICE_NOISE**2` times the mean square that the torque's noise makes is allowed: it is that of few independent samples. False where no
+    velocity is judged.
+    """
+    if fitter.view.channel != "velocity" or not fitter.noise.absolute:
+        return False
+    for experiment in fitter.held_out:
+        own = fitter.own_values(fitted.hypothesis, fitted, experiment)
+        if own is None:
+            return False
+        counts = fitter.counted(experiment)
+        smooth = np.hanning(SMOOTHED_OVER + 2)[1:-1]
+        torque = np.convolve(np.pad(experiment.recording.torque, SMOOTHED_OVER // 2, "edge"), smooth / smooth.sum(), "valid")
+        quiet = dataclasses.replace(experiment, recording=dataclasses.replace(experiment.recording, torque=torque))
+        errors = [fitter.error(own[0], e, own[1]) for e in (experiment, quiet)]
+        if errors[0] is None or errors[1] is None:
+            return False
+        plain, smoothed = (float(np.mean(e[counts] ** 2)) for e in errors if e is not None)
+        allowed = fitter.sigma(experiment) ** 2 + TWICE_NOISE**2 * of_torque_noise(own[0], experiment)
+        if smoothed >= plain or plain > allowed:
+            return False
+    return True
