@@ -154,7 +154,6 @@ TOLD = _number("TOLD", COST, 3, "refusals", "that are told in words", "real_logs
 
 # Numerics: tolerances, grids and filters
 FASTEST = _number("FASTEST", NUMERIC, 0.85, "of Nyquist", "above it a smooth motion has no power: noise alone", "noise")
-SMOOTHED_OVER = _number("SMOOTHED_OVER", NUMERIC, 7, "samples", "white noise falls to 2/5", "real_logs/test_torque_noise")
 SEGMENT = _number("SEGMENT", NUMERIC, 1024, "samples", "2 Hz apart at 2 kHz", "noise")
 BANDS = _number("BANDS", NUMERIC, 16, "bands", "of the spectrum, up to half the Nyquist frequency", "noise")
 FEWEST_SEGMENTS = _number("FEWEST_SEGMENTS", NUMERIC, 8, "segments", "at least, for a coherence", "noise")

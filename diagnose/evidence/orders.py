@@ -91,6 +91,8 @@ def find_orders(
         return ()
     top = min(0.25 * 2 * np.pi / dt / max(float(np.percentile(np.abs(velocity), 90)), 1e-12), 60 * 2 * np.pi / travel * 20)
     low = 2 * np.pi / travel * 1.5
+    if top <= low:  # a fast and short motion: its waves are too fast for the sampling, or longer than the travel
+        return ()
     mask = np.ones(len(residual), bool) if keep is None else keep
     # an axis integrates: what is slow and large in the residual fits waves of many orders: whitened away on both sides
     level = residual - residual.mean()
@@ -104,6 +106,8 @@ def find_orders(
     weights = (np.gradient(velocity, dt), velocity**2) if inertia else (np.ones(len(angle)), np.sign(velocity))
     waves = [_waves(weight * z, angle, low, top) for weight in weights]
     grid = waves[0][0]
+    if len(grid) == 0:
+        return ()
     # the energy behind the filter, where the speed changes slowly: a smooth function of the order
     few = np.geomspace(low, top, 60)
     sizes = np.stack([weight**2 * mask for weight in weights], axis=1) if inertia else mask[:, None]

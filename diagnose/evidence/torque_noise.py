@@ -19,7 +19,7 @@ from diagnose.data.noise import white_noise_level
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.thresholds import SMOOTHED_OVER, TWICE_NOISE
+from diagnose.thresholds import TWICE_NOISE
 from mjsim.axis import Axis
 from mjsim.signals import lfilter
 
@@ -37,8 +37,8 @@ def of_torque_noise(axis: Axis, experiment: Experiment) -> float:
 def made_by_torque_noise(fitter: Fitter, fitted: Fitted) -> bool:
     """Whether the held-out error is no more than the noise of sensor and recorded torque make, and falls once that is smoothed.
 
-    `TWICE_NOISE**2` times the mean square that the torque's noise makes is allowed: it is that of few independent samples. False where no
-    velocity is judged.
+    `TWICE_NOISE**2` times the mean square that the torque's noise makes is allowed: it is that of few independent samples. False
+    where no velocity is judged.
     """
     if fitter.view.channel != "velocity" or not fitter.noise.absolute:
         return False
@@ -47,8 +47,8 @@ def made_by_torque_noise(fitter: Fitter, fitted: Fitted) -> bool:
         if own is None:
             return False
         counts = fitter.counted(experiment)
-        smooth = np.hanning(SMOOTHED_OVER + 2)[1:-1]
-        torque = np.convolve(np.pad(experiment.recording.torque, SMOOTHED_OVER // 2, "edge"), smooth / smooth.sum(), "valid")
+        smooth = np.hanning(9)[1:-1]  # by which white noise falls to half, and motion of few samples hardly
+        torque = np.convolve(np.pad(experiment.recording.torque, len(smooth) // 2, "edge"), smooth / smooth.sum(), "valid")
         quiet = dataclasses.replace(experiment, recording=dataclasses.replace(experiment.recording, torque=torque))
         errors = [fitter.error(own[0], e, own[1]) for e in (experiment, quiet)]
         if errors[0] is None or errors[1] is None:

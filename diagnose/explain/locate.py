@@ -216,7 +216,7 @@ def _spectrum(
     y = {"torque": r.torque, "angle": r.angle}.get(fitter.view.channel)
     y = measured_velocity(r) if y is None else y
     y, u = y[::every][: len(e)], r.input[::every][: len(e)]
-    segment = min(len(e), max(256, 2 ** int(np.log2(len(e) / 6))))
+    segment = min(len(e) // 2, max(256, 2 ** int(np.log2(len(e) / 6))))  # by one segment alone all is coherent
     f, pe = welch(e, dt, segment, level=True)
     _, py = welch(y, dt, segment)
     c = coherence(u, e, segment)
