@@ -29,7 +29,7 @@ lowest:
 	$(PYTHON) .ci/lowest.py > $(VENV)-lowest/constraints.txt
 	$(VENV)-lowest/bin/python -m pip install --quiet -e '.[formats]' -c $(VENV)-lowest/constraints.txt
 	$(VENV)-lowest/bin/python -m pip install --quiet pytest hypothesis pandas pytest-xdist hatchling
-	$(VENV)-lowest/bin/python -m pytest -n auto tests/test_api.py tests/readers tests/ident tests/mjsim/test_mjcf.py tests/test_cli.py
+	$(VENV)-lowest/bin/python -m pytest -n auto -W ignore::DeprecationWarning tests/test_api.py tests/readers tests/ident tests/mjsim/test_mjcf.py tests/test_cli.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
