@@ -23,7 +23,7 @@ from mjsim.mujoco_run import run_signals
 from mjsim.ode import Trajectory
 from mjsim.system import assemble
 
-__all__ = ["compare", "judge", "literal", "relative"]
+__all__ = ["compare", "judge", "literal", "own_error", "relative"]
 
 CHAOTIC = 1e-6  # a change of 1e-10 rad that grows ten-thousand-fold: no tolerance below that can be asked
 
@@ -70,6 +70,13 @@ def judge(engine: str, run: np.ndarray, truth: np.ndarray, limit: float, chaotic
     missed = Status.CHAOTIC if chaotic else Status.MISSED
     status = Status.HOLDS if error <= limit else missed
     return Cell(engine, error, limit, status, seconds, note)
+
+
+def own_error(model: Path, axis: Axis, u: np.ndarray, dt: float) -> float:
+    """Relative RMS error of plain MuJoCo on the bare chain: what the file's own timestep and integrator make of any form."""
+    bare = Axis(axis.chain, (), axis.backlash_law)
+    plain, _ = literal(model, bare, u, dt, None)
+    return 0.0 if plain is None else relative(plain.velocity, _truth(bare, u, dt)[0])
 
 
 def _timed(run: Callable[[], Any]) -> tuple[Any, float]:

@@ -23,7 +23,9 @@ __all__ = ["FRICTION_STEP", "NativeWriter"]
 FRICTION_STEP = 1e-4
 SLACK_STEP = 5e-5
 DELAY_STEP = 1e-4
-SLACK_ARMATURE = 5e-4
+SLACK_ARMATURE = 5e-4  # largest inertia of a free node [kg m^2 | kg], and its part of the lighter body's
+SLACK_SHARE = 2e-4
+CLOSED = 1e-9  # [rad | m], of a gap that is closed: MuJoCo wants a range that is not empty
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], MuJoCo's own
 IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 
@@ -230,14 +232,22 @@ class NativeWriter:
                 return "no one element carries its spring"
         else:
             editor.step(SLACK_STEP)
-            half = math.degrees(0.5 * value.width) if editor.degrees() else 0.5 * value.width
-            span = row([-half, half])
-            editor.set("joint", slack, limited="true", range=span, armature=number(SLACK_ARMATURE), solimplimit=IMPEDANCE)
+            half = 0.5 * max(value.width, CLOSED)
+            half = math.degrees(half) if editor.degrees() else half
+            span, armature = row([-half, half]), number(self._slack_armature(value.coupling))
+            editor.set("joint", slack, limited="true", range=span, armature=armature, solimplimit=IMPEDANCE)
             editor.follow(lambda: editor.set("joint", slack, solreflimit=_stiffest(editor.timestep)))
             self._release(slack)
         if self.law is BacklashLaw.UNGATED:
             return ""
         return "its gap is there, but its damper acts inside the gap too (law 'ungated')"
+
+    def _slack_armature(self, coupling: int) -> float:
+        """Inertia of the free node: little beside the bodies', enough for a step of the damper across it to be stable."""
+        chain = self.linear.target
+        ends = [chain.total_ratio(i) for i in (coupling, coupling + 1)]
+        inertia = min(b.inertia * (r / ends[1]) ** 2 for b, r in zip(chain.bodies[coupling : coupling + 2], ends, strict=True))
+        return min(SLACK_ARMATURE, max(SLACK_SHARE * inertia, chain.couplings[coupling].damping * self.editor.timestep))
 
     def _release(self, slack: str) -> None:
         """Switch off the equality that holds a slack joint."""

@@ -84,3 +84,29 @@ def test_the_whole_crosscheck_holds(tmp_path: Path) -> None:
     assert all(c.status is not Status.CHAOTIC for r in report.rows for c in r.cells)
     assert len(table(report.rows)) > len(rows)
     plot(report, tmp_path / "all.png")
+
+
+OWN = """<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody>
+  <body name="motor"><joint name="motor" axis="0 0 1" damping=".05"/><inertial pos="0 0 0" mass="1" diaginertia=".02 .02 .02"/>
+  <body name="load">{slack}<joint name="shaft" axis="0 0 1" stiffness="{stiffness}"/>
+  <inertial pos="0 0 0" mass="1" diaginertia=".05 .05 .05"/></body></body></worldbody>
+  <tendon><fixed name="across" damping="{damping}">{across}<joint joint="shaft" coef="1"/></fixed></tendon>
+  <actuator><motor name="drive" joint="motor"/></actuator></mujoco>"""
+SLACK = '<joint name="slack" axis="0 0 1" limited="true" range="-.0025 .0025" armature="5e-4"/>'
+ACROSS = '<joint joint="slack" coef="1"/>'
+OWN_MODELS = {
+    "coarse timestep": OWN.format(step=4e-3, integrator="Euler", slack="", stiffness=20, damping=0.05, across=""),
+    "play of its own": OWN.format(step=5e-4, integrator="RK4", slack=SLACK, stiffness=120, damping=0.3, across=ACROSS),
+}
+
+
+@pytest.mark.slow  # some thirty effects by four engines each
+@pytest.mark.parametrize("name", OWN_MODELS)
+def test_no_form_that_is_written_fails_on_a_users_model(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "own.xml"
+    path.write_text(OWN_MODELS[name], encoding="utf-8")
+    report = [item for item in check_all(path, duration=1.0) if isinstance(item, Report)][-1]
+    assert report.missed == ()
+    written = [cell for row in report.rows for cell in row.cells if cell.engine == "literal" and cell.status is Status.HOLDS]
+    assert len(written) >= 8
+    assert {cell.limit for cell in written} != {2e-3} or name != "coarse timestep"
