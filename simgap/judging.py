@@ -261,7 +261,7 @@ def _soft_or_not(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> t
     A recording of a simulator bears its soft friction, which the equations do not have.
     """
     axis, cases, out = bench.axis, bench.nominal.cases, bench.out
-    if not has_dry_friction(axis) or form.form == AUTHOR:
+    if not has_dry_friction(axis) or form.form == AUTHOR or form.lacks:  # numbers would stand in for what the file lacks
         return form, runs
     trial = out.with_name(f".{out.stem}.author.part.xml")
     write = partial(write_as_author, bench.model)

@@ -19,12 +19,14 @@ from diagnose.verdict.reference_fit import refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far
 from diagnose.verdict.reference_stage import APART, compare_nominal
 from diagnose.verdict.reference_verdict import Files, by_simulator, nominal_stands
+from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mjcf.adjust import adjust
-from mjsim.mjcf.faithful import write_as_author, write_faithful
+from mjsim.mjcf.faithful import Faithful, write_as_author, write_faithful
 from mjsim.plant import MujocoPlant
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
+from simgap.judging import _Bench, _soft_or_not
 from simgap.pipeline import diagnose_files
 
 DT, SIGMA = 2e-3, 0.02
@@ -294,3 +296,19 @@ def test_soft_friction_is_never_called_physics(solver, verdict, found, nominal, 
     cases = cases_of([log(text(solver=solver), 1, 8.0)], [log(text(solver=solver), 2, 8.0)])
     again = figures(cases, run_files([MujocoPlant.load(tmp_path / "out" / "corrected.xml")], cases, 1)[0])
     assert again.held_out_rms == pytest.approx(said["fit"]["corrected"]["held_out_rms"], rel=1e-3)
+
+
+def test_numbers_do_not_stand_in_for_what_a_file_lacks(nominal, tmp_path):
+    """No refit in MuJoCo of a file that lacks a law: simgap's replay, which has it, would be off."""
+    out = tmp_path / "corrected.xml"
+    axis = load_axis(nominal) + effect_class("position_dependent_friction")(
+        torque_Nm=0.1, relative_amplitude=0.5, cycles_per_rev=3.5, phase_rad=0.0
+    )
+    form = Faithful("stiff settings", 0.0, write_corrected(nominal, axis, out).lacks, write_as_author)
+    assert form.lacks
+    cases = cases_of([log(text(), 1)], [log(text(), 2)])
+    given = compare_nominal(nominal, load_axis(nominal), [c.recording for c in cases[:1]], [cases[1].recording], 1)
+    bench = _Bench(nominal, load_axis(nominal), axis, None, given, out, 1)
+    before = out.read_bytes()
+    assert _soft_or_not(bench, form, given.engine) == (form, given.engine)
+    assert out.read_bytes() == before
