@@ -14,7 +14,7 @@ import numpy as np
 from diagnose.result import FitFigures
 from diagnose.robot.motion import LEAST_MOVED
 from diagnose.robot.result import JointResult, RobotDiagnosis
-from diagnose.robot.servos.motion import resolution
+from diagnose.robot.servos.motion import resolution, unit_payload
 from diagnose.robot.servos.pipeline import ServoOutcome
 from diagnose.robot.servos.state import JointSearch
 from mjsim.robot.closed_loop import ClosedLoop, closed_loop
@@ -42,7 +42,9 @@ def write_corrected_servos(model: Path, robot: Robot, outcome: ServoOutcome, pat
         servos.append(
             NewServo(d.actuator, d.servo, new_servo(d, s.now.fit.slots, any("forcerange" in x.native for x in s.now.laws)))
         )
-    write_robot(model, robot, path, robot.nominal - robot.fixed, joints, carried, servos)
+    links = robot.nominal - robot.fixed
+    links[-1] += outcome.payload * unit_payload(robot)
+    write_robot(model, robot, path, links, joints, carried, servos)
 
 
 def new_servo(drive: JointDrive, p: np.ndarray, limited: bool) -> Servo:

@@ -25,7 +25,7 @@ MODELS = {
     "nominal": "file as given, in MuJoCo",
     "refitted": "its numbers refitted",
     "corrected": "corrected.xml, in MuJoCo",
-    "surrogate": "with all findings (regression)",
+    "surrogate": "with all findings, by the fitting engine",
 }
 
 

@@ -90,6 +90,7 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     page = (where / "out" / "report.html").read_text()
     assert "position under the recorded commands" in page
     assert '<figure class="robot">' in page
+    assert "&lt;section" not in page
     assert page.count('data-chart="joint-') == 6
     assert "All joints together" in page
 
@@ -124,6 +125,49 @@ def test_a_robot_as_in_the_file_has_no_findings(folder):
     d = diagnosed(folder(NOMINAL))
     assert d.verdict is Verdict.NO_MISMATCH
     assert not d.changed
+
+
+def test_a_payload_is_a_number_of_the_robot_and_no_physics(folder):
+    arm = NOMINAL.arm.with_payload(0.5, NOMINAL.arm.links[-1].centre)
+    where = folder(ServoRobot(arm, NOMINAL.servos))
+    d = diagnosed(where, (*LAWS, "gravity_load"))
+    assert d.verdict is Verdict.PARAMETERS_ONLY
+    assert not d.findings
+    assert d.changed[0].startswith("payload or mass of forearm: +0.5")
+    e = d.links["forearm.payload"]
+    assert e.ci95[0] < 0.5 < e.ci95[1]
+    assert e.ci95[1] - e.ci95[0] < 0.1
+    mass = mujoco.MjModel.from_xml_path(str(where / "out" / "corrected.xml")).body_mass
+    assert mass[3] == pytest.approx(2.1, abs=0.03)
+    fit = d.joints["joint2"].fit
+    assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
+
+
+def test_one_delay_at_all_joints_is_said_to_be_perhaps_the_log(folder):
+    late = NOMINAL
+    for j in range(3):
+        late = late.with_servo(j, delay=0.06)
+    d = diagnosed(folder(late), ("time_delay", "actuator_lag"))
+    assert {(f.effect, f.joint) for f in d.findings} == {("time_delay", f"joint{j}") for j in (1, 2, 3)}
+    assert any("have a delay of 60 ms in common" in n or "have a delay of 59" in n for n in d.notes)
+
+
+def test_a_scale_that_is_not_told_is_taken_from_like_servos_and_said(folder):
+    like = ServoRobot(three_axes(), tuple(ServoJoint(60.0, 6.0) for _ in range(3)))
+    where = folder(ServoRobot(three_axes(), tuple(ServoJoint(45.0, 5.0) for _ in range(3))))
+    text = servo_mjcf(like).replace('armature="0.06"', 'armature="0.05"').replace('armature="0.08"', 'armature="0.05"')
+    text = text.replace('armature="0.03"', 'armature="0.05"')
+    for damping in ("0.5", "0.8", "0.3"):
+        text = text.replace(f'damping="{damping}"', 'damping="0.4"')
+    (where / "arm.xml").write_text(text)
+    d = diagnosed(where, ("coulomb_friction",))
+    assert any("joint1: Command and position tell only ratios here" in n and "joint2, joint3" in n for n in d.notes)
+    assert any(line.startswith("kp of joint1: 60 -> ") and "by the scale that is assumed" in line for line in d.changed)
+    kp = d.joints["joint1"].linear_parameters["kp"]
+    assert kp.value == pytest.approx(45.0, rel=0.2)
+    assert kp.ci95[1] - kp.ci95[0] < 60.0
+    ratio = d.joints["joint1"].linear_parameters["(kv + damping) / kp"]
+    assert ratio.value == pytest.approx(5.5 / 45.0, rel=0.02)
 
 
 @pytest.fixture(scope="module")

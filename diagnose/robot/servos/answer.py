@@ -23,12 +23,13 @@ __all__ = ["Scale", "answer", "changed", "scale_of"]
 LEAST_LOAD = (
     0.2  # of the servo's torque: what the links must take for their masses to set the scale, and not an error of friction
 )
+SMALL = 0.01  # relative change of a number that is not said: the kernel's step and the smoothed motion err by as much
 KNOWN = 0.25  # standard deviation of a gain's logarithm below which the data tell the gain, and not only its ratios
 DRAWN = 1500  # points of a trace at most
 OWN = {
     "kp": ("kp", Quantity.STIFFNESS), "kv": ("kv", Quantity.DAMPING), "damp": ("kv + damping", Quantity.DAMPING),
     "damping": ("damping", Quantity.DAMPING), "armature": ("armature", Quantity.INERTIA), "zero": ("zero", Quantity.ANGLE),
-    "friction": ("frictionloss", Quantity.TORQUE), "payload": ("payload", Quantity.INERTIA),
+    "friction": ("frictionloss", Quantity.TORQUE)
 }  # fmt: skip
 
 
@@ -83,7 +84,7 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     p = s.problem
     V = covariance(p, s.now.fit)
     given = nominal_fit(s)
-    found = tuple(_finding(s, law, V) for law in s.now.laws)
+    found = tuple(_finding(s, law, V) for law in s.now.laws if not law.number)
     remains = black_box(p, s.now.fit)
     verdict = _verdict(s, given, bool(found), remains)
     errors = {"nominal": figures(s, given), "refitted": figures(s, s.refitted.fit), "corrected": figures(s, s.now.fit)}
@@ -199,7 +200,8 @@ def _sentence(verdict: Verdict, fit: FitFigures, remains: tuple[float, float], b
 def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...]:
     """In words, which of the file's numbers at this joint differ.
 
-    One differs when its interval leaves the file's value out and the held-out error grows, by more than
+    One differs when it has changed by more than `SMALL`, its interval leaves the file's value out and the held-out error
+    grows, by more than
     `RobotOptions.material` of its
     square, with the number held at the file's value and all others refitted.
     """
@@ -212,7 +214,13 @@ def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...
             continue
         e, was = result.linear_parameters[name], result.nominal_parameters[name]
         own = n.slot in {x.slot for law in s.now.laws for x in law.numbers}
-        if own or e.ci95[0] <= was <= e.ci95[1] or (not scale.told and n.slot == "armature") or not _matters(s, n, was):
+        if (
+            own
+            or abs(e.value - was) < SMALL * abs(was)
+            or e.ci95[0] <= was <= e.ci95[1]
+            or (not scale.told and n.slot == "armature")
+            or not _matters(s, n, was)
+        ):
             continue
         only = "" if scale.told or n.slot == "zero" else " (by the scale that is assumed)"
         out.append(f"{name} of {result.joint}: {was:.4g} -> {e.value:.4g} {e.unit} [{e.ci95[0]:.4g}, {e.ci95[1]:.4g}]{only}")

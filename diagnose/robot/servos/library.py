@@ -16,10 +16,11 @@ from diagnose.robot.servos.motion import JointProblem
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["PLAIN", "ServoLaw", "identifiers", "servo_laws"]
+__all__ = ["PAYLOAD", "PLAIN", "ServoLaw", "identifiers", "servo_laws"]
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
+PAYLOAD = "payload"
 PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
 MOST_PERIODS = 40.0  # over the travel
@@ -32,7 +33,8 @@ class ServoLaw:
 
     numbers: what is free; starts: slot values from which a fit may start; values: contract parameters from slots; fixed: slots that a start
     sets and a fit keeps; holds: laws that it contains and takes the place of; dry: is dry friction; native: attributes of MJCF that
-    hold all of it, by the slot that they take; kept: fixed slots that a file carries beside the parameters, by name.
+    hold all of it, by the slot that they take; kept: fixed slots that a file carries beside the parameters, by name;
+    number: a number of the robot's own, and no physics.
     """
 
     id: str
@@ -49,6 +51,7 @@ class ServoLaw:
     native: Mapping[str, str] = field(default_factory=dict)
     kept: tuple[tuple[str, str], ...] = ()
     sane: Callable[[Slots], bool] = lambda s: True
+    number: bool = False
 
     @property
     def key(self) -> str:
@@ -95,12 +98,23 @@ def scales_of(problem: JointProblem, p: np.ndarray) -> Scales:
 def servo_laws(problem: JointProblem, p: np.ndarray, only: Sequence[str] = ()) -> tuple[ServoLaw, ...]:
     """All laws of a joint, their starts from the sizes of its motion under slots (K,) of a fit without effects."""
     s, motion = scales_of(problem, p), _motion(problem)
-    laws = [*_friction(s), *_drive(s, problem.drive.velocity), *_position(s, motion)]
+    laws = [*_friction(s), *_drive(s, problem.drive.velocity), *_position(s, motion), *_links(problem)]
     if problem.nominal[SLOT["friction"]] > 0.0:  # the file has dry friction: its size is one of its own numbers
         laws = [law for law in laws if law.id != PLAIN]
     if problem.nominal[SLOT["delay"]] > 0.0:
         laws = [law for law in laws if law.id != "time_delay"]
-    return tuple(law for law in laws if not only or law.id in only)
+    return tuple(law for law in laws if not only or law.id in only or law.number)
+
+
+def _links(problem: JointProblem) -> list[ServoLaw]:
+    """A payload on the last link, where the joint feels it: a number of the robot, which competes with the laws."""
+    felt = float(np.sqrt(np.mean(problem.series[:, 8] ** 2)))
+    mass = 0.2 * float(np.sqrt(np.mean(problem.series[:, 4] ** 2))) / felt if felt > 0 else 0.0
+    if not mass > 0:
+        return []
+    n = Number("payload", False, mass)
+    return [ServoLaw(PAYLOAD, "link", (n,), ({"payload": mass}, {"payload": -mass}), lambda x: {"mass_kg": (x["payload"], Quantity.INERTIA)},
+                     "A mass at the centre of the last link.", number=True)]  # fmt: skip
 
 
 def _motion(problem: JointProblem) -> Motion:

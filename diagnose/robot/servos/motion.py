@@ -18,11 +18,12 @@ from mjsim.hold import between
 from mjsim.quantity import Motion as Kind
 from mjsim.robot.along import Along, along
 from mjsim.robot.drives import JointDrive, joint_drives, need_command
+from mjsim.robot.inertia import moved, point_mass
 from mjsim.robot.joint_kernel import run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 
-__all__ = ["JointProblem", "Motion", "joint_problem", "moving", "prepare", "resolution"]
+__all__ = ["JointProblem", "Motion", "joint_problem", "moving", "prepare", "resolution", "unit_payload"]
 
 ORDER = 4  # of the low-pass, run both ways
 FASTEST = 0.2  # of the sampling rate: the highest cutoff, where an eighth-order difference errs by 1e-3
@@ -34,13 +35,17 @@ WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One recording: what each joint carries, smooth positions and velocities (N, m), and its role."""
+    """One recording: what each joint carries, smooth positions and velocities (N, m), and its role.
+
+    payload: what each joint carries more with a unit mass at the centre of the last link.
+    """
 
     recording: RobotRecording
     held: bool
     z: np.ndarray
     dz: np.ndarray
     series: Along
+    payload: Along
 
 
 def resolution(q: np.ndarray) -> float:
@@ -95,8 +100,22 @@ def prepare(robot: Robot, recording: RobotRecording, held: bool) -> Motion:
     if len(recording) < 100:
         raise InputError(recording.source, f"{len(recording)} samples", "at least 100", "record longer")
     z, dz, ddz = smoothed(robot, recording)
-    series = along(robot, z, dz, ddz)
-    return Motion(recording, held, z, dz, series)
+    links, known = robot.nominal - robot.fixed, recording.payload
+    if known is not None:
+        at, pos, quat = robot.link_of(known.body)
+        links[at] += moved(point_mass(known.mass, np.array(known.pos)), pos, quat)
+    series = along(robot, z, dz, ddz, links if known is not None else None)
+    more = links.copy()
+    more[-1] += unit_payload(robot)
+    loaded = along(robot, z, dz, ddz, more)
+    extra = Along(*(getattr(loaded, x.name) - getattr(series, x.name) for x in dataclasses.fields(Along)))
+    return Motion(recording, held, z, dz, series, extra)
+
+
+def unit_payload(robot: Robot) -> np.ndarray:
+    """Inertial parameters (10,) of a mass of 1 kg at the centre of mass of the last link, in its frame."""
+    last = robot.nominal[-1]
+    return point_mass(1.0, last[1:4] / last[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +253,7 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         load = m.series.torque[:, j]
         one = np.column_stack([
             m.series.inertia[:, j], m.series.bias[:, j], m.series.by_position[:, j], m.series.by_velocity[:, j], load, m.z[:, j],
-            m.dz[:, j], np.zeros((n, 3)),
+            m.dz[:, j], m.payload.inertia[:, j], m.payload.bias[:, j], m.payload.by_position[:, j],
         ])  # fmt: skip
         one[0, 5] = q[0]  # the run starts where the joint is measured
         counts = np.full(n, _moves(q))

@@ -7,7 +7,7 @@ import dataclasses
 import math
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -15,12 +15,15 @@ from importlib.metadata import version
 import mujoco
 import numpy as np
 
+from diagnose.result import Estimate
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import ORDER, overall, summary
-from diagnose.robot.result import RobotDiagnosis
+from diagnose.robot.result import JointResult, RobotDiagnosis
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of
+from diagnose.robot.servos.fit import covariance
+from diagnose.robot.servos.library import PAYLOAD
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
-from diagnose.robot.servos.search import refit_with, search_joint
+from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
 from diagnose.robot.servos.state import JointSearch
 from mjsim.errors import InputError
@@ -33,15 +36,17 @@ from mjsim.robot.rows import check_rows
 __all__ = ["ServoOutcome", "diagnose_servos"]
 
 FEWEST = 200  # samples of a joint in motion, fitted and held out each
+ALIKE_DELAYS = 0.1  # relative difference of delays that are taken for one
 SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of one kind
 
 
 @dataclass(frozen=True, eq=False)
 class ServoOutcome:
-    """The diagnosis, and the searches by joint that `corrected.xml` is written from."""
+    """The diagnosis, and the searches by joint that `corrected.xml` is written from; payload [kg] on the last link."""
 
     diagnosis: RobotDiagnosis
     searches: tuple[JointSearch, ...]
+    payload: float = 0.0
 
 
 def diagnose_servos(
@@ -73,10 +78,11 @@ def diagnose_servos(
 
     with ThreadPoolExecutor(jobs) as pool:
         searches = tuple(pool.map(one, problems))
+    payload = pooled_payload(searches)
     scales = {s.problem.name: scale_of(s) for s in searches}
     borrowed = _borrow(searches, scales)
-    diagnosis = _told(robot, searches, scales, borrowed, recordings, held_out, begun)
-    return ServoOutcome(diagnosis, searches)
+    diagnosis = _told(robot, searches, scales, borrowed, payload, recordings, held_out, begun)
+    return ServoOutcome(diagnosis, searches, payload.value if payload is not None else 0.0)
 
 
 def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOptions) -> tuple[str, ...]:
@@ -138,21 +144,66 @@ def _same_servo(a: JointProblem, b: JointProblem) -> bool:
     return a.slide == b.slide and bool(np.array_equal(a.nominal[keys], b.nominal[keys]))
 
 
+def pooled_payload(searches: Sequence[JointSearch]) -> Estimate | None:
+    """The payload on the last link [kg] that the joints whose search took one agree on, by their variances; None where none did.
+
+    All joints are then fitted with it, and it is no law of any of them.
+    """
+    values, variances = [], []
+    for s in searches:
+        at = [i for i, n in enumerate(s.now.fit.numbers) if n.slot == PAYLOAD]
+        if at:
+            n, x, V = s.now.fit.numbers[at[0]], s.now.fit.x[at[0]], covariance(s.problem, s.now.fit)
+            values.append(n.value(float(x)))
+            variances.append(float(V[at[0], at[0]]) * n.scale**2)
+    if not values:
+        return None
+    weights = 1.0 / np.array(variances)
+    mean = float(np.average(values, weights=weights))
+    spread = float(np.average((np.array(values) - mean) ** 2, weights=weights)) / max(len(values) - 1, 1)
+    half = 1.96 * math.sqrt(1.0 / float(np.sum(weights)) + spread)
+    for s in searches:
+        carry_payload(s, mean)
+    return Estimate(mean, (mean - half, mean + half), "kg")
+
+
+def _shifted(joints: Mapping[str, JointResult]) -> list[str]:
+    """A note where most joints, and two at least, have one delay in common: the columns of the log may be shifted."""
+    delays = [f.parameters["delay_s"] for r in joints.values() for f in r.findings if "delay_s" in f.parameters]
+    if len(delays) < 2 or 2 * len(delays) <= len(joints):
+        return []
+    low, high = max(e.ci95[0] for e in delays), min(e.ci95[1] for e in delays)
+    middle = float(np.mean([e.value for e in delays]))
+    if max(abs(e.value - middle) for e in delays) > max(high - low, ALIKE_DELAYS * middle):
+        return []
+    return [
+        f"{len(delays)} of {len(joints)} joints have a delay of {1e3 * middle:.3g} ms in common: that of the bus, or the "
+        "commands of the log are shifted against the positions (two clocks). Check the stamps before it is taken for physics."
+    ]
+
+
 def _told(
-    robot: Robot, searches: Sequence[JointSearch], scales: dict[str, Scale], borrowed: dict[str, str],
+    robot: Robot, searches: Sequence[JointSearch], scales: dict[str, Scale], borrowed: dict[str, str], payload: Estimate | None,
     recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], begun: float,
 ) -> RobotDiagnosis:  # fmt: skip
     joints = {s.problem.name: answer(s, scales[s.problem.name], borrowed[s.problem.name]) for s in searches}
     worst = max((r.verdict for r in joints.values()), key=ORDER.index)
     lines = tuple(x for s in searches for x in changed(s, joints[s.problem.name], scales[s.problem.name]))
+    links = {}
+    if payload is not None:
+        name = f"{robot.link_names[-1]}.payload"
+        links[name] = payload
+        low, high = payload.ci95
+        lines = (f"payload or mass of {robot.link_names[-1]}: {payload.value:+.4g} kg [{low:+.4g}, {high:+.4g}]", *lines)
     notes = [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
     still = [n for n in recordings[0].joints if n not in joints]
     if still:
         notes.append(f"Not diagnosed, since they do not move enough, have no servo or are not named: {', '.join(still)}.")
     notes += [f"{name}: {text}" for name, text in borrowed.items()]
+    notes += _shifted(joints)
     notes.append("Backlash between motor and joint is not looked for: an encoder at the joint does not show it.")
     return RobotDiagnosis(
-        worst, summary(worst, joints, lines), joints, overall(joints), {}, {}, (), lines, tuple(notes),
+        worst, summary(worst, joints, lines), joints, overall(joints), links, dict.fromkeys(links, 0.0), (), lines, tuple(notes),
         sum(len(s.laws) for s in searches), math.nan,
         tuple({"file": r.source, "sha256": r.sha256, "role": role}
               for role, group in (("estimation", recordings), ("held_out", held_out)) for r in group),

@@ -21,7 +21,7 @@ from diagnose.robot.servos.starts import THIN, regressed
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, cleared, free_numbers, replaced
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["ALIKE", "refit_with", "search_joint"]
+__all__ = ["ALIKE", "carry_payload", "refit_with", "search_joint"]
 
 ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart
 FINALISTS = 5  # laws that are fitted, by what the screening promises
@@ -285,4 +285,16 @@ def refit_with(s: JointSearch, numbers: tuple[Number, ...]) -> None:
     s.numbers = numbers
     s.now = Structure(s.now.laws, fit(s.problem, free_numbers(numbers, s.now.laws), s.now.fit.slots, s.weights))
     s.refitted = Structure((), fit(s.problem, numbers, s.refitted.fit.slots, s.weights))
+    s.without.clear()
+
+
+def carry_payload(s: JointSearch, mass: float) -> None:
+    """Fit the joint with a known payload [kg]; a payload of its own goes."""
+    laws = tuple(x for x in s.now.laws if not x.number)
+    found = []
+    for numbers, base in ((free_numbers(s.numbers, laws), s.now.fit.slots), (s.numbers, s.refitted.fit.slots)):
+        slots = base.copy()
+        slots[SLOT["payload"]] = mass
+        found.append(fit(s.problem, numbers, slots, s.weights))
+    s.now, s.refitted = Structure(laws, found[0]), Structure((), found[1])
     s.without.clear()
