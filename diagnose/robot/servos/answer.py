@@ -214,8 +214,10 @@ def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...
             continue
         e, was = result.linear_parameters[name], result.nominal_parameters[name]
         own = n.slot in {x.slot for law in s.now.laws for x in law.numbers}
+        bounded = e.value >= n.upper  # faster than the samples show: no value
         if (
             own
+            or bounded
             or abs(e.value - was) < SMALL * abs(was)
             or e.ci95[0] <= was <= e.ci95[1]
             or (not scale.told and n.slot == "armature")
