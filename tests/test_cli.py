@@ -59,7 +59,7 @@ def test_the_contract_of_options():
         "demo": {"--out"}, "run": {"--out", "--json"}, "render": {"--out"}, "crosscheck": {"--json"},
         "identify": {"--out", "--orders", "--decimate", "--cutoff", "--input", "--output", "--json"},
         "diagnose": {"--model", "--out", "--held-out", "--json"}, "replay": {"--out", "--json"},
-        "gate": {"--baseline", "--tolerance", "--json"},
+        "app": {"--folder", "--port"}, "gate": {"--baseline", "--tolerance", "--json"},
         "fleet": {"--scheduler", "--workers", "--robot", "--json"}, "effects": {"--json"}, "doctor": {"--json"},
         "study": {"--out"}, "benchmark": {"--out", "--grade", "--seed"}, "data": {"--json"},
     }  # fmt: skip

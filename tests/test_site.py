@@ -27,7 +27,7 @@ def steps(page):
 
 
 def test_pages_have_something_to_run():
-    assert len(PAGES) == 7
+    assert len(PAGES) == 8
     assert [p for p in PAGES if not steps(p)] == []
 
 

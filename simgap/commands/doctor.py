@@ -19,7 +19,7 @@ BODIES = range(1, 5)  # of the axes whose simulation is compiled ahead: up to th
 REQUIRED = ("mujoco", "numpy", "scipy", "numba", "matplotlib", "control", "pydantic", "click", "rich", "jinja2", "imageio-ffmpeg")
 OPTIONAL = {
     "pyarrow": "Parquet recordings and LeRobot data sets", "mcap": "MCAP recordings", "mcap-ros2-support": "ROS 2 in MCAP",
-    "rosbags": "ROS bags", "h5py": "MATLAB 7.3",
+    "rosbags": "ROS bags", "h5py": "MATLAB 7.3", "starlette": "simgap app", "uvicorn": "simgap app",
 }  # fmt: skip
 
 

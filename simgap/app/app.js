@@ -1,0 +1,91 @@
+"use strict";
+// The app's pages: forms and buttons that ask the server, uploads, progress as it comes.
+document.addEventListener("DOMContentLoaded", () => {
+  const problem = document.getElementById("problem");
+  const state = document.getElementById("state");
+  const run = document.getElementById("run")?.dataset.run;
+  const all = (selector, act) => { for (const e of document.querySelectorAll(selector)) act(e); };
+  const say = (text) => { problem.textContent = text; problem.hidden = !text; if (text) problem.scrollIntoView({ block: "nearest" }); };
+
+  const ask = async (method, path, body) => {
+    say("");
+    let answer;
+    try {
+      answer = await fetch(path, { method, headers: { "Content-Type": "application/json" }, body: body && JSON.stringify(body) });
+    } catch {
+      throw new Error("The server does not answer: is simgap app still running?");
+    }
+    const told = await answer.json().catch(() => ({ error: `The server answered with ${answer.status}.` }));
+    if (!answer.ok) throw new Error(told.error);
+    return told;
+  };
+  const attempt = (act) => async (event) => {
+    try { await act(event); } catch (error) { state.textContent = ""; say(error.message); }
+  };
+  const go = (told, then) => { if (then === "open") location.assign(`/runs/${told.id}`); else location.reload(); };
+
+  // one file after the other; its share shown as it goes
+  const put = (path, file, which) => new Promise((done, fail) => {
+    const request = new XMLHttpRequest();
+    request.open("PUT", path + encodeURIComponent(file.name));
+    request.upload.onprogress = (e) => { state.textContent = `${which} ${file.name}: ${Math.round(100 * e.loaded / Math.max(e.total, 1))} %`; };
+    request.onerror = () => fail(new Error(`${file.name}: the server does not take it: it is too large, or simgap app does not run`));
+    request.onload = () => {
+      if (request.status < 300) { done(); return; }
+      let text = `The server answered with ${request.status}.`;
+      try { text = JSON.parse(request.responseText).error; } catch { /* no JSON */ }
+      fail(new Error(text));
+    };
+    request.send(file);
+  });
+
+  all("form[data-post]", (form) => form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    attempt(async () => go(await ask("POST", form.dataset.post, Object.fromEntries(new FormData(form))), form.dataset.then))();
+  }));
+  all("form[data-compare]", (form) => form.addEventListener("submit", (event) => {
+    event.preventDefault(); // the page's policy lets no form be sent
+    location.assign(`/compare?${new URLSearchParams(new FormData(form))}`);
+  }));
+  all("button[data-post]", (b) => b.addEventListener("click", attempt(async () => go(await ask("POST", b.dataset.post, {}), b.dataset.then))));
+  all("button[data-delete]", (b) => b.addEventListener("click", attempt(async () => {
+    if (!b.dataset.ask || confirm(b.dataset.ask)) go(await ask("DELETE", b.dataset.delete));
+  })));
+  all("input[data-put]", (input) => input.addEventListener("change", attempt(async () => {
+    say("");
+    const chosen = [...input.files];
+    for (const [i, file] of chosen.entries()) await put(input.dataset.put, file, `${i + 1} of ${chosen.length}:`);
+    location.reload();
+  })));
+
+  // settings are saved as they are changed; a start waits for those under way
+  let saving = Promise.resolve();
+  const save = (settings, again) => {
+    saving = ask("POST", `${run}/settings`, settings).then(() => { state.textContent = "Saved."; if (again) location.reload(); });
+    return saving;
+  };
+  const value = (e) => e.type === "checkbox" ? e.checked : e.type === "number" ? Number(e.value) : e.value;
+  all("[data-setting]", (e) => e.addEventListener("change", attempt(() => save({ [e.dataset.setting]: value(e) }, e.dataset.setting === "model"))));
+  all("[data-held-out]", (e) => e.addEventListener("change", attempt(() => {
+    const held = [...document.querySelectorAll("[data-held-out]:checked")].map((c) => c.value);
+    return save({ held_out: held }, true);
+  })));
+  all("[data-start]", (b) => b.addEventListener("click", attempt(async () => {
+    await saving;
+    await ask("POST", `${run}/start`, { command: b.dataset.start });
+    location.reload();
+  })));
+
+  all("[data-events]", (list) => {
+    const events = new EventSource(list.dataset.events);
+    events.onmessage = (event) => {
+      const line = document.createElement("li");
+      line.textContent = JSON.parse(event.data);
+      list.append(line);
+      list.scrollTop = list.scrollHeight;
+    };
+    events.addEventListener("ended", () => { events.close(); location.reload(); });
+    events.onerror = () => { if (events.readyState === EventSource.CLOSED) say("The server does not answer: is simgap app still running?"); };
+    events.onopen = () => { list.replaceChildren(); };
+  });
+});
