@@ -99,7 +99,7 @@ FOLLOWS_WEIGHT = _number(
     "FOLLOWS_WEIGHT", LEVEL, 0.9, "correlation", "four fifths of the variation: one stands for the other", "real_logs/test_weight"
 )
 AS_FLAT = _number(
-    "AS_FLAT", LEVEL, 0.5, "of an exponent", "a level known to some percent grows as little", "real_logs/test_content"
+    "AS_FLAT", LEVEL, 1.25, "exponent of the rate", "white noise has 0, what is motion 2 and more", "real_logs/test_content"
 )
 SENSOR_SHARE = _number(
     "SENSOR_SHARE", LEVEL, 1e-3, "of the torque's power", "that the encoder's noise may make in the band of a force view", "view"
@@ -147,6 +147,8 @@ FURTHER = _number("FURTHER", COST, 3.0, "times the travel", "an experiment that 
 ORDERS_TRIED = _number(
     "ORDERS_TRIED", COST, 3, "orders", "to which a position-locked effect may move; of a varying inertia", "search"
 )
+STARTS = _number("STARTS", COST, 6, "starts", "of the nominal structure", "horizons")
+ABOUT = _number("ABOUT", COST, 0.25, "log of a ratio", "their spread", "horizons")
 LEAST_SAMPLES = _number("LEAST_SAMPLES", COST, 5000, "samples", "that tell a screened candidate: a noise rms to 1 %", "screening")
 SHOWN = _number("SHOWN", COST, 8, "rivals", "whose held-out error and refusal are reported", "report/test_page")
 KEPT_TORQUES = _number("KEPT_TORQUES", COST, 8, "arrays", "structures that are fitted at a time", "screening")
@@ -235,5 +237,8 @@ FACTORS = _number(
     "real_logs/test_content",
 )
 FEWEST_LEFT = _number("FEWEST_LEFT", NUMERIC, 250, "samples", "of a slower recording", "real_logs/test_content")
+NO_SENSOR = _number(
+    "NO_SENSOR", NUMERIC, 1e-5, "of a channel's spread", "noise that no sensor of a machine reaches: 17 bits", "experiment"
+)
 AT_BOUND = _number("AT_BOUND", NUMERIC, 1e-6, "log of a ratio", "a number stands at its bound", "real_logs/test_bounds")
 SOME_ANGLES = _number("SOME_ANGLES", NUMERIC, 200, "angles", "at which laws are compared", "real_logs/test_weight")

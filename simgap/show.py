@@ -50,7 +50,11 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     console = Console()
     console.print(f"[bold]{result.verdict.value}[/bold]  {result.summary}")
     for p in result.log.problems if result.log is not None else ():
-        console.print(f"log ({p.severity.value}): {p.problem} in {p.recording}: do: {p.advice}", highlight=False, markup=False)
+        console.print(
+            f"log ({p.severity.value}): {p.problem} of the {p.channel} in {p.recording}: {p.advice}",
+            highlight=False,
+            markup=False,
+        )
     for f in result.findings:
         console.print(f"\n[bold]{f.effect}[/bold] at {f.place} (element {f.element})\n  {f.sentence}")
         for name, e in f.parameters.items():

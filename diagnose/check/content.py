@@ -13,8 +13,9 @@ import math
 
 import numpy as np
 
-from diagnose.check.thresholds import CONTENT_DROP, EDGE_DROP, EDGE_SLOPE, FLOOR_SLOPE, INTERPOLATED, NO_SENSOR, STRAIGHT
+from diagnose.check.thresholds import CONTENT_DROP, EDGE_DROP, EDGE_SLOPE, FLOOR_SLOPE, INTERPOLATED, STRAIGHT
 from diagnose.data.noise import white_noise_level
+from diagnose.thresholds import NO_SENSOR
 from mjsim.signals import welch
 
 __all__ = ["content_end"]

@@ -7,7 +7,7 @@ from statistics import NormalDist
 __all__ = [
     "ACTUATOR_DELAY", "CLIPPED_SHARE", "CONTENT_DROP", "DISTINCT", "EDGE_DROP", "EDGE_SLOPE", "EQUAL_NEIGHBOURS",
     "EXCESS_TOLD", "FAMILY_LEVEL", "FLOOR_SLOPE", "FOLLOWED", "GAP_STEP", "HOLD_TOLERANCE", "INTERPOLATED",
-    "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "NO_SENSOR", "PARAMETER_FACTOR", "RANGE_FIX", "RATIO_TOLERANCE",
+    "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "PARAMETER_FACTOR", "RANGE_FIX", "RATIO_TOLERANCE",
     "RESOLVED", "SHAPE_SPREAD", "SKEW_FIX", "STRAIGHT", "TESTS", "Z95", "Z_TEST",
 ]  # fmt: skip
 
@@ -80,9 +80,6 @@ noise (0) and a first-order filter (-2)."""
 CONTENT_DROP = 1e-2
 """Density at the top of the band over that at a fifth of it, below which the content ends: a sensor's noise is as large at
 both."""
-
-NO_SENSOR = 1e-5
-"""Noise rms over the spread of a channel that no sensor of a machine reaches: 17 bits."""
 
 EDGE_SLOPE = -8.0
 """Slope d log(density) / d log(f) of an edge: a filter of the fourth order. Behind two resonances a motion falls as fast, and

@@ -61,8 +61,8 @@ def decimated(recording: Recording, every: int) -> Recording:
 def _factor(recording: Recording) -> int:
     """By how much a recording may be sampled more slowly; 1 where its noise shows as it is, or does not show then either.
 
-    Below the end of a filter's band the level of the noise hardly depends on the rate at which it is sampled: there the level
-    grows least with the factor. Beyond that what is taken for noise is motion.
+    Below the end of a filter's band the level of the noise hardly depends on the rate at which it is sampled. Beyond that what is
+    taken for noise is motion, and so it is at every rate where there is no noise: a simulation's log stays as it is.
     """
     x = recording.angle if recording.velocity is None else recording.velocity
     if x is None or plain_step(x) > 0 or content_end(x, recording.dt) is None:
@@ -71,10 +71,8 @@ def _factor(recording: Recording) -> int:
     levels = np.array([np.mean([white_noise_level(x[at::k]) for at in range(min(k, 4))]) for k in factors])
     growth = np.diff(np.log(levels)) / np.diff(np.log(factors))
     shown = (levels > FAR * levels[0]) & (levels < MATERIAL * float(np.std(x)))
-    at = np.flatnonzero(shown[:-1])
-    if len(at) == 0:
-        return 1
-    return factors[at[growth[at] <= np.min(growth[at]) + AS_FLAT][0]]
+    at = np.flatnonzero(shown[:-1] & (growth < AS_FLAT))
+    return factors[at[0]] if len(at) else 1
 
 
 def _ordinal(k: int) -> str:

@@ -92,7 +92,8 @@ class Fitted:
         J = self.fit.J
         if len(widths) == 0 or not J.any():
             return []
-        scale = np.linalg.norm(J, axis=0) + 1e-300
+        scale = np.linalg.norm(J, axis=0)
+        scale[scale == 0] = np.inf  # what the residual does not depend on stays
         _, s, vt = np.linalg.svd(J / scale, full_matrices=False)
         root = (vt.T / np.maximum(s, 1e-5 * s[0])) * math.sqrt(self.chi2 / self.n)
         lower, upper = self.hypothesis.bounds

@@ -213,6 +213,8 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         spent = fitter.spent
         if spent and (turn or not best.effects):  # a search that could not look would find nothing
             break
+        if known and innovation(fitter, best, np.ones(1)) < 1 / TWICE_NOISE:  # what is below the noise has no colour to be named
+            break
         filter_, own_filter = _whitening(fitter, search, best)
         if same_filter(filter_, fitter.whitening / fitter.whitening[0]) or (spent and own_filter):
             break

@@ -22,11 +22,13 @@ from diagnose.fit.fits import Fits
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import relaxed
+from diagnose.fit.starts import about_nominal
 from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
 from diagnose.structure.graph import refines, same_elsewhere, simplest_form
 from diagnose.structure.moves import Move, Moves
+from diagnose.structure.observing import Observing
 from diagnose.structure.pruning import Pruning
 from diagnose.structure.race import Race
 from diagnose.structure.selection import Selection
@@ -60,6 +62,8 @@ class Search:
         self.significance = Significance(self.state)
         self.selection = Selection(self.state, self.significance)
         self.race = Race(self.state)
+        self.observing = Observing(self.state)
+        self.many_minima = False  # whether the nominal structure has another minimum that is clearly lower
         self.moves = Moves(self.state, self.race)
         self.pruning = Pruning(self.state, self.significance)
         self.state.consider(candidates(fitter, options.only))
@@ -86,10 +90,12 @@ class Search:
     def nominal(self) -> Fitted:
         """The refitted nominal model: the rival to beat."""
         if () not in self.fits:
-            f = self.fitter.fit(self.fitter.hypothesis(()))
+            plain = self.fitter.fit(self.fitter.hypothesis(()))
+            f = about_nominal(self.fitter, plain)
             if not f.ok:
                 return f
             self.state.keep(f)
+            self.many_minima = f is not plain
         return self.fits[()]
 
     def criterion(self, f: Fitted) -> float:
@@ -114,7 +120,7 @@ class Search:
         self._report(current)
         if self._leaves_only_noise(current):
             return current
-        current = self._with_confirmed_offset(current)
+        current = self._observed(self._with_confirmed_offset(current))
         queue = self._moves(current)
         while not self.state.spent():
             queue = [m for m in queue if self._potential(m, current) > self.context.floor(current)] or self._last_moves(current)
@@ -130,6 +136,7 @@ class Search:
             changed = best.key != current.key
             current = best
             if changed:
+                current = self._observed(current)
                 self._advance(current)
                 if self._leaves_only_noise(current):
                     return current
@@ -162,18 +169,30 @@ class Search:
         return [] if move is None or move.bound <= self.context.floor(current) else [move]
 
     def _relaxed(self, current: Fitted, best: Fitted) -> Fitted:
-        """The best structure once nonsmooth ones near it were fitted along falling observer gains.
+        """The best structure once those near it were fitted along falling observer gains, where they are nonsmooth or leave much.
 
-        A fit of a nonsmooth structure ends in one of many minima, and which structure is ahead is chance until then.
+        Such a fit may have ended in one of many minima, and which structure is ahead is chance until then.
         """
         if not self.fitter.noise.absolute or self.fitter.view.channel != "velocity":
             return best
-        near = [f for f in self.fits.values() if f.rough and len(f.effects) == len(best.effects) and f.chi2 < NEARLY * best.chi2]
+        near = [f for f in self.fits.values() if len(f.effects) == len(best.effects) and f.chi2 < NEARLY * best.chi2]
+        near = [f for f in near if f.rough or self.fitter.above(f, FAR)]
         near = sorted(near, key=self.criterion)[: self.options.beam + 1]
         near = [f for f in near if self.state.once("relax", f.key, round(math.log(f.chi2), 1)) and not self.state.spent()]
         for f in self.fitter.map([partial(relaxed, self.fitter, f) for f in near]):
             self.state.keep(f)
         return self.selection.best(self.fits.best(current)) if near else best
+
+    def _observed(self, current: Fitted) -> Fitted:
+        """The best structure once additions were compared under an observer gain, where the free run has many minima."""
+        while self.many_minima and self.fitter.above(current, FAR) and len(current.effects) < self.options.depth:
+            if not self.state.once("observe", current.key, round(math.log(current.chi2), 1)) or not self.observing.run(current):
+                break
+            best = self.selection.best(current)
+            if best.key == current.key:
+                break
+            current = best
+        return self.fits.best(current)
 
     def _rivals(self, current: Fitted) -> list[Fitted]:
         """Structures of the incumbent's size that are not far behind it and may have other neighbours."""
