@@ -40,5 +40,5 @@ def test_the_keys_of_a_diagnosis_and_a_check(log):
 
 
 def test_the_keys_of_an_identification(log):
-    told = simgap.identify(log, orders=(2, 1, 1, 2, 1), decimate=1, cutoff=None).as_dict()
+    told = simgap.identify(log, orders=(1, 1, 1, 1, 1), decimate=1, cutoff=None).as_dict()
     assert set(FILES["identification.json"][1]) <= set(told)

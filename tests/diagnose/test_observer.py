@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import simgap
 from diagnose.data.experiment import prepare
 from diagnose.evidence.outcome import Pair, Veto
 from diagnose.evidence.rivals.events import no_moment_of_an_event
@@ -221,3 +222,17 @@ def test_secants_bring_a_rough_cost_as_low_in_fewer_runs(fitter):
     quick = fitter.by_secants(h)
     assert quick.chi2 < 1.1 * plain.chi2
     assert fitter.work - middle < 0.7 * spent
+
+
+def test_an_effect_is_found_although_free_runs_have_many_minima():
+    """A pendulum that goes over the top: the nominal structure ends in a wrong minimum, about which score tests tell nothing."""
+    dt = 0.004
+    t = np.arange(0, 3, dt)
+    torque = 3 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t)
+    offset = simgap.effects["torque_offset"](place="motor", torque_Nm=0.5)
+    run = simgap.simulate("pendulum", torque, dt=dt, effects=[offset])
+    noise = 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    log = {"time_s": t, "torque_Nm": torque, "velocity_rad_s": run.velocity + noise}
+    found = simgap.diagnose(log, "pendulum", effects=["torque_offset", "coulomb_friction", "torque_ripple"])
+    assert [f.effect for f in found.findings] == ["torque_offset"]
+    assert found.findings[0].parameters["torque_Nm"].value == pytest.approx(0.5, abs=0.01)
