@@ -111,3 +111,37 @@ def test_from_a_new_run_to_a_comparison(browser: Any, address: str, log: bytes, 
         page.wait_for_selector(".error:has-text('bad.csv')")
         fits(page, 390, "error")
         assert said == []
+
+
+@pytest.mark.slow
+def test_a_recording_of_a_real_machine(browser: Any, address: str, local_copy: Any) -> None:
+    """EMPS: a shipped model by name, one recording held out, effects in two of its laws."""
+    files = [local_copy("emps", name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat")]
+    said: list[str] = []
+    with browser.new_context(viewport={"width": 1400, "height": 900}) as window:
+        page = window.new_page()
+        page.set_default_timeout(240_000)
+        page.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
+        page.goto(address)
+        page.click("text=New run")
+        page.wait_for_url("**/runs/*")
+        page.select_option("[data-setting=model]", "emps")
+        page.wait_for_selector("option[value=emps]:checked", state="attached")
+        page.set_input_files("[data-put$='/recordings/']", files)
+        page.wait_for_selector("[data-held-out][value='DATA_EMPS.mat']")
+        with page.expect_navigation():
+            page.check("[data-held-out][value='DATA_EMPS_PULSES.mat']")
+        assert page.is_checked("[data-held-out][value='DATA_EMPS_PULSES.mat']")
+        page.click("[data-start=check]")
+        page.wait_for_selector("a:has-text('check.html')")
+        page.click("summary")
+        page.fill("[data-setting=effects]", "coulomb_friction,torque_offset")
+        page.check("[data-setting=markdown]")
+        page.click("[data-start=diagnose]")
+        page.wait_for_selector("a:has-text('summary.md')")
+        assert "Coulomb friction" in page.inner_text("main")
+        fits(page, 1400, "emps")
+        with page.expect_download() as saved:
+            page.click("a:has-text('corrected.xml')")
+        assert "frictionloss" in Path(saved.value.path()).read_text(encoding="utf-8")
+    assert said == []
