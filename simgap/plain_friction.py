@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 from diagnose.result import Diagnosis, Estimate, Finding
@@ -33,18 +34,20 @@ def plainer_friction(
 ) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
     """The diagnosis with the simplest friction in place of richer laws, refitted in MuJoCo with the author's settings.
 
-    ``itself``: the simplest law too is refitted with those settings, once richer laws alone were tried. None where there is no
+    Other effects are left out where friction alone leaves noise. ``itself``: the simplest law too is refitted with those settings, once richer laws alone were tried. None where there is no
     such law, or where the simplest one is not at the noise on both kinds of data. Writes ``out``.
     """
     physics = [f for f in result.findings if f.kind == "physics"]
     richer = {f.law: _simplest(f, itself) for f in physics}
     if not any(richer.values()) or (itself and richer == {f.law: _simplest(f, False) for f in physics}):
         return None
-    effects = [richer[f.law] or _as_found(f) for f in result.findings]
+    alone = [f for f in result.findings if f.kind != "physics" or richer[f.law]]
+    groups = [alone, list(result.findings)] if len(alone) < len(result.findings) else [alone]
     write = partial(write_as_author, model)
     fitted = given.with_values({k: v.value for k, v in result.linear_parameters.items()})
-    refitted = None
-    for start in (fitted, given):  # the numbers fitted beside a richer law may lead to another minimum
+    refitted, group = None, alone
+    for group, start in product(groups, (fitted, given)):  # numbers fitted beside a richer law may lead to another minimum
+        effects = [richer.get(f.law) or _as_found(f) for f in group if f.kind == "physics"]
         with contextlib.suppress(InputError, ValueError):
             refitted = refit_to_noise(start.with_effects(effects), write, nominal.cases, out, threads)
         if refitted is not None:
@@ -53,10 +56,9 @@ def plainer_friction(
         return None
     better, lacks, runs = refitted
     held = figures(nominal.cases, runs).held_out_rms
-    found = tuple(
-        f if richer[f.law] is None else _finding(f, better, richer[f.law], given, held) for f in result.findings
-    )  # fmt: skip
-    names = " and ".join(f.effect.replace("_", " ") for f in result.findings if effect_class(f.law).refines and richer[f.law])
+    found = tuple(_finding(f, better, e, given, held) if (e := richer.get(f.law)) else f for f in group)
+    imitated = [f for f in physics if (effect_class(f.law).refines and richer[f.law]) or f not in group]
+    names = " and ".join(f.effect.replace("_", " ") for f in imitated)
     if names:
         note = (
             f"The equations of motion with ideal friction ask for {names}. In MuJoCo with the file's own settings the simpler "
