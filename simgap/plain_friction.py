@@ -34,8 +34,9 @@ def plainer_friction(
 ) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
     """The diagnosis with the simplest friction in place of richer laws, refitted in MuJoCo with the author's settings.
 
-    Other effects are left out where friction alone leaves noise. ``itself``: the simplest law too is refitted with those settings, once richer laws alone were tried. None where there is no
-    such law, or where the simplest one is not at the noise on both kinds of data. Writes ``out``.
+    Other effects are left out where friction alone leaves noise. ``itself``: the simplest law too is refitted with those
+    settings, once richer laws alone were tried. None where there is no such law, or where the simplest one is not at the noise on
+    both kinds of data. Writes ``out``.
     """
     physics = [f for f in result.findings if f.kind == "physics"]
     richer = {f.law: _simplest(f, itself) for f in physics}
