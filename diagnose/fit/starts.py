@@ -11,7 +11,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import over_horizons, relaxed
 from diagnose.problem.hypothesis import make
-from diagnose.thresholds import ABOUT, FAR, ROUGHLY, STARTS
+from diagnose.thresholds import ABOUT, FAR, STARTS, TWICE_NOISE
 from mjsim.effects import Effect
 
 __all__ = ["about_nominal", "multistart"]
@@ -36,7 +36,7 @@ def about_nominal(fitter: Fitter, f: Fitted) -> Fitted:
         default=f,
     )
     best = fitter.fit(best.hypothesis, best.fit.x) if best.chi2 < f.chi2 else f
-    return best if best.ok and best.chi2 < (1 - ROUGHLY) * f.chi2 else f
+    return best if best.ok and best.chi2 < f.chi2 / TWICE_NOISE**2 else f
 
 
 def multistart(fitter: Fitter, f: Fitted, effect: Effect) -> Fitted:

@@ -110,8 +110,8 @@ class Moves:
         return known is None or known.chi2 > base.chi2
 
     def _new(self, name: str, base: Fitted) -> bool:
-        """Whether a move was not made from this residual by the present orders."""
-        return self.state.once(name, base.key, round(math.log(base.chi2), 1), self.state.fitter.orders)
+        """Whether a move was not made from this residual by the present orders, and anything is left to be explained."""
+        return base.chi2 > 0.0 and self.state.once(name, base.key, round(math.log(base.chi2), 1), self.state.fitter.orders)
 
     def _move(self, name: str, base: Fitted, entrants: Sequence[Entrant], floor: float) -> Move | None:
         if not entrants:
@@ -126,6 +126,8 @@ class Moves:
         Where neither the score test nor the noise tells, half of the residual is supposed.
         """
         absolute, cls = self.state.fitter.noise.absolute, effect_class(s.candidate.id)
+        if base.chi2 <= 0.0:
+            return 0.0
         if not math.isfinite(s.gain):
             left = base.n if absolute else 0.5 * base.chi2
         elif absolute:
