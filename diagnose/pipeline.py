@@ -48,8 +48,8 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose recordings of one axis against its nominal model.
 
-    ``progress`` is told each `Step`; ``ledger``: where fits are written down as they are found, and looked up before they are
-    made. ``corrections`` (N,): added to the measured velocity where motion is compared, by the SHA-256 (else source) of
+    ``progress`` is called with each `Step`; ``ledger``: where fits are written down as they are found, and looked up before they
+    are made. ``corrections`` (N,): added to the measured velocity where motion is compared, by the SHA-256 (else source) of
     a recording. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
     options = options or Options()

@@ -30,7 +30,7 @@ def without_late_velocity(
 
 
 def told_as_left_out(check: LogCheck, without: LogCheck) -> LogCheck:
-    """The check of what is left, with the fault that was left out as a limit."""
+    """The check of the remaining channels, with the fault of the unused one as a limit."""
     gone = [
         dataclasses.replace(p, severity=Severity.LIMITS, advice=f"the velocity is left out and the angle used; {p.advice}")
         for p in check.to_fix()

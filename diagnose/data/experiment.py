@@ -36,7 +36,7 @@ class Experiment:
 
     counts (N) bool; sigma: noise rms of the judged output, at least `NO_SENSOR` of its spread (weights recordings against
     each other); moving: the axis is not at rest at the first sample; before: torque held ahead of it; correction (N): added to
-    the measured velocity where motion is compared; kept: what views have made of it, by what they ask for.
+    the measured velocity where motion is compared; kept: signals that views computed, by their arguments.
     """
 
     recording: Recording

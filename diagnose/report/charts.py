@@ -90,7 +90,7 @@ def recording_chart(s: Signals, channel: str, u: str, error_of: str, key: str) -
 
 
 def _limits(curves: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Vertical limits by what is judged: a nominal model that runs away does not squeeze the rest."""
+    """Vertical limits, by the samples that count: a nominal model that diverges does not set the scale."""
     values = np.concatenate([c[np.isfinite(c)] for c in curves])
     if not len(values):
         return -1.0, 1.0

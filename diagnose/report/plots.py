@@ -83,7 +83,7 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A grid of panels, row by row; alt: what a reader who does not see it is told. height [px] of the whole at full width.
+    """A grid of panels, row by row; alt: the text in its place for screen readers. height [px] of the whole at full width.
 
     Panels of a column share the horizontal axis. widths: of the columns, relative.
     """

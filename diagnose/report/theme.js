@@ -1,5 +1,5 @@
 "use strict";
-// The switch of colours: system, light, dark. Kept for the session of the file where the browser allows it.
+// The switch of colours: system, light, dark. Stored while the page is open, where the browser allows it.
 (() => {
   const root = document.documentElement;
   const names = ["system", "light", "dark"];

@@ -22,7 +22,7 @@ from diagnose.robot.state import Refusal, Selection, replaced, screen, size
 
 __all__ = ["ALIKE", "select"]
 
-FINALISTS = 5  # laws of a joint that are refitted, by what the screening promises
+FINALISTS = 5  # laws of a joint that are refitted: those with the largest gain in the screening
 PROMISING = 0.5  # of what is needed to enter: a promise is the gain of one row alone
 ROUNDS = 40  # moves at most: each lowers the criterion, so that it ends by itself
 UNSIGNED = ("phase_rad", *(f"coefficient_{k}" for k in range(5)))  # nought is a value like any other

@@ -169,7 +169,7 @@ class NativeWriter:
         return ""
 
     def _hold_tendons(self, joint: str) -> None:
-        """State the rest length of the springs over a joint: MuJoCo takes one that is not stated where the joint's spring rests."""
+        """State the rest length of the tendons over a joint: MuJoCo computes one that is not stated at the joint's springref."""
         editor, model = self.editor, self.editor.model
         for t in range(model.ntendon):
             name = model.tendon(t).name

@@ -1,6 +1,6 @@
 """Which effects one servo joint has: forward selection, refinement, exchange and removal, each step held to unseen samples.
 
-A law is screened by what a run with it, at one of its starts, explains of the error beside the free numbers; the few best are
+A law is screened by the share of the error that a run at one of its starts explains beside the free parameters; the few best are
 fitted with all numbers free. One enters when it gains on the fitted samples (extended BIC), is physical, takes enough off the
 held-out squared error and passes the paired block tests at a level that counts all laws of all joints.
 """
@@ -24,7 +24,7 @@ from mjsim.robot.joint_kernel import SLOT
 __all__ = ["ALIKE", "carry_payload", "refit_with", "search_joint"]
 
 ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart
-FINALISTS = 5  # laws that are fitted, by what the screening promises
+FINALISTS = 5  # laws that are fitted: those with the largest gain in the screening
 PROMISING = 0.25  # of what is needed to enter: a promise is that of one start alone
 ROUNDS = 12  # moves at most
 STAYS = 5.0  # times the level to enter, at which a law stays: what enters at 1 % may stay at 5 %
