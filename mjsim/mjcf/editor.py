@@ -160,6 +160,15 @@ class MjcfEditor:
         lines = [element("fixed", close=False, name=name, **attributes), *joints, "</fixed>"]
         self.add("tendon", "tendon", name, lines, chain=chain)
 
+    def hold_tendons(self, joint: str) -> None:
+        """State the rest length of the tendons over a joint: MuJoCo computes one that is not stated at the joint's springref."""
+        for t in np.flatnonzero(self.model.tendon_stiffness):
+            name = self.model.tendon(int(t)).name
+            node = self.node("tendon", name)
+            over = any(n.tag == "joint" and n.attributes.get("joint") == joint for n in node.walk())
+            if over and "springlength" not in node.attributes:
+                self.set("tendon", name, springlength=row(sorted({float(x) for x in self.model.tendon_lengthspring[t]})))
+
     def absolute_tendon(self, body: int, what: str, *, chain: bool, **attributes: str) -> None:
         """A tendon along a body's absolute angle."""
         name = self.fresh("tendon", f"{self.chain.bodies[body].joint}_{what}")

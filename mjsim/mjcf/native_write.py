@@ -163,20 +163,9 @@ class NativeWriter:
         if kind == "tendon":
             editor.set(kind, name, stiffness=stiffness, springlength=number(rest))
         else:
-            self._hold_tendons(name)
-            rest = math.degrees(rest) if editor.degrees() else rest
-            editor.set(kind, name, stiffness=stiffness, springref=number(rest))
+            editor.hold_tendons(name)
+            editor.set(kind, name, stiffness=stiffness, springref=number(math.degrees(rest) if editor.degrees() else rest))
         return ""
-
-    def _hold_tendons(self, joint: str) -> None:
-        """State the rest length of the tendons over a joint: MuJoCo computes one that is not stated at the joint's springref."""
-        editor, model = self.editor, self.editor.model
-        for t in range(model.ntendon):
-            name = model.tendon(t).name
-            over = any(n.tag == "joint" and n.attributes.get("joint") == joint for n in editor.node("tendon", name).walk())
-            if over and model.tendon_stiffness[t] and "springlength" not in editor.node("tendon", name).attributes:
-                low, high = (float(x) for x in model.tendon_lengthspring[t])
-                editor.set("tendon", name, springlength=number(low) if low == high else row([low, high]))
 
     def _square_drag(self, value: N.SquareDrag) -> str:
         """The second coefficient of a joint's damping."""
