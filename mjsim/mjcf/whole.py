@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -17,6 +18,10 @@ __all__ = ["WRITTEN", "is_whole", "write_whole"]
 WRITTEN = "nominal.xml"  # in the folder of a diagnosis, where the user's model is not one file with named elements
 
 KINDS = ("body", "joint", "actuator", "tendon", "equality", "sensor")
+TREE = {"body": "body", "joint": "joint", "freejoint": "joint"}
+SECTIONS = {"actuator": "actuator", "tendon": "tendon", "equality": "equality", "sensor": "sensor"}
+FOLDERS = ("assetdir", "meshdir", "texturedir")
+DEEPEST = 20  # files that include one another
 SAME = (
     "qpos0", "body_mass", "body_inertia", "body_ipos", "body_pos", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping",
     "dof_frictionloss", "dof_solref", "dof_solimp", "actuator_gainprm", "actuator_biasprm", "actuator_gear", "eq_data",
@@ -44,50 +49,92 @@ def _elements(spec: mujoco.MjSpec, kind: str) -> list[mujoco.MjsElement]:
 
 
 def write_whole(path: Path, out: Path) -> Path:
-    """Write the model of ``path`` as one file with all elements named, as MuJoCo's own writer has it; returns ``out``.
+    """Write the model of ``path`` as one file with all elements named; returns ``out``.
 
-    Files of meshes and textures stay where they are; the TOML file beside the model goes with it. Raises InputError where the
-    written file is not the same model.
+    Included files take the place of their ``<include>``, and every number and comment is kept as it is written. Files of meshes
+    and textures stay where they are; the TOML file beside the model goes with it. Raises InputError where the written file is not
+    the same model.
     """
+    before = compile_file(path)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise InputError(path, f"MuJoCo cannot read it ({error})", "an MJCF file", "correct it") from None
-    for kind in KINDS:
-        elements = _elements(spec, kind)
-        taken = {e.name for e in elements}
-        for index, e in enumerate(elements):
-            if not e.name:
-                name = f"{kind}{index}"
-                while name in taken:
-                    name += "_"
-                e.name = name
-                taken.add(name)
-    here, there = path.resolve().parent, out.resolve().parent
-    folders = {key: here / getattr(spec, key) for key in ("meshdir", "texturedir")}
-    try:
-        for key, folder in folders.items():
-            setattr(spec, key, str(folder))
-        spec.compile()
-        text = spec.to_xml()
-        for key, folder in folders.items():
-            text = text.replace(f"{key}={quoteattr(str(folder))}", f"{key}={quoteattr(os.path.relpath(folder, there))}")
+        root = _merged(path, path.resolve().parent)
+        _name_elements(root)
+        _keep_folders(root, path.resolve().parent, out.resolve().parent)
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
+        out.write_bytes(ElementTree.tostring(root, encoding="utf-8"))
         if path.with_suffix(".toml").is_file():
             out.with_suffix(".toml").write_bytes(path.with_suffix(".toml").read_bytes())
-        again, before = compile_file(out), compile_file(path)
-    except ValueError as error:
+        after = compile_file(out)
+    except InputError as error:
+        raise InputError(path, f"as one file it does not load ({error})", "one file with named elements", "merge it") from None
+    except (ElementTree.ParseError, ValueError) as error:
         raise InputError(
             path, f"it cannot be written as one file ({error})", "one file with named elements", "merge it"
         ) from None
     for name in SAME:
-        a, b = getattr(before, name), getattr(again, name)
-        if a.shape != b.shape or not np.allclose(a, b, rtol=1e-6, atol=1e-9):
+        a, b = getattr(before, name), getattr(after, name)
+        if a.shape != b.shape or not np.allclose(a, b, rtol=1e-12, atol=0.0):
             raise InputError(
-                path,
-                f"MuJoCo writes another model ({name}) as one file",
-                "one file with named elements",
-                "merge it and name them",
+                path, f"as one file it is another model ({name})", "one file with named elements", "merge it and name them"
             )
     return out
+
+
+def _merged(path: Path, folder: Path, depth: int = 0) -> ElementTree.Element:
+    """The elements of a file, with those of the files that it includes in their places. ``folder``: that of the main file."""
+    if depth > DEEPEST:
+        raise ValueError(f"files include one another more than {DEEPEST} deep")
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.parse(path, parser).getroot()
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag == "include":
+                at = list(parent).index(child)
+                parent.remove(child)
+                name = child.get("file", "")
+                found = next((f for f in (path.resolve().parent / name, folder / name) if f.is_file()), None)
+                if found is None:
+                    raise ValueError(f"it includes {name}, which is not there")
+                for offset, element in enumerate(_merged(found, folder, depth + 1)):
+                    parent.insert(at + offset, element)
+    return root
+
+
+def _name_elements(root: ElementTree.Element) -> None:
+    """Give every element of a chain that has no name one of its own: its kind and a number."""
+    elements = list(_chain(root))
+    taken = {(kind, e.get("name")) for kind, e in elements}
+    counts: dict[str, int] = {}
+    for kind, element in elements:
+        while not element.get("name"):
+            name = f"{kind}{counts.get(kind, 0)}"
+            counts[kind] = counts.get(kind, 0) + 1
+            if (kind, name) not in taken:
+                element.set("name", name)
+
+
+def _chain(root: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element]]:
+    """(kind, element) of all elements that MuJoCo counts by kind, in the order of the text."""
+    for section in root:
+        if section.tag == "worldbody":
+            for element in section.iter():
+                if element.tag in TREE:
+                    yield TREE[element.tag], element
+        elif section.tag in SECTIONS:
+            for element in section:
+                if isinstance(element.tag, str):  # a comment's is a function
+                    yield SECTIONS[section.tag], element
+
+
+def _keep_folders(root: ElementTree.Element, here: Path, there: Path) -> None:
+    """Let relative paths of meshes and textures lead from ``there`` to where they led from ``here``."""
+    compilers = root.findall("compiler")
+    for compiler in compilers:
+        for key in FOLDERS:
+            if key in compiler.attrib:
+                compiler.set(key, os.path.relpath(here / compiler.attrib[key], there))
+    if not any(key in c.attrib for c in compilers for key in FOLDERS):
+        compiler = compilers[0] if compilers else ElementTree.Element("compiler")
+        if not compilers:
+            root.insert(0, compiler)
+        compiler.set("assetdir", os.path.relpath(here, there))

@@ -74,10 +74,33 @@ def test_a_name_that_is_taken_is_not_given_again(tmp_path):
     text = ARM.replace('name="drive"', "").replace('"hinge"', '"actuator0"')
     own = write(tmp_path, "own.xml", text.replace("</actuator>", '<motor name="actuator0" joint="actuator0"/></actuator>'))
     model = mujoco.MjModel.from_xml_path(str(write_whole(own, tmp_path / "nominal.xml")))
-    assert sorted(model.actuator(i).name for i in range(2)) == ["actuator0", "actuator0_"]
+    assert sorted(model.actuator(i).name for i in range(2)) == ["actuator0", "actuator1"]
 
 
 def test_what_is_no_model_is_left_to_its_reader(tmp_path):
     assert is_whole(write(tmp_path, "bad.xml", "<mujoco"))
-    with pytest.raises(InputError, match="MuJoCo cannot read it"):
+    with pytest.raises(InputError, match="MuJoCo does not load it"):
         write_whole(tmp_path / "bad.xml", tmp_path / "nominal.xml")
+
+
+@pytest.mark.parametrize("included", [False, True])
+def test_every_digit_of_a_number_is_kept(tmp_path, included):
+    text = (
+        ARM.replace('name="rod"', "")
+        .replace('damping=".05"', 'damping="0.0512345678901234"')
+        .replace('mass="1"', 'mass="1.23456789012345"')
+    )
+    own = write(tmp_path, "arm.xml", text)
+    if included:
+        own = write(tmp_path, "scene.xml", '<mujoco><!-- two files --><include file="arm.xml"/></mujoco>')
+    whole = write_whole(own, tmp_path / "out" / "nominal.xml")
+    a, b = (mujoco.MjModel.from_xml_path(str(p)) for p in (own, whole))
+    np.testing.assert_array_equal(a.dof_damping, b.dof_damping)
+    np.testing.assert_array_equal(a.body_mass, b.body_mass)
+    assert ("two files" in whole.read_text()) is included
+
+
+def test_a_file_that_includes_itself_is_one_line(tmp_path):
+    own = write(tmp_path, "own.xml", '<mujoco><include file="own.xml"/></mujoco>')
+    with pytest.raises(InputError):
+        write_whole(own, tmp_path / "out.xml")
