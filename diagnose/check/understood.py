@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from diagnose.check.context import Context
 from diagnose.check.faults.hold import tell_hold
 from diagnose.check.machine import Machine
+from diagnose.check.unused import unused_channels
 
 __all__ = ["understood"]
 
@@ -34,6 +35,9 @@ def understood(contexts: Sequence[Context], machine: Machine) -> dict[str, str]:
         out["modes"] = ", ".join(f"{m:.4g} Hz" for m in machine.modes)
     for context in contexts:
         out[context.recording.source] = _log(context)
+    unused = unused_channels((c.recording for c in contexts), servo=chain.servo is not None)
+    if unused:
+        out["channels not fitted"] = " ".join(unused)
     return out
 
 
@@ -42,7 +46,7 @@ def _log(context: Context) -> str:
     rate = 1 / r.dt
     channels = [
         n
-        for n in ("command", "torque", "velocity", "angle", "second_angle", "second_velocity")
+        for n in ("command", "torque", "velocity", "angle", "second_angle", "second_velocity", "current", "supply")
         if getattr(r, n, None) is not None
     ]
     units = ", ".join(f"{c} [{r.units[c]}]" if r.units.get(c) else c for c in channels)

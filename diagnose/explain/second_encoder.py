@@ -87,7 +87,8 @@ class _Part:
 def judge_second_encoder(
     chain: Chain, estimation: Sequence[Experiment], held_out: Sequence[Experiment], longest: float = 0.02
 ) -> SecondEncoder | None:
-    """Race the terms on the recordings that have a second encoder; None where there is none. ``longest``: largest delay [s]."""
+    """Race the terms on the recordings that have a second encoder; None where there is none, or no
+    torque beside it. ``longest``: largest delay [s]."""
     fit, held = ([_part(chain, e, longest) for e in group if _has(e)] for group in (estimation, held_out))
     if not fit or not held:
         return None
@@ -110,7 +111,7 @@ def judge_second_encoder(
 
 def _has(experiment: Experiment) -> bool:
     r = experiment.recording
-    return r.second_angle is not None and r.angle is not None
+    return r.second_angle is not None and r.angle is not None and bool(np.isfinite(r.torque).all())
 
 
 def _part(chain: Chain, experiment: Experiment, longest: float) -> _Part:
@@ -187,6 +188,6 @@ def _pays(before: np.ndarray, after: np.ndarray) -> bool:
     from scipy.stats import wilcoxon
 
     d = before - after
-    if np.sum(d) < SMALL * np.sum(before):
+    if np.sum(d) <= SMALL * np.sum(before):
         return False
     return float(wilcoxon(d, alternative="greater").pvalue) * len(TERMS) < ALPHA

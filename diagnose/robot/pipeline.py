@@ -12,6 +12,7 @@ from importlib.metadata import version
 import mujoco
 import numpy as np
 
+from diagnose.check.unused import unused_of_robot
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot import decide
 from diagnose.robot.motion import clean_band, moving_joints, prepare
@@ -192,7 +193,7 @@ def overall(joints: Mapping[str, JointResult]) -> dict[str, FitFigures]:
 
 def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapping[str, JointResult]) -> tuple[str, ...]:
     p = search.problem
-    notes = list(dict.fromkeys(note for r in recordings for note in r.notes))
+    notes = [*dict.fromkeys(note for r in recordings for note in r.notes), *unused_of_robot(recordings)]
     for name, at in recordings[0].held_at:
         notes.append(f"Joint {name} is not in the log: it is held at {at:.4g}.")
     still = [n for n in recordings[0].joints if n not in joints]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from diagnose.check.unused import unused_channels
 from diagnose.evidence.intervals import at_bounds
 from diagnose.explain.second_encoder import judge_second_encoder
 from diagnose.fit.fitted import Fitted
@@ -92,8 +93,8 @@ def _of_the_numbers(outcome: Outcome) -> Iterator[str]:
             "check unit, gear side and the model's value."
         )
     experiments = (*outcome.search.fitter.experiments, *outcome.search.fitter.held_out)
-    if any(e.recording.second_velocity is not None for e in experiments):
-        yield "The velocity behind the gear (second_velocity) is not used: the motor's side is judged."
+    servo = outcome.search.fitter.nominal.chain.servo is not None
+    yield from unused_channels((e.recording for e in experiments), servo=servo)
     loads = {f.effect: [n for n in f.equivalents if n in registered() and effect_class(n).by_load] for f in outcome.found}
     for effect, names in loads.items():
         if names and not outcome.search.fitter.nominal.chain.couplings:

@@ -15,6 +15,7 @@ from importlib.metadata import version
 import mujoco
 import numpy as np
 
+from diagnose.check.unused import unused_of_robot
 from diagnose.result import Estimate
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import ORDER, overall, summary
@@ -199,6 +200,7 @@ def _told(
     still = [n for n in recordings[0].joints if n not in joints]
     if still:
         notes.append(f"Not diagnosed, since they do not move enough, have no servo or are not named: {', '.join(still)}.")
+    notes += unused_of_robot(recordings)
     notes += [f"{name}: {text}" for name, text in borrowed.items()]
     notes += _shifted(joints)
     notes.append("Backlash between motor and joint is not looked for: an encoder at the joint does not show it.")
