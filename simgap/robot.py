@@ -102,7 +102,7 @@ def diagnose_robot_recordings(
         out.mkdir(parents=True, exist_ok=True)
         write_corrected_servos(model, robot, found, corrected)
         say("all joints together in MuJoCo")
-        result = judge_servos(found.diagnosis, robot, corrected, recordings, held_out)
+        result = judge_servos(found, robot, corrected, recordings, held_out)
     else:
         outcome = diagnose_robot(robot, recordings, held_out, options, say)
         out.mkdir(parents=True, exist_ok=True)

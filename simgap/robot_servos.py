@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.result import FitFigures
+from diagnose.result import FitFigures, Verdict
 from diagnose.robot.motion import LEAST_MOVED
+from diagnose.robot.pipeline import ORDER, summary
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from diagnose.robot.servos.motion import resolution, unit_payload
 from diagnose.robot.servos.pipeline import ServoOutcome
 from diagnose.robot.servos.state import JointSearch
+from diagnose.robot.servos.whole import is_explained, judged, predictable
 from mjsim.robot.closed_loop import ClosedLoop, closed_loop
 from mjsim.robot.drives import JointDrive
 from mjsim.robot.joint_kernel import SLOT
@@ -86,14 +88,18 @@ def _joint_values(robot: Robot, s: JointSearch) -> tuple[dict[str, float], list[
 
 
 def judge_servos(
-    d: RobotDiagnosis, robot: Robot, corrected: Path, recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording]
+    outcome: ServoOutcome,
+    robot: Robot,
+    corrected: Path,
+    recordings: Sequence[RobotRecording],
+    held_out: Sequence[RobotRecording],
 ) -> RobotDiagnosis:
     """The diagnosis with the errors of both files as MuJoCo steps all joints together on the recorded commands.
 
     Figures of the fitting engine, one joint at a time, stand as "surrogate". Without held-out recordings the figures count all
-    samples on
-    both sides.
+    samples on both sides. Verdicts are those that these figures allow (`diagnose.robot.servos.whole`).
     """
+    d = outcome.diagnosis
     effects = carried_effects(corrected)
     after = load_robot(corrected)
     runs = [_run(robot, r, ()) for r in (*recordings, *held_out)], [_run(after, r, effects) for r in (*recordings, *held_out)]
@@ -119,6 +125,7 @@ def judge_servos(
             }
             for r, role, a, b in zip((*recordings, *held_out), roles, *both, strict=True)
         ]
+    joints = _judged(outcome, joints, runs[1], after, effects, (*recordings, *held_out))
     overall = {}
     for key in ("nominal", "refitted", "corrected", "surrogate"):
         own = [r.fit[key] for r in joints.values()]
@@ -129,7 +136,45 @@ def judge_servos(
         "engine": "MuJoCo, all joints together on the recorded commands, with the file's options and what corrected.xml carries",
         "joints": table, "lacking": lacking, "diverged": [any(run.diverged for run in group) for group in runs],
     }  # fmt: skip
-    return dataclasses.replace(d, joints=joints, fit=overall, closed_loop=closed)
+    worst = max((r.verdict for r in joints.values()), key=ORDER.index)
+    told = summary(worst, joints, d.changed)
+    return dataclasses.replace(d, verdict=worst, summary=told, joints=joints, fit=overall, closed_loop=closed)
+
+
+def _judged(
+    outcome: ServoOutcome,
+    joints: Mapping[str, JointResult],
+    runs: Sequence[ClosedLoop],
+    after: Robot,
+    effects: Sequence[Mapping[str, Any]],
+    recordings: Sequence[RobotRecording],
+) -> dict[str, JointResult]:
+    """The joints with the verdicts that the closed-loop runs of corrected.xml allow.
+
+    MuJoCo's integration error is of first order in the timestep h and is no error of the model. Where an error at h holds
+    structure, 2 e(h / 2) - e(h) is judged (Richardson extrapolation).
+    """
+    searches = [s for s in outcome.searches if s.problem.name in joints]
+    errors = {s.problem.name: _joined(runs, recordings, s.problem.name, after) for s in searches}
+    remains = {s.problem.name: predictable(s, errors[s.problem.name]) for s in searches}
+    explained = {s.problem.name: is_explained(s, errors[s.problem.name], remains[s.problem.name]) for s in searches}
+    if not all(explained[name] or joints[name].verdict is Verdict.UNEXPLAINED for name in joints):
+        finer = [closed_loop(after, r, effects, finer=2) for r in recordings]
+        for s in searches:
+            name = s.problem.name
+            if not explained[name]:
+                e = 2.0 * _joined(finer, recordings, name, after) - errors[name]
+                remains[name] = predictable(s, e)
+                explained[name] = is_explained(s, e, remains[name])
+    return {
+        s.problem.name: judged(s, joints[s.problem.name], explained[s.problem.name], remains[s.problem.name]) for s in searches
+    }
+
+
+def _joined(runs: Sequence[ClosedLoop], recordings: Sequence[RobotRecording], name: str, robot: Robot) -> np.ndarray:
+    """Errors (N,) of a joint in all recordings, one after the other."""
+    j = robot.joints.index(name)
+    return np.concatenate([_error(run, r, name, j) for run, r in zip(runs, recordings, strict=True)])
 
 
 def _run(robot: Robot, r: RobotRecording, effects: Sequence[Mapping[str, Any]]) -> ClosedLoop:

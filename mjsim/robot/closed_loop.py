@@ -65,12 +65,20 @@ def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -
 
 
 def closed_loop(
-    robot: Robot, recording: RobotRecording, effects: Sequence[Mapping[str, Any]] = (), samples: int | None = None
+    robot: Robot,
+    recording: RobotRecording,
+    effects: Sequence[Mapping[str, Any]] = (),
+    samples: int | None = None,
+    *,
+    finer: int = 1,
 ) -> ClosedLoop:
-    """Run all joints along a recording, or its first ``samples``, with the effects that a corrected file carries."""
+    """Run all joints along a recording, or its first ``samples``, with the effects that a corrected file carries.
+
+    ``finer``: steps for each step of the file's timestep, to measure the integration error.
+    """
     model, data = copy.copy(robot.model), mujoco.MjData(robot.model)
     r, n = recording, samples or len(recording)
-    each = max(1, math.ceil(r.dt / float(model.opt.timestep) - 1e-6))
+    each = finer * max(1, math.ceil(r.dt / float(model.opt.timestep) - 1e-6))
     model.opt.timestep = r.dt / each
     slots, lacking = slots_by_joint(effects, robot)
     run = _Run(robot, model, data, r, slots, n, each)

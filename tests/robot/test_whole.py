@@ -1,0 +1,101 @@
+"""Verdicts of servo joints rest on all joints together in MuJoCo, not on joint-wise fits alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.result import FitFigures, Verdict
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.servos.pipeline import diagnose_servos
+from diagnose.robot.servos.whole import is_explained, lowered, predictable
+from lab.robot.arm import three_axes
+from lab.robot.servo_plant import ServoJoint, ServoRobot, servo_mjcf, write_servo_log
+from mjsim.robot.closed_loop import closed_loop
+from mjsim.robot.model import load_robot
+from mjsim.robot.recording import load_robot_recording
+from simgap.robot_servos import judge_servos, write_corrected_servos
+
+NOMINAL = ServoRobot(three_axes(), (ServoJoint(60.0, 6.0), ServoJoint(90.0, 8.0), ServoJoint(50.0, 4.0)))
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory):
+    """Dry friction at the second joint: outcome of the search, robot, recordings, and the corrected file."""
+    out = tmp_path_factory.mktemp("whole")
+    (out / "arm.xml").write_text(servo_mjcf(NOMINAL))
+    robot = load_robot(out / "arm.xml")
+    logs = []
+    for seed, name in ((1, "a"), (2, "b")):
+        write_servo_log(NOMINAL.with_servo(1, friction=1.0), out / f"{name}.csv", seed, 12.0)
+        logs.append(load_robot_recording(out / f"{name}.csv", robot, model=out / "arm.xml"))
+    outcome = diagnose_servos(robot, logs[:1], logs[1:], RobotOptions(effects=("coulomb_friction",)))
+    write_corrected_servos(out / "arm.xml", robot, outcome, out / "corrected.xml")
+    return outcome, robot, logs, out
+
+
+def test_verdicts_that_the_whole_robot_confirms_stand(rubbing):
+    outcome, robot, logs, out = rubbing
+    d = judge_servos(outcome, robot, out / "corrected.xml", logs[:1], logs[1:])
+    assert [r.verdict for r in d.joints.values()] == [Verdict.NO_MISMATCH, Verdict.MISSING_PHYSICS, Verdict.NO_MISMATCH]
+    assert d.verdict is Verdict.MISSING_PHYSICS
+
+
+def test_missing_physics_needs_a_lower_held_out_error_in_the_closed_loop(rubbing):
+    outcome, robot, logs, out = rubbing
+    text = (out / "corrected.xml").read_text()
+    level = mujoco.MjModel.from_xml_string(text).dof_frictionloss[1]
+    spec = mujoco.MjSpec.from_string(text)
+    spec.joint("joint2").frictionloss = 4 * level
+    (out / "worse.xml").write_text(spec.to_xml())
+    d = judge_servos(outcome, robot, out / "worse.xml", logs[:1], logs[1:])
+    joint = d.joints["joint2"]
+    assert joint.fit["corrected"].held_out_rms > joint.fit["nominal"].held_out_rms
+    assert joint.verdict is d.verdict is Verdict.UNEXPLAINED
+    assert [f.effect for f in joint.findings] == ["coulomb_friction"]
+    assert "does not lower the held-out error" in joint.summary
+    assert "Structure remains at joint2" in d.summary
+
+
+def test_no_mismatch_needs_a_closed_loop_error_that_nothing_predicts(rubbing):
+    """A corrected file with friction at the third joint that its search did not find."""
+    outcome, robot, logs, out = rubbing
+    spec = mujoco.MjSpec.from_string((out / "corrected.xml").read_text())
+    spec.joint("joint3").frictionloss = 1.0
+    (out / "other.xml").write_text(spec.to_xml())
+    d = judge_servos(outcome, robot, out / "other.xml", logs[:1], logs[1:])
+    assert outcome.diagnosis.joints["joint3"].verdict is Verdict.NO_MISMATCH
+    assert d.joints["joint3"].verdict is Verdict.UNEXPLAINED
+    assert "a black-box model predicts" in d.joints["joint3"].summary
+
+
+def test_a_diverged_run_explains_nothing_and_lowers_nothing(rubbing):
+    s = rubbing[0].searches[0]
+    lost = np.full(len(s.problem.angle), np.nan)
+    assert predictable(s, lost) == (1.0, 0.0)
+    assert not is_explained(s, lost, (0.0, 1.0))
+    good, bad = FitFigures(1.0, 1.0, 1.0, 1.0), FitFigures(math.nan, math.nan, math.nan, math.nan)
+    assert lowered(bad, good)
+    assert not lowered(good, bad)
+    assert not lowered(good, dataclasses.replace(good))
+
+
+def test_the_noise_is_a_threshold(rubbing):
+    s = rubbing[0].searches[0]
+    structure = np.sin(np.arange(len(s.problem.angle)) * 0.05)
+    for size, expected in ((1.4, True), (1.6, False)):
+        e = structure * size * s.problem.noise / float(np.sqrt(np.mean(structure[s.problem.held] ** 2)))
+        e *= min(1.0, size * s.problem.noise / float(np.sqrt(np.mean(e[s.problem.fitted] ** 2)))) if expected else 1.0
+        assert is_explained(s, e, (0.9, 0.0)) is expected
+    assert is_explained(s, structure, (0.01, 0.0))
+    assert is_explained(s, structure, (0.9, 0.5))
+
+
+def test_the_integration_error_halves_with_the_timestep(rubbing):
+    _, robot, logs, _ = rubbing
+    a, b, c = (closed_loop(robot, logs[0], (), 100, finer=k).z for k in (1, 2, 4))
+    assert np.max(np.abs(b - c)) == pytest.approx(0.5 * np.max(np.abs(a - b)), rel=0.15)
