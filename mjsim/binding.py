@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mjsim.errors import InputError
+from mjsim.experiment_table import need_known, need_known_experiment
 from mjsim.hold import HOLDS
 
 __all__ = ["DEFAULT_COLUMNS", "NAMES", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
@@ -156,6 +157,7 @@ class Binding:
             name: _channels(_table(_table(table, "joints", path), name, path), f"{path}: [joints.{name}]", cls.CHANNELS)
             for name in _table(table, "joints", path)
         }
+        need_known_experiment(experiment, path)
         for key, choices in (("loop", ("open", "closed")), ("judge", ("motion", "force"))):
             if experiment.get(key) not in (None, *choices):
                 raise InputError(f"{path}: [experiment] {key}", f"{experiment[key]!r}", " or ".join(choices), "correct it")
@@ -164,7 +166,7 @@ class Binding:
             raise InputError(f"{path}: [experiment] varies", f"{varies!r}", 'a list of names, as ["Jm"]', "correct it")
         if "payload" in experiment:
             raise InputError(
-                f"{path}: [experiment] payload", "not used yet", f"one of {', '.join(cls.KNOWN)}",
+                f"{path}: [experiment] payload", "it is used of robots only", "a model of one joint that holds its payload",
                 "put the payload into the model, and remove the key",
             )  # fmt: skip
         return cls(
@@ -197,9 +199,8 @@ def _table(table: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
 def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> dict[str, Channel]:
     """The channels of a table, by role."""
     channels = {}
+    need_known([key for key in given if key not in Binding.CHANNELS], known, where)
     for key, value in given.items():
-        if key not in Binding.CHANNELS:
-            raise InputError(where, f"key {key!r} is not known", f"{', '.join(known[:-1])} or {known[-1]}", "rename it")
         if isinstance(value, str):
             value = {"column": value}
         if not isinstance(value, dict) or "column" not in value:

@@ -43,8 +43,11 @@ def as_servo(
                     r.source, "it holds the command of a servo and no torque", "a torque, as the model's <motor> has it",
                     "use a servo in the model (<position kp=... kv=...>), or record the torque",
                 )  # fmt: skip
+        unused = {key for r in every for key in r.known if key in ("kp", "kv")}
+        if unused:
+            said = (*said, f"[experiment] {', '.join(sorted(unused))}: not used, since the model has no servo.")
         fitted, kept = ([dataclasses.replace(r, command=None) for r in group] for group in (recordings, held_out))
-        return nominal, fitted, kept, said
+        return nominal, fitted, kept, (*said, *_supply(every))
     for r in every:
         if r.command is None:
             raise InputError(
@@ -53,24 +56,32 @@ def as_servo(
             )  # fmt: skip
         if r.angle is None:
             raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
-    chain, notes = _known(nominal.chain, recordings)
+    chain, notes = _known(nominal.chain, recordings, held_out)
     chain, more = _held(nominal, chain, recordings)
     fitted, kept = ([dataclasses.replace(r, velocity=None) for r in group] for group in (recordings, held_out))
-    return dataclasses.replace(nominal, chain=chain), fitted, kept, (*said, *notes, *more)
+    return dataclasses.replace(nominal, chain=chain), fitted, kept, (*said, *_supply(every), *notes, *more)
 
 
-def _known(chain: Chain, recordings: Sequence[Recording]) -> tuple[Chain, list[str]]:
-    """The chain with the gains that the experiments state, which are then held."""
+def _supply(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """A note where the supply voltage is stated."""
+    stated = any("supply_V" in r.known for r in recordings)
+    return ("[experiment] supply_V: not used, since no effect depends on the supply voltage.",) if stated else ()
+
+
+def _known(chain: Chain, recordings: Sequence[Recording], held_out: Sequence[Recording]) -> tuple[Chain, list[str]]:
+    """The chain with the gains that the experiments state, which are then held. A held-out recording may leave them out."""
     assert chain.servo is not None
     notes, servo, held = [], chain.servo, list(chain.held)
     for name, unit in (("kp", "N m/rad"), ("kv", "N m s/rad")):
-        values = {r.known.get(name) for r in recordings}
+        values = {r.known.get(name) for r in recordings} | {r.known[name] for r in held_out if name in r.known}
         if values == {None}:
             continue
         if len(values) > 1:
             raise InputError("[experiment]", f"{name} differs between the recordings", "one value", "diagnose them apart")
         value = values.pop()
         assert value is not None
+        if name == "kp" and servo.target is Target.VELOCITY:
+            raise InputError("[experiment] kp", f"{chain.actuator!r} is a velocity servo", "kv", "rename the key, or remove it")
         servo = dataclasses.replace(servo, kp=value) if name == "kp" else dataclasses.replace(servo, kv=value)
         held.append(name)
         notes.append(f"{name} = {value:.6g} {unit} is known from the experiment, and held.")

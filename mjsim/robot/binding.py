@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjsim.binding import Channel
+from mjsim.binding import Binding, Channel
 from mjsim.errors import InputError
+from mjsim.experiment_table import need_known, need_known_experiment
 from mjsim.hold import HOLDS
 from mjsim.readers import part_of
 
@@ -34,6 +35,7 @@ class RobotBinding:
     """joints: by joint and channel (column, factor to SI, row of a matrix or None); time: (column, factor), or dt [s].
 
     jitter: stamps may be off by this part of the sample time, and are resampled uniformly.
+    unused: keys of ``[experiment]`` that a robot's diagnosis does not use.
     """
 
     joints: dict[str, dict[str, tuple[str, float, int | None]]]
@@ -43,10 +45,11 @@ class RobotBinding:
     payload: Payload | None
     source: str
     jitter: float = 0.0
+    unused: tuple[str, ...] = ()
 
     @classmethod
     def from_toml(cls, path: Path) -> RobotBinding | None:
-        """The binding that a file states; None when it says nothing of a robot (joints, hold, payload). Raises InputError
+        """The binding that a file states; None when it says nothing of a robot (joints, hold, experiment). Raises InputError
         for a key that is not known."""
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -58,16 +61,21 @@ class RobotBinding:
     def from_tables(cls, table: Mapping[str, Any], path: Path) -> RobotBinding | None:
         """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
         recording, experiment = table.get("recording", {}), table.get("experiment", {})
-        if "joints" not in table and not {"hold", "jitter"} & set(recording) and "payload" not in experiment:
+        need_known(recording, (*Binding.CHANNELS, "dt", "hold", "jitter"), f"{path}: [recording]")
+        need_known_experiment(experiment, path)
+        if (
+            "joints" not in table
+            and not {"hold", "jitter"} & set(recording)
+            and not {"payload", *Binding.KNOWN} & set(experiment)
+        ):
             return None
         joints: dict[str, dict[str, tuple[str, float, int | None]]] = {}
         for name, channels in table.get("joints", {}).items():
             where = f"{path}: [joints.{name}]"
             if not isinstance(channels, dict):
                 raise InputError(where, "no table", "command, torque, angle, ...", "correct it")
+            need_known(channels, CHANNELS, where)
             for key, value in channels.items():
-                if key not in CHANNELS:
-                    raise InputError(where, f"key {key!r} is not known", ", ".join(CHANNELS), "rename it")
                 joints.setdefault(name, {})[key] = _bound(value, MEASURES[key], f"{where} {key}")
         hold = recording.get("hold", "held")
         if hold not in HOLDS:
@@ -80,7 +88,8 @@ class RobotBinding:
         jitter = recording.get("jitter", 0.0)
         if not (isinstance(jitter, int | float) and not isinstance(jitter, bool) and 0 <= jitter < math.inf):
             raise InputError(f"{path}: [recording] jitter", f"{jitter!r}", "a part of the sample time, above zero", "correct it")
-        return cls(joints, time, dt, hold, payload, str(path), float(jitter))
+        unused = tuple(key for key in experiment if key != "payload")
+        return cls(joints, time, dt, hold, payload, str(path), float(jitter), unused)
 
 
 def _bound(value: Any, measures: str, where: str) -> tuple[str, float, int | None]:

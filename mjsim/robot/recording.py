@@ -127,6 +127,8 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
 def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, robot: Robot, *, sha256: str = "") -> RobotRecording:
     """The recording that a table of columns holds, as `load_robot_recording` reads it; ``path``: how messages name the source."""
     notes = list(table.notes)
+    if binding is not None and binding.unused:
+        notes.append(f"[experiment] {', '.join(binding.unused)}: not used of a robot, whose gains are fitted by joint.")
     given = binding.joints if binding is not None and binding.joints else _by_name(path, table, robot, notes)
     _known(path if binding is None else binding.source, tuple(given), robot)
     names = tuple(j for j in robot.joints if j in given)

@@ -75,6 +75,9 @@ def test_joints_are_bound_by_toml(tmp_path):
         ('[joints.pan]\nspeed = "x"', "key 'speed' is not known"),
         ("[experiment]\nkp = 0", "a number above zero"),
         ("[experiment]\npayload = {mass = 1}", "put the payload into the model"),
+        ("[experiment]\nsupplyV = 12", "did you mean 'supply_V'"),
+        ("[experiment]\nmass = 1", "set the mass in the model"),
+        ('[recording]\ncomand = "x"', "did you mean 'command'"),
         ('joints = "pan"', r"a table \[joints\]"),
     ],
 )

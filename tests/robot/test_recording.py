@@ -69,6 +69,28 @@ def test_a_binding_gives_columns_units_and_a_payload(log, robot):
 
 
 @pytest.mark.parametrize(
+    ("toml", "said"),
+    [
+        ("[experiment]\nsuply_V = 12", "did you mean 'supply_V'"),
+        ("[experiment]\npaylod = {body = 'forearm', mass = 1}", "did you mean 'payload'"),
+        ('[recording]\ntim = "time_s"', "did you mean 'time'"),
+        ('[joints.joint1]\nangel = "q"', "did you mean 'angle'"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_the_nearest_name(log, robot, toml, said):
+    path = log()
+    path.with_suffix(".toml").write_text(toml)
+    with pytest.raises(InputError, match=said):
+        load_robot_recording(path, robot)
+
+
+def test_a_known_value_that_no_fit_of_a_robot_uses_is_named(log, robot):
+    path = log()
+    path.with_suffix(".toml").write_text("[experiment]\nkp = 3\nsupply_V = 12\n")
+    assert any("kp, supply_V: not used" in note for note in load_robot_recording(path, robot).notes)
+
+
+@pytest.mark.parametrize(
     ("columns", "said"),
     [
         ({"join2__angle_rad": np.zeros(300)}, "joint 'join2' is not in the model; expected one of joint2"),

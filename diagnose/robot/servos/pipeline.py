@@ -196,7 +196,8 @@ def _told(
         links[name] = payload
         low, high = payload.ci95
         lines = (f"payload or mass of {robot.link_names[-1]}: {payload.value:+.4g} kg [{low:+.4g}, {high:+.4g}]", *lines)
-    notes = [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
+    notes = list(dict.fromkeys(note for r in recordings for note in r.notes))
+    notes += [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
     still = [n for n in recordings[0].joints if n not in joints]
     if still:
         notes.append(f"Not diagnosed, since they do not move enough, have no servo or are not named: {', '.join(still)}.")

@@ -1,0 +1,34 @@
+"""The table ``[experiment]`` of a binding: the names of its keys, for one joint and for robots alike.
+
+``loop``, ``judge``, ``varies``: how one joint is judged. ``kp``, ``kv``: known gains of its servo. ``supply_V``: supply voltage.
+``payload``: a known mass on a robot (`mjsim.robot.binding`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from mjsim.errors import InputError, nearest
+
+__all__ = ["EXPERIMENT_KEYS", "need_known", "need_known_experiment"]
+
+EXPERIMENT_KEYS = ("loop", "judge", "varies", "kp", "kv", "supply_V", "payload")
+
+OTHERWISE = {
+    "mass": "on a robot use payload = {body, mass, pos}; of one joint set the mass in the model",
+    "inertia": "set it in the model",
+}
+
+
+def need_known(given: Collection[str], known: Collection[str], where: str, otherwise: Mapping[str, str] | None = None) -> None:
+    """Raise InputError for a key that is not known, with the nearest known one, or the advice in ``otherwise``."""
+    for key in given:
+        if key not in known:
+            advice = (otherwise or {}).get(key) or nearest(key, known, "rename or remove it")
+            raise InputError(where, f"key {key!r} is not known", ", ".join(known), advice)
+
+
+def need_known_experiment(given: Mapping[str, Any], path: object) -> None:
+    """Raise InputError for a key of ``[experiment]`` that is not known; ``path``: how messages name the file."""
+    need_known(given, EXPERIMENT_KEYS, f"{path}: [experiment]", OTHERWISE)
