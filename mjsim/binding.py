@@ -199,7 +199,7 @@ def _table(table: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
 def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> dict[str, Channel]:
     """The channels of a table, by role."""
     channels = {}
-    need_known([key for key in given if key not in Binding.CHANNELS], known, where)
+    need_known([key for key in given if key not in Binding.CHANNELS], known, where, LEFT_OUT)
     for key, value in given.items():
         if isinstance(value, str):
             value = {"column": value}
@@ -212,6 +212,9 @@ def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> d
             )
         channels[key] = Channel(**_checked(value, f"{where} {key}"))
     return channels
+
+
+LEFT_OUT = {"acceleration": "leave it out: velocity and angle are fitted; where neither is recorded, integrate it to a velocity"}
 
 
 def _above_zero(own: Mapping[str, Any], key: str, path: Path) -> float | None:

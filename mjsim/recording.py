@@ -195,8 +195,7 @@ def from_table(
         raise InputError(binding.source, "no torque channel bound", "torque = ... or command = ...", "add it to [recording]")
     arrays = {role: _values(path, table, role, channel, binding) for role, channel in binding.channels.items()}
     if "velocity" not in arrays and "angle" not in arrays:
-        raise InputError(path, "neither velocity nor angle", f"one of {DEFAULT_COLUMNS['velocity']}, {DEFAULT_COLUMNS['angle']}",
-                         f"add a column or bind one {_in_binding(path)}")  # fmt: skip
+        raise _no_response(path, table)
     role = "torque" if "torque" in arrays else "command"
     count = len(arrays[role])
     if "time" not in arrays:
@@ -231,6 +230,16 @@ def from_table(
         known=binding.known, notes=tuple(notes),
         **{name: arrays.get(name) for name in ARRAYS if name != "torque"},  # type: ignore[arg-type]
         torque=arrays.get("torque", np.full(len(arrays["time"]), np.nan)),
+    )  # fmt: skip
+
+
+def _no_response(path: Path, table: Table) -> InputError:
+    """The one line for a log without velocity and angle, with what an acceleration is good for where there is one."""
+    found = next((f", only {name!r}" for name in table if "accel" in name.lower()), "")
+    todo = " (integrate the acceleration to a velocity)" if found else ""
+    return InputError(
+        path, f"neither velocity nor angle{found}", f"one of {DEFAULT_COLUMNS['velocity']}, {DEFAULT_COLUMNS['angle']}",
+        f"add a column or bind one {_in_binding(path)}{todo}",
     )  # fmt: skip
 
 

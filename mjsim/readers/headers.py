@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 __all__ = ["guess"]
 
@@ -15,40 +15,58 @@ ROLES = {
     "angle": ("angle", "position", "pos", "q", "theta", "winkel"),
 }
 """Channel -> words that a header may call it by."""
+TESTING = {"torque": ("load",), "angle": ("stroke", "displacement")}
+"""The same of testing machines, for channels that no header calls by a word of `ROLES`."""
+_LENGTHS = ("rad", "deg", "mrad", "rev", "m", "mm", "um", "cm", "in", "ft")
 MEASURES = {
     "time": ("s", "ms", "us", "ns"),
-    "torque": ("Nm", "mNm", "kNm", "N", "kN"),
-    "command": ("rad", "deg", "mrad", "rev", "m", "mm", "um"),
-    "velocity": ("rad/s", "deg/s", "rpm", "m/s", "mm/s"),
-    "angle": ("rad", "deg", "mrad", "rev", "m", "mm", "um"),
-}
+    "torque": (
+        "Nm", "mNm", "kNm", "Ncm", "lbf in", "lbf ft", "ozf in", "kgf cm", "N", "kN", "lbf", "kip", "kgf",
+    ),
+    "command": _LENGTHS,
+    "velocity": ("rad/s", "deg/s", "rpm", "rev/s", "m/s", "mm/s", "in/s", "ft/s"),
+    "angle": _LENGTHS,
+}  # fmt: skip
 """Channel -> units that a header may state for it."""
-ALIKE = {"n m": "Nm", "nm": "Nm", "n*m": "Nm", "°": "deg", "°/s": "deg/s", "1/min": "rpm", "u/min": "rpm", "µs": "us", "sec": "s"}
+ALIKE = {
+    "n m": "Nm", "nm": "Nm", "n*m": "Nm", "°": "deg", "°/s": "deg/s", "1/min": "rpm", "u/min": "rpm", "µs": "us", "sec": "s",
+    "inch": "in", "inches": "in", "inch/s": "in/s", "feet": "ft", "kips": "kip", "lbs": "lbf", "lb": "lbf",
+    "lbf*in": "lbf in", "lbf-in": "lbf in", "in-lbf": "lbf in", "in lbf": "lbf in", "lb-in": "lbf in", "in-lb": "lbf in",
+    "lbf*ft": "lbf ft", "lbf-ft": "lbf ft", "ft-lbf": "lbf ft", "ft lbf": "lbf ft", "lb-ft": "lbf ft", "ft-lb": "lbf ft",
+    "ozf-in": "ozf in", "oz-in": "ozf in", "kgf-cm": "kgf cm",
+}  # fmt: skip
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]+)[\])]$")
-_ENDING = re.compile(r"^(?P<name>.*?)[_/ ](?P<unit>rad_s|deg_s|m_s|mm_s|[A-Za-z]+)$")
+_ENDING = re.compile(r"^(?P<name>.*?)[_/ ](?P<unit>rad_s|deg_s|rev_s|m_s|mm_s|in_s|ft_s|[A-Za-z]+)$")
 
 
 def guess(columns: Collection[str]) -> dict[str, tuple[str, str]]:
     """Channel -> (column, unit) where exactly one header names the channel and a unit of it."""
+    found = _named(columns, ROLES)
+    found |= {role: named for role, named in _named(columns, TESTING).items() if role not in found}
+    return {role: named[0] for role, named in found.items() if len(named) == 1}
+
+
+def _named(columns: Collection[str], words: Mapping[str, Collection[str]]) -> dict[str, list[tuple[str, str]]]:
+    """Channel -> the columns, with their units, whose headers name it by one of its words."""
     found: dict[str, list[tuple[str, str]]] = {}
     for column in columns:
         for pattern in (_BRACKETS, _ENDING):
             match = pattern.match(column.strip())
             if match is None:
                 continue
-            role, unit = _role(match["name"]), _unit(match["unit"])
+            role, unit = _role(match["name"], words), _unit(match["unit"])
             if role is not None and unit in MEASURES[role]:
                 found.setdefault(role, []).append((column, unit))
             break
-    return {role: columns[0] for role, columns in found.items() if len(columns) == 1}
+    return found
 
 
-def _role(name: str) -> str | None:
+def _role(name: str, known: Mapping[str, Collection[str]]) -> str | None:
     """The channel that the last or the first word of a header names."""
     words = [w for w in re.split(r"[^a-zµ]+", name.lower()) if w]
     for word in (words[-1:] + words[:1]) if words else ():
-        for role, known in ROLES.items():
-            if word in known:
+        for role, names in known.items():
+            if word in names:
                 return role
     return None
 

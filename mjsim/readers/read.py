@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 READERS: dict[str, Callable[[Path], Table]] = {
     ".csv": read_csv,
-    ".mat": read_mat,
+    ".mat": lambda path: read_mat(*part_of(path)),
     ".npz": read_npz,
     ".parquet": read_parquet,
     ".mcap": read_mcap,

@@ -1,4 +1,7 @@
-"""What a recording is read from: a file, or a folder (LeRobot data set, rosbag2, SAGE), of which ``FOLDER#3`` is one episode."""
+"""What a recording is read from: a file, or a folder (LeRobot data set, rosbag2, SAGE), of which ``FOLDER#3`` is one episode.
+
+Of a MAT file with several experiments ``FILE.mat#2`` is the second.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ KINDS = "a recording (.csv, .mat, .npz, .parquet, .mcap, .bag, .db3, or the fold
 
 
 def part_of(path: Path) -> tuple[Path, int | None]:
-    """Folder and episode of ``FOLDER#3``; any other path as it is."""
+    """Folder and episode of ``FOLDER#3``, file and experiment of ``FILE.mat#2``; any other path as it is."""
     base, mark, number = path.name.rpartition("#")
     if mark and number.isdigit() and not path.exists():
         return path.with_name(base), int(number)
@@ -24,12 +27,20 @@ def part_of(path: Path) -> tuple[Path, int | None]:
 
 def is_source(path: Path) -> bool:
     """Whether there is a file, or a folder of a form that is known."""
-    return path.is_file() or suffix_of(path) in ("lerobot", "rosbag2", "sage")
+    return path.is_file() or _is_experiment(path) or suffix_of(path) in ("lerobot", "rosbag2", "sage")
+
+
+def _is_experiment(path: Path) -> bool:
+    """Whether a path is one experiment of a MAT file."""
+    base, number = part_of(path)
+    return number is not None and base.suffix.lower() == ".mat" and base.is_file()
 
 
 def suffix_of(path: Path) -> str:
     """What says how a source is read: the ending of a file in lower case, or the form of a folder, or empty."""
     base, _ = part_of(path)
+    if _is_experiment(path):
+        return ".mat"
     if not base.is_dir():
         return path.suffix.lower()
     if is_lerobot(base):
@@ -52,7 +63,7 @@ def files_of(path: Path) -> list[Path]:
     """The files that a source is read from."""
     base, _ = part_of(path)
     if not base.is_dir():
-        return [path]
+        return [base if _is_experiment(path) else path]
     form = suffix_of(path)
     if form == "sage":
         return [p for p in (base / name for name in (JOINTS, STATE, CONTROL)) if p.is_file()]
@@ -62,7 +73,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a source: of its bytes; of several files, of their hashes, and of the episode."""
+    """SHA-256 of a source: of its bytes; of several files, or of a part of one, of their hashes and the number of the part."""
     files = files_of(path)
     if files == [path]:
         return _of_file(path)
