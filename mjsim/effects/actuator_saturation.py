@@ -1,6 +1,7 @@
 """Actuator saturation: the drive's torque limit.
 
-tau = clip(u, -L, L); of a servo, u is the force that its law asks for.
+tau = clip(u, -L, L); of a servo, u is the force that its law asks for. A limit of the motor's current (``current_limit``) is this
+effect: with tau = kt i, the current limit is L / kt.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.mjcf.drive_laws import refused_law
 from mjsim.mjcf.servo import read_servo
 from mjsim.quantity import Motion
 from mjsim.servo import Servo
@@ -203,8 +204,9 @@ def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: l
     row = _actuator_row(model, chosen, tendons)
     if row is None or not np.any(row):
         raise outside(source, f"{where} does not act on a joint or a fixed tendon", "drive the joint")
-    if int(model.actuator_gaintype[chosen]) != mujoco.mjtGain.mjGAIN_FIXED:
-        raise outside(source, f"{where} has a gain that depends on the motion", "use <motor>, or gaintype fixed")
+    refused = refused_law(model, chosen)
+    if refused is not None:
+        raise outside(source, f"{where} {refused[0]}", refused[1])
     servo = read_servo(model, chosen, source, names[chosen])
     return Drive(chosen, names[chosen], row, 1.0 if servo else float(model.actuator_gainprm[chosen, 0]), servo)
 

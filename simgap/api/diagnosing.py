@@ -17,7 +17,8 @@ from diagnose.result import Diagnosis as AxisResult
 from diagnose.result import Estimate, Finding, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
 from mjsim.effects import registered
-from mjsim.errors import InputError, nearest
+from mjsim.effects.registry import named_instead
+from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.robot.recording import RobotRecording
 from simgap.api.checking import listed
@@ -326,5 +327,5 @@ def _need_effects(names: Sequence[str], *, robot: bool) -> None:
             continue
         if robot and name in registered():
             raise InputError("--effects", f"effect {name!r} cannot be told of a robot", ", ".join(choices), "correct the name")
-        advice = nearest(name, choices, "simgap effects lists them")
+        advice = named_instead(name, choices, "simgap effects lists them")
         raise InputError("--effects", f"unknown effect {name!r}", ", ".join(choices), advice)

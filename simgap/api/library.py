@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, final
 
 from mjsim.effects import Effect, registered
-from mjsim.errors import nearest
+from mjsim.effects.registry import named_instead
 
 if TYPE_CHECKING:
     import pandas
@@ -31,7 +31,7 @@ class Library(Mapping[str, type[Effect]]):
     def __getitem__(self, name: str) -> type[Effect]:
         known = registered()
         if name not in known:
-            raise KeyError(f"unknown effect {name!r}: {nearest(name, known, 'list(simgap.effects) names them')}")
+            raise KeyError(f"unknown effect {name!r}: {named_instead(name, known, 'list(simgap.effects) names them')}")
         return known[name]
 
     def __iter__(self) -> Iterator[str]:

@@ -94,12 +94,13 @@ def command(name: str | None, as_json: bool) -> None:
 
     The description holds the law, the places, the parameters with units and bounds, and the source in the literature.
     """
-    from mjsim.errors import InputError, nearest
+    from mjsim.effects.registry import named_instead
+    from mjsim.errors import InputError
 
     known = library()
     ids = {cls.id: owner for owner, forms in known.items() for cls in forms}
     if name is not None and name not in ids:
-        raise InputError(f"effect {name!r}", "not known", f"one of {', '.join(known)}", nearest(name, ids))
+        raise InputError(f"effect {name!r}", "not known", f"one of {', '.join(known)}", named_instead(name, ids))
     chosen = known if name is None else {ids[name]: known[ids[name]]}
     if as_json:
         listed = [described(cls) for forms in chosen.values() for cls in forms if name in (None, cls.name(), cls.id)]
