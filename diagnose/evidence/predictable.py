@@ -21,7 +21,8 @@ from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.problem import bounded
-from diagnose.thresholds import WINDOWS
+from diagnose.problem.view import ForceView
+from diagnose.thresholds import INTERVALS, WINDOWS
 from mjsim.axis import Axis
 from mjsim.quantity import Motion
 from mjsim.signals import lfilter
@@ -74,12 +75,18 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
                 torques += [trig, trig * np.tanh(x / 0.05)]
     basis = np.column_stack(torques)
     lagged = [np.concatenate([np.zeros(k), u[:-k]]) for k in (max(1, int(d / r.dt)) for d in (0.001, 0.003, 0.01, 0.03, 0.1))]
-    if fitter.view.channel == "torque":
-        every = fitter.view.decimate
-        return basis[::every]
+    if isinstance(fitter.view, ForceView):
+        laws = [_hats(x), *([] if r.angle is None else [_hats(r.angle)])]
+        return fitter.view.low_passed(np.column_stack([basis, *laws]), experiment)
     b, a = torque_to_velocity(axis, r.dt)
     through = lfilter(b, a, np.column_stack([basis, u, *lagged]))
     return np.column_stack([np.where(bounded(through).all(axis=0), through, 0.0), s])
+
+
+def _hats(x: np.ndarray) -> np.ndarray:
+    """Piecewise linear functions (N, k) of a variable (N,) on equal intervals: any law of it alone."""
+    knots = np.linspace(float(np.min(x)), float(np.max(x)), INTERVALS[0] + 1)
+    return np.column_stack([np.interp(x, knots, one) for one in np.eye(len(knots))])
 
 
 def _regressed(

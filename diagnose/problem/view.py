@@ -278,6 +278,12 @@ class ForceView:
         cutoff = self.cutoff_hz or 0.1 / dt
         return np.asarray(butter(4, min(2 * cutoff * dt, 0.9), output="sos"))
 
+    def low_passed(self, torques: np.ndarray, experiment: Experiment) -> np.ndarray:
+        """Torques (N, k) along the recording as they are judged: low-passed and decimated, (M, k)."""
+        from scipy.signal import sosfiltfilt
+
+        return np.asarray(sosfiltfilt(self._sos(experiment.recording.dt), torques, axis=0)[:: self.decimate])
+
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
         """Torque commanded (through the actuator effects) and torque needed, low-passed and decimated alike."""
         from scipy.signal import sosfiltfilt

@@ -28,7 +28,7 @@ from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.problem.view import ForceView
 from diagnose.structure.search import Search
-from diagnose.thresholds import CLEAR, OBSERVER_GAINS, SENSOR_SHARE, TWICE_NOISE
+from diagnose.thresholds import CLEAR, MOST, OBSERVER_GAINS, SENSOR_SHARE, TWICE_NOISE
 
 __all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
 
@@ -83,9 +83,10 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
     motion = motion_errors(fitter, base, best)
     now = Remaining(structure, motion, _is_unexplained(search, base, search.held_out(best), structure, motion, options))
     now = dataclasses.replace(now, unexplained=now.unexplained or _is_left_behind(fitter, base, best, options))
-    beyond = _beyond_sensors(fitter, search.held_out(best), options)
-    # an effect that earned its name by force keeps it: what is left beside it is said
-    now = dataclasses.replace(now, beyond_sensors=beyond, unexplained=now.unexplained or (beyond and not best.effects))
+    beyond = _beyond_sensors(fitter, search.held_out(best))
+    # effects that explain most of the error keep the verdict: what is left beside them is said
+    little = beyond and not _explains_most(search.held_out(base), search.held_out(best))
+    now = dataclasses.replace(now, beyond_sensors=beyond, unexplained=now.unexplained or little)
     if beyond:
         return now
     if not now.unexplained:
@@ -172,8 +173,13 @@ def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: 
     return held is not None and bool(levels) and held.rms**2 > TWICE_NOISE**2 * float(np.mean(np.square(levels)))
 
 
-def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> bool:
-    """Whether the force that a model misses is more than sensors make of it: over `options.left` of its variance.
+def _explains_most(before: HeldOut | None, after: HeldOut | None) -> bool:
+    """Whether a model takes more than `MOST` of the held-out squared error of the refitted nominal model."""
+    return before is not None and after is not None and after.rms**2 < (1.0 - MOST) * before.rms**2
+
+
+def _beyond_sensors(fitter: Fitter, held: HeldOut | None) -> bool:
+    """Whether the force that a model misses is more than sensors make of it.
 
     The band is such that the noise of the angle, differentiated twice, has `SENSOR_SHARE` of the torque's power; the torque's
     is the white part of it in the same band. `TWICE_NOISE**2` times their sum is allowed.
@@ -186,7 +192,7 @@ def _beyond_sensors(fitter: Fitter, held: HeldOut | None, options: Options) -> b
         u, dt = e.recording.torque, e.recording.dt
         band = min(1.0, 2.0 * dt * (view.cutoff_hz or 0.1 / dt))
         sensors = max(sensors, SENSOR_SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
-    return held.nrmse**2 > max(options.left, TWICE_NOISE**2 * sensors)
+    return held.nrmse**2 > TWICE_NOISE**2 * sensors
 
 
 def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
