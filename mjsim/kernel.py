@@ -152,7 +152,8 @@ def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
 
     Writes w (n_w, m): rows 0 accelerations, 1 torque balance without friction, 2 / 3 breakaway levels forward / backward of
     stuck bodies, 4 coupling torques, 5 elastic deflections, 6 deflection rates, 7 kinematic slopes, 8 alpha, 9 beta, 10 sliding
-    friction (signed), 11 effective inertias, 12 raw deflections.
+    friction (signed), 11 effective inertias, 12 raw deflections; 13, 14 hold what is added to the angles that laws see: to the
+    recorded angle, and to where the recording starts.
     """
     n = len(bodies)
     za, pa = z.ctypes.data, p.ctypes.data
@@ -243,7 +244,7 @@ def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
             z[4] = w[7, 0] * w[4, 0] if i == 0 else w[4, i - 1]
         else:
             z[4] = 0.0
-        z[5] = x[0, i] + w[13, i]
+        z[5] = x[0, i] + w[14 if el[e, 5] else 13, i]
         z[6] = u
         z[7] = x[2, si] if si >= 0 else 0.0
         if kind == KIND_FRICTION and mode[0, i] == 0:
@@ -499,14 +500,14 @@ def integrate(
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
     torque ahead of the first sample; tau > 0 lags it. A sample has ``n_sub`` steps; one in which a bristle at a body may turn, or
     act as a spring, is cut into ``parts``. ``affine``: the equations are affine in every mode. angle (N): measured
-    angle of body 0 for laws locked to it, used when ``locked``. Returns (status, sample, work): 0 done, 1 diverged at that
+    angle of body 0, used when ``locked``: of laws with el[:, 5] == 0 all of it, of the others where it starts. Returns (status, sample, work): 0 done, 1 diverged at that
     sample; what it took, in products of a step: a step by RK4 is four.
     """
     n = len(bodies)
     n_s = s0.shape[0]
     m = max(n, n_s, 1)
     own_x = np.zeros((9, m))
-    own_w = np.zeros((14, m))
+    own_w = np.zeros((15, m))
     own_z = np.zeros(N_LOCAL + 3)
     own_wk = np.zeros((17, m))
     own_mode = np.zeros((5, n), np.int64)
@@ -541,6 +542,9 @@ def integrate(
     for i in range(n):
         any_event = any_event or has_friction[i] or f[5, i] > 0.0
     any_event = any_event or limited or slack
+    if locked:
+        for i in range(n):
+            w[14, i] = ratio[i] * (angle[0] - x[0, 0])
     lag = before
     before_t = 0.0
     before_g = 0.0
@@ -1036,7 +1040,7 @@ def drive(bodies, f, gap_law, gain, servo, el, p, q0, v0, a0, dt, n_sub, t0, res
     m = max(n, n_s, 1)
     x = np.zeros((3, m))
     xn = np.zeros((3, m))
-    w = np.zeros((14, m))
+    w = np.zeros((15, m))
     z = np.zeros(N_LOCAL + 3)
     wk = np.zeros((17, m))
     mode = np.zeros((5, n), np.int64)

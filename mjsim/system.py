@@ -141,7 +141,7 @@ class _Elements:
     """Rows of the kernel's elements as they are gathered, and what they add to the stiffness and damping of n bodies."""
 
     n: int
-    rows: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+    rows: list[tuple[int, int, int, int, int, int]] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     n_states: int = 0
     spatial: float = 0.0
@@ -168,7 +168,8 @@ class _Elements:
         if isinstance(port, P.Friction):
             self.friction[site] = True
             levels = _levels(port)
-        self.rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(self.values), state))
+        own_angle = isinstance(port, P.BodyTorque) and port.spatial == 0
+        self.rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(self.values), state, own_angle))
         self.values.extend(levels or port.p)
 
     def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:
@@ -214,7 +215,7 @@ def assemble(axis: Axis) -> System:
         chain=chain,
         f=f,
         gap_law=axis.backlash_law.value,
-        elements=np.array(elements.rows, np.int64).reshape(-1, 5),
+        elements=np.array(elements.rows, np.int64).reshape(-1, 6),
         parameters=np.array(elements.values or [0.0]),
         has_friction=elements.friction,
         n_states=elements.n_states,
