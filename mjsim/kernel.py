@@ -500,7 +500,8 @@ def integrate(
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
     torque ahead of the first sample; tau > 0 lags it. A sample has ``n_sub`` steps; one in which a bristle at a body may turn, or
     act as a spring, is cut into ``parts``. ``affine``: the equations are affine in every mode. angle (N): measured
-    angle of body 0, used when ``locked``: of laws with el[:, 5] == 0 all of it, of the others where it starts. Returns (status, sample, work): 0 done, 1 diverged at that
+    angle of body 0, used when ``locked``: of laws with el[:, 5] == 0 all of it, of the others where it starts.
+    Returns (status, sample, work): 0 done, 1 diverged at that
     sample; what it took, in products of a step: a step by RK4 is four.
     """
     n = len(bodies)

@@ -132,8 +132,9 @@ def simulate(
     ``hold``: how the input goes between samples (`mjsim.hold.between`).
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
-    ``angle`` (N,): measured angle of body 0, to which position-locked laws are then tied, ahead of what the sensor path does to
-    it; ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
+    ``angle`` (N,): measured angle of body 0, ahead of what the sensor path does to it; laws that repeat over the angle are
+    tied to it, a torque without a spatial frequency (gravity, a spring) acts at the model's own angle from where it starts;
+    ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
     accuracy rule of `System.substeps` by ``step``; a model that needs more than ``most_substeps`` is not run. Raises
     DivergedError.
     """

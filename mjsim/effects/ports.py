@@ -7,7 +7,8 @@ For body i with inertia J_i and coupling j between bodies j and j+1 (deflection 
 
 An internal state s is declared in relaxation form, s' = alpha - beta s with beta >= 0, so that any runner can integrate it
 without a stability limit: the law writes ``out[1] = alpha, out[2] = beta``. ``spatial`` is the highest angular frequency of a law over the angle [rad per rad | m]; runners
-choose their step by it.
+choose their step by it. A body torque with ``spatial`` 0 (gravity, a spring) holds the axis in place and acts at the model's own
+angle; where the recorded angle is given, all other laws are tied to that, whose phase a drift of the model would lose.
 """
 
 from __future__ import annotations
