@@ -11,10 +11,10 @@ import numpy as np
 
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.effects import ports as P  # noqa: N812
-from mjsim.effects.law import DIRECTION, N_LOCAL, RATE, STATE, Law
+from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, RATE, STATE, Law
 from mjsim.servo import Target
 
-__all__ = ["MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "split_chain"]
+__all__ = ["MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "restoring", "split_chain"]
 
 STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
 SLIDES = 4.0  # times a bristle settles within a step, past which it only slides: the spring that it is at rest is not there
@@ -117,15 +117,25 @@ def split_chain(chain: Chain, port: P.SplitInertia) -> Chain:
     return dataclasses.replace(chain, bodies=(*chain.bodies[:-1], near, far), couplings=(*chain.couplings, joint))
 
 
-def _slope(law: Law, p: tuple[float, ...], local: int, step: float) -> float:
-    """How fast a law's torque falls as one local quantity grows from rest: the spring, or damper, that it is there."""
+def _slope(law: Law, p: tuple[float, ...], local: int, step: float, about: float = 0.0) -> float:
+    """How fast a law's torque falls as one local quantity grows, all others at zero: the spring, or damper, that it is there."""
     torque = []
     for x in (-step, step):
         z, out = [0.0] * N_LOCAL, [0.0] * 3
-        z[local] = x
+        z[local] = about + x
         law(z, p, out)
         torque.append(out[0])
     return (torque[0] - torque[1]) / (2.0 * step)
+
+
+def restoring(axis: Axis, about: float = 0.0) -> np.ndarray:
+    """Stiffness (n,) [N m/rad | N/m] by which gravity and springs hold each body where body 0 stands at ``about`` [rad | m]."""
+    k = np.zeros(len(axis.chain.bodies))
+    for effect in axis.effects:
+        for port in effect.ports(axis.chain):
+            if isinstance(port, P.BodyTorque) and port.body < len(k) and not (port.spatial or port.state or port.timed):
+                k[port.body] += _slope(port.law, port.p, ANGLE, 1e-3, about * axis.chain.total_ratio(port.body))
+    return k
 
 
 def _yields(law: Law, p: tuple[float, ...]) -> float:

@@ -22,6 +22,7 @@ __all__ = [
     "hold_out_blocks",
     "measured_angle",
     "measured_velocity",
+    "middle",
     "plain_step",
     "prepare",
     "start_angle",
@@ -66,6 +67,11 @@ def measured_velocity(recording: Recording) -> np.ndarray:
         return recording.velocity
     assert recording.angle is not None
     return np.gradient(recording.angle, recording.dt)
+
+
+def middle(recording: Recording) -> float:
+    """The mean angle [rad | m], 0 where there is no angle."""
+    return 0.0 if recording.angle is None else float(np.mean(recording.angle))
 
 
 def start_angle(recording: Recording) -> float:

@@ -16,17 +16,18 @@ from diagnose.fit.whiten import levinson
 from diagnose.thresholds import FEW_TAPS
 from mjsim.axis import Axis
 from mjsim.signals import freqz, lfilter
-from mjsim.system import assemble, state_matrix
+from mjsim.system import assemble, restoring, state_matrix
 
 __all__ = ["find_orders", "torque_to_velocity"]
 
 Run = Callable[[Sequence[Callable[[], float]]], list[float]]
 
 
-def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0, without effects.
+def torque_to_velocity(axis: Axis, dt: float, body: int = 0, about: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0.
 
-    Under a servo, whose model is judged on its angle: to the angle of body 0.
+    Of the effects, gravity and springs that hold the axis near an angle ``about`` [rad | m] are part of it. Under a servo, whose
+    model is judged on its angle: to the angle of body 0.
     """
     linear = Axis(axis.chain)
     s = assemble(linear)
@@ -37,6 +38,11 @@ def torque_to_velocity(axis: Axis, dt: float, body: int = 0) -> tuple[np.ndarray
     b[n + body] = 1.0 / s.f[0, body]
     if axis.chain.servo is not None:
         return _discrete(a, b, np.eye(1, 2 * n), dt)
+    held = restoring(axis, about)
+    if held.any():
+        swinging = state_matrix(s.f, held)
+        if np.max(np.linalg.eigvals(swinging).real) < 0:  # elsewhere it falls over, as no linear model follows for long
+            return _discrete(swinging, b, np.eye(1, 2 * n, n), dt)
     # drop the rigid-body position: angles relative to a rigid chain, so that the system has no integrator
     t = np.eye(2 * n)
     for i in range(1, n):

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment, measured_velocity
+from diagnose.data.experiment import Experiment, measured_velocity, middle
 from diagnose.data.runs import free_run
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
@@ -63,7 +63,7 @@ def disturbance(fitter: Fitter, on: Played, body: int = 0) -> np.ndarray:
     if fitter.view.channel == "torque":
         # commanded minus needed: what acted on top of the command is its negative
         return -e * (1.0 if body == 0 else 1.0 / axis.chain.total_ratio(body))
-    b, a = torque_to_velocity(axis, experiment.recording.dt, body)
+    b, a = torque_to_velocity(axis, experiment.recording.dt, body, middle(experiment.recording))
     n = len(e)
     pad = 2 * n
     spectrum = np.fft.rfft(e - 0.0, pad)

@@ -23,7 +23,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment
+from diagnose.data.experiment import Experiment, middle
 from diagnose.evidence.held_out import compare
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.explain.map_regression import Regression, Solution, roughness, solve
@@ -156,7 +156,7 @@ class _Responses:
     def _through(self, axis: Axis, r: int, experiment: Experiment, body: int, torque: np.ndarray) -> np.ndarray:
         """Velocity of body 0 (N, k) that torques (N, k) on a body make; no number where it leaves all bounds."""
         if (r, body) not in self.filters:
-            self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body)
+            self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body, middle(experiment.recording))
         response = lfilter(*self.filters[(r, body)], torque)
         return np.where(bounded(response), response, np.nan)
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diagnose.evidence.orders import torque_to_velocity
 from mjsim.axis import Axis
 from mjsim.chain import Body, Chain
 from mjsim.effects import effect_class
 from mjsim.ode import simulate
+from mjsim.signals import lfilter
+from mjsim.system import restoring
 
 DT = 2e-3
 CHAIN = Chain((Body("motor", 0.04, 0.05, "hinge"),), ())
@@ -38,3 +41,19 @@ def test_a_ripple_follows_the_recorded_angle():
     assert np.max(np.abs(simulate(axis, PUSH, DT, angle=run.angle + 0.05).velocity - run.velocity)) > 1e-3
     start = np.array([[0.3], [0.0]])
     np.testing.assert_allclose(simulate(axis, PUSH, DT, angle=run.angle, initial=start).velocity, run.velocity, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "about", "stiffness"), [(GRAVITY, 0.5, 1.4 * np.cos(0.7)), (SPRING, 3.0, 2.0), (RIPPLE, 0.0, 0.0)]
+)
+def test_stiffness_that_holds_the_axis_in_place(effect, about, stiffness):
+    assert restoring(Axis(CHAIN) + effect, about) == pytest.approx([stiffness], rel=1e-5)
+
+
+def test_the_linear_model_swings_as_the_axis_does():
+    axis = Axis(CHAIN) + GRAVITY
+    small = 1e-3 * PUSH
+    at = -GRAVITY.phase_rad
+    run = simulate(axis, small, DT, initial=np.array([[at], [0.0]]))
+    b, a = torque_to_velocity(axis, DT, about=at)
+    np.testing.assert_allclose(lfilter(b, a, small), run.velocity, atol=1e-3 * np.max(np.abs(run.velocity)))

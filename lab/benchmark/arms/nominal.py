@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.data.experiment import prepare
+from diagnose.data.experiment import middle, prepare
 from diagnose.evidence.orders import find_orders, torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
@@ -61,5 +61,5 @@ def orders(fitter: Fitter, fitted: Fitted) -> tuple[float, ...]:
     e = fitter.error(fitted.axis, experiment, fitted.hypothesis.initial(fitted.fit.x, 0))
     if r.angle is None or r.velocity is None or e is None:
         return ()
-    b, a = torque_to_velocity(fitted.axis, r.dt)
+    b, a = torque_to_velocity(fitted.axis, r.dt, about=middle(r))
     return find_orders(e, r.angle, r.velocity, b, a, r.dt, keep=fitter.counted(experiment))
