@@ -60,6 +60,12 @@ class System:
         """Number of bodies."""
         return len(self.chain.bodies)
 
+    def tied(self) -> System:
+        """The same with all laws over the angle tied to a recorded one, gravity and springs too: nearly linear in its numbers."""
+        elements = self.elements.copy()
+        elements[:, 5] = 0
+        return dataclasses.replace(self, elements=elements)
+
     def initial(self, given: np.ndarray | None) -> np.ndarray:
         """Angles and velocities (2, n) at the start, zero where None is given; bodies that an effect added start undeflected."""
         x = np.zeros((2, self.n))

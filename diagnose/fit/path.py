@@ -16,8 +16,9 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.view import MotionView, highest_observer_gain
 from diagnose.thresholds import HORIZONS, OBSERVER_GAINS
+from mjsim.system import restoring
 
-__all__ = ["observed", "over_horizons", "relaxed"]
+__all__ = ["observed", "over_horizons", "relaxed", "tied"]
 
 
 def observed(
@@ -75,6 +76,21 @@ def relaxed(fitter: Fitter, fitted: Fitted) -> Fitted:
     order = sorted(range(len(starts)), key=lambda i: costs[i])[:2]
     best = min(fitter.map([partial(fitter.by_secants, h, starts[i]) for i in order]), key=lambda f: f.chi2)
     return best if best.ok and best.chi2 < fitted.chi2 else fitted
+
+
+def tied(fitter: Fitter, fitted: Fitted) -> Fitted:
+    """A structure fitted with gravity and springs at the recorded angle, and from there with these at its own.
+
+    A swing that goes otherwise than the recorded one is a minimum of its own; where the angle is given there is none. The fit
+    itself where nothing holds the axis in place.
+    """
+    holds = restoring(fitted.axis).any() and all(e.recording.angle is not None for e in fitter.experiments)
+    if not holds or not isinstance(fitter.view, MotionView) or fitter.view.channel != "velocity":
+        return fitted
+    part = fitter.related(fitter.problem.tied())
+    found = part.fit(fitted.hypothesis)
+    fitter.count_work(part.work)
+    return fitter.fit(fitted.hypothesis, found.fit.x) if found.ok else fitted
 
 
 def over_horizons(fitter: Fitter, fitted: Fitted, linear: Mapping[str, float] | None, iterations: int = 12) -> Fitted:

@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.path import over_horizons, relaxed
+from diagnose.fit.path import over_horizons, relaxed, tied
 from diagnose.problem.hypothesis import make
 from diagnose.thresholds import ABOUT, FAR, STARTS, TWICE_NOISE
 from mjsim.effects import Effect
@@ -30,11 +30,8 @@ def about_nominal(fitter: Fitter, f: Fitted) -> Fitted:
     factors = np.exp(ABOUT * rng.standard_normal((STARTS, len(nominal))))
     starts = [dict(zip(nominal, list(nominal.values()) * row, strict=True)) for row in factors]
     begin = [partial(fitter.fit, fitter.hypothesis((), s), iterations=8, rival=True) for s in starts]
-    best = min(
-        (g for g in fitter.map([*begin, partial(over_horizons, fitter, f, nominal), partial(relaxed, fitter, f)]) if g.ok),
-        key=lambda g: g.chi2,
-        default=f,
-    )
+    paths = (partial(over_horizons, fitter, f, nominal), partial(relaxed, fitter, f), partial(tied, fitter, f))
+    best = min((g for g in fitter.map([*begin, *paths]) if g.ok), key=lambda g: g.chi2, default=f)
     best = fitter.fit(best.hypothesis, best.fit.x) if best.chi2 < f.chi2 else f
     return best if best.ok and best.chi2 < f.chi2 / TWICE_NOISE**2 else f
 

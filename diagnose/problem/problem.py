@@ -118,6 +118,11 @@ class Problem:
         assert isinstance(self.view, MotionView)
         return self.on(self.experiments, self.experiments, dataclasses.replace(self.view, observer_gain=gain), held_out)
 
+    def tied(self) -> Problem:
+        """The same with gravity and springs at the recorded angle."""
+        assert isinstance(self.view, MotionView)
+        return self.on(self.experiments, self.experiments, dataclasses.replace(self.view, tied=True))
+
     def decimated(self, experiments: tuple[Experiment, ...], view: View, every: int) -> Problem:
         """On every so-manyth sample: costs, and what the nominal model says, are so many times smaller."""
         return self.on(experiments, self.experiments, view).relax(prior_weight=self.prior_weight / every)

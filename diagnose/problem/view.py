@@ -132,6 +132,7 @@ class MotionView:
 
     lead [1/s]: rate at which a torque draws the model to the recorded velocity, by its own motor inertia; 0 for a free run.
     Under an observer gain a model forgets its past within 1 / gain: events do not add up, and its error has fewer minima.
+    tied: gravity and springs act at the recorded angle too, so that a run cannot swing otherwise than the recording does.
     most_substeps: of a run, a sample; a model that needs more is not run. step [rad]: by which the fastest motion turns in one.
     Source: C. P. Vyasarayani et al., Multibody Syst. Dyn. 26 (2011) 411.
     """
@@ -139,6 +140,7 @@ class MotionView:
     channel: str = "velocity"
     decimate: int = 1
     observer_gain: float = 0.0
+    tied: bool = False
     most_substeps: int = MOST_SUBSTEPS
     step: float = STEP
 
@@ -162,6 +164,8 @@ class MotionView:
             if self.observer_gain > 0:  # gain J (v - v_model): the first part is input, the second viscous friction
                 torque = self._observer_torque(system, experiment, axis)
                 system = dataclasses.replace(system, input_maps=(), input_lag=0.0, input_delay=0.0)
+            if self.tied:
+                system = system.tied()
             rounding = [m.c for m in system.output_maps if m.map is StaticMap.ROUND]
             if rounding:
                 rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)

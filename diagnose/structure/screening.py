@@ -34,12 +34,18 @@ def _decimated(e: Experiment, every: int) -> Experiment:
     r = e.recording
     n = len(r) // every
     at = slice(0, n * every, every)
+
+    def mean(x: np.ndarray) -> np.ndarray:
+        return np.asarray(x[: n * every].reshape(n, every).mean(axis=1))
+
     part = dataclasses.replace(
-        r, time=r.time[at], dt=every * r.dt, torque=r.torque[: n * every].reshape(n, every).mean(axis=1),
+        r, time=r.time[at], dt=every * r.dt, torque=mean(r.torque),
+        known_torque=None if r.known_torque is None else mean(r.known_torque),
         velocity=None if r.velocity is None else r.velocity[at], angle=None if r.angle is None else r.angle[at],
         second_angle=None, second_velocity=None, columns={},
     )  # fmt: skip
-    return dataclasses.replace(e, recording=part, counts=e.counts[at])
+    correction = None if e.correction is None else e.correction[at]
+    return dataclasses.replace(e, recording=part, counts=e.counts[at], correction=correction)
 
 
 def _corrected(experiments: Sequence[Experiment], sigma: Sequence[float], off: np.ndarray) -> tuple[Experiment, ...]:
@@ -49,9 +55,9 @@ def _corrected(experiments: Sequence[Experiment], sigma: Sequence[float], off: n
     """
     out, first = [], 0
     for e, s in zip(experiments, sigma, strict=True):
-        correction = np.zeros(len(e.recording))
+        correction = np.zeros(len(e.recording)) if e.correction is None else e.correction.copy()
         count = int(np.sum(e.counts))
-        correction[e.counts] = -s * off[first : first + count]
+        correction[e.counts] -= s * off[first : first + count]
         out.append(dataclasses.replace(e, correction=correction))
         first += count
     return tuple(out)
