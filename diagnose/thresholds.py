@@ -121,7 +121,12 @@ MOST_FILTERS = _number("MOST_FILTERS", COST, 2, "searches", "on whitened errors"
 MAP_RUNS = _number("MAP_RUNS", COST, 1500, "runs", "after which no further map is tried", "torque_map")
 TRIED = _number("TRIED", COST, 3, "maps", "that are fitted in the model", "torque_map")
 SECOND_SPLIT = _number(
-    "SECOND_SPLIT", COST, 1 / 3, "of the budget", "for a search of another split, whatever the first took", "flow"
+    "SECOND_SPLIT",
+    COST,
+    1 / 3,
+    "of the budget",
+    "for a search of another split, or tied to the recorded angle, whatever the first took",
+    "flow",
 )
 RUNS = _number("RUNS", COST, 14_000, "runs", "some 20 s for 10 s at 2 kHz on two cores", "budget")
 HIGHEST_TRIAL = _number(

@@ -16,7 +16,6 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.view import MotionView, highest_observer_gain
 from diagnose.thresholds import HORIZONS, OBSERVER_GAINS
-from mjsim.system import restoring
 
 __all__ = ["observed", "over_horizons", "relaxed", "tied"]
 
@@ -84,8 +83,7 @@ def tied(fitter: Fitter, fitted: Fitted) -> Fitted:
     A swing that goes otherwise than the recorded one is a minimum of its own; where the angle is given there is none. The fit
     itself where nothing holds the axis in place.
     """
-    holds = restoring(fitted.axis).any() and all(e.recording.angle is not None for e in fitter.experiments)
-    if not holds or not isinstance(fitter.view, MotionView) or fitter.view.channel != "velocity":
+    if not fitter.problem.holds:
         return fitted
     part = fitter.related(fitter.problem.tied())
     found = part.fit(fitted.hypothesis)

@@ -27,7 +27,7 @@ from diagnose.thresholds import PRIOR
 from mjsim.axis import Axis
 from mjsim.effects import Effect, Scales
 from mjsim.signals import lfilter, weigh_into
-from mjsim.system import STEP, assemble
+from mjsim.system import STEP, assemble, restoring
 
 __all__ = ["Problem", "Residual", "bounded"]
 
@@ -121,7 +121,14 @@ class Problem:
     def tied(self) -> Problem:
         """The same with gravity and springs at the recorded angle."""
         assert isinstance(self.view, MotionView)
-        return self.on(self.experiments, self.experiments, dataclasses.replace(self.view, tied=True))
+        return self.on(self.experiments, self.experiments, dataclasses.replace(self.view, tied=True), self.held_out)
+
+    @property
+    def holds(self) -> bool:
+        """Whether gravity or a spring of the nominal model holds the axis near an angle that is recorded, in a free run."""
+        free = isinstance(self.view, MotionView) and self.view.channel == "velocity"
+        recorded = all(e.recording.angle is not None for e in (*self.experiments, *self.held_out))
+        return free and recorded and bool(restoring(self.nominal).any())
 
     def decimated(self, experiments: tuple[Experiment, ...], view: View, every: int) -> Problem:
         """On every so-manyth sample: costs, and what the nominal model says, are so many times smaller."""

@@ -37,7 +37,7 @@ from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
 from diagnose.structure.search import Search
-from diagnose.thresholds import MATERIAL, MOST_FILTERS, ORDERS_TRIED, TWICE_NOISE
+from diagnose.thresholds import FAR, MATERIAL, MOST_FILTERS, ORDERS_TRIED, SECOND_SPLIT, TWICE_NOISE
 from mjsim.errors import InputError
 
 __all__ = ["searched"]
@@ -198,9 +198,9 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     then it is sought once more.
     """
     known = fitter.noise.absolute
-    search, best = _search(
-        fitter, options, progress, began, partial(_leaves_coloured_noise, missed=options.missed) if known else None
-    )
+    alone = partial(_leaves_coloured_noise, missed=options.missed) if known else None
+    search, best = _search(fitter, options, progress, began, alone)
+    search, best = _or_tied(search, best, options, progress, began)
     fitter = search.fitter
     noise_only = _NoiseOnly(options.missed, unknown=True)
     if not known or not (noise_only(fitter, best) or noise_only(fitter, pooled(fitter, best))):
@@ -228,6 +228,28 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
             before.use(before.fitter.with_orders(fitter.orders, fitter.problem.swung))
             return before, found, len(before.fitter.whitening) > 1
     return search, best, len(search.fitter.whitening) > 1
+
+
+def _or_tied(search: Search, best: Fitted, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted]:
+    """The search, or where it leaves much the one from what is found with gravity and springs at the recorded angle, if better.
+
+    A model whose physics is far off swings otherwise than the recording, and what it lacks is then judged about a wrong motion.
+    """
+    fitter = search.fitter
+    if not fitter.problem.holds or not fitter.above(best, FAR):
+        return search, best
+    part, more = fitter.related(fitter.problem.tied()), SECOND_SPLIT * fitter.most_runs
+    part.allow(more)
+    _, found = _search(part, options, progress, began)
+    fitter.count_work(part.work)
+    if not found.ok or not found.effects:
+        return search, best
+    fitter.allow(fitter.runs + more)
+    other, again = _search(fitter, options, progress, began, known=found)
+    if not again.ok or search.criterion(again) >= search.criterion(best):
+        return search, best
+    other.state.tested += search.tested
+    return other, again
 
 
 def _scaled(fitter: Fitter, f: Fitted, filter_: np.ndarray) -> np.ndarray:
