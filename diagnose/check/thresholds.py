@@ -6,8 +6,8 @@ from statistics import NormalDist
 
 __all__ = [
     "ACTUATOR_DELAY", "CLIPPED_SHARE", "CONTENT_DROP", "DISTINCT", "EDGE_DROP", "EDGE_SLOPE", "EQUAL_NEIGHBOURS",
-    "EXCESS_TOLD", "FAMILY_LEVEL", "FLOOR_SLOPE", "FOLLOWED", "GAP_STEP", "HOLD_TOLERANCE", "INTERPOLATED",
-    "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "PARAMETER_FACTOR", "RANGE_FIX", "RATIO_TOLERANCE",
+    "EXCESS_TOLD", "FAMILY_LEVEL", "FLOOR_SLOPE", "FOLLOWED", "GAP_STEP", "HOLD_TOLERANCE", "IMPACTS", "IMPACT_NOISE",
+    "INTERPOLATED",    "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "PARAMETER_FACTOR", "RANGE_FIX", "RATIO_TOLERANCE",
     "RESOLVED", "SHAPE_SPREAD", "SKEW_FIX", "STRAIGHT", "TESTS", "Z95", "Z_TEST",
 ]  # fmt: skip
 
@@ -97,6 +97,13 @@ HOLD_TOLERANCE = 0.25
 
 RANGE_FIX = 0.05
 """Part of the joint's range beyond which motion outside it is no play of a stop: stops of industrial joints give by less."""
+
+IMPACTS = 3
+"""Impacts at one end of the travel that are a stop: a knock from outside comes at any angle, and falls three times into the same
+twentieth of the travel with a chance of 1e-4."""
+
+IMPACT_NOISE = 6.0
+"""Standard deviations of a velocity difference beyond which it is no noise: 2e-9 a sample, 2e-4 over 1e5 samples."""
 
 STRAIGHT = 1e-6
 """Second difference over its rms, up to which a signal counts as straight: rounding of printed numbers; noise is below it with

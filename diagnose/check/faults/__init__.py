@@ -7,6 +7,7 @@ from diagnose.check.faults import constant_input as constant_input
 from diagnose.check.faults import duplicated_rows as duplicated_rows
 from diagnose.check.faults import hold as hold
 from diagnose.check.faults import joint_range as joint_range
+from diagnose.check.faults import joint_stop as joint_stop
 from diagnose.check.faults import low_pass as low_pass
 from diagnose.check.faults import quantisation as quantisation
 from diagnose.check.faults import same_column as same_column
