@@ -15,6 +15,7 @@ import numpy as np
 from mjsim.chain import Chain
 from mjsim.errors import InputError
 from mjsim.mjcf.chain import Found
+from mjsim.mjcf.general import spelled_out
 from mjsim.mjcf.xmltext import Node, XmlText
 
 __all__ = ["MjcfEditor", "element", "number", "row"]
@@ -200,10 +201,12 @@ class MjcfEditor:
         return self.chain.motion.value == "hinge" and (compiler is None or compiler.attributes.get("angle", "degree") == "degree")
 
     def general(self) -> str:
-        """Turn the bound <motor> into the <general> that it stands for, which takes any attribute."""
+        """Turn the bound actuator into the <general> that it stands for, which takes any attribute."""
         name = self.found.layout.drive.name
         node = self.node("actuator", name)
         if node.tag != "general":
+            if node.tag != "motor":
+                self.set("actuator", name, **spelled_out(self.model, self.found.layout.drive.id, node.attributes))
             self.undo.append(("actuator", name, "<tag>", node.tag))
             self.xml.rename(node, "general")
         return name

@@ -9,8 +9,8 @@ from pathlib import Path
 import mujoco
 
 from mjsim.errors import InputError
+from mjsim.mjcf.general import SHORT
 from mjsim.mjcf.servo import bias_of
-from mjsim.mjcf.servo_write import SHORT
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.servo import Servo, Target
 
