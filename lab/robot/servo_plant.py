@@ -22,6 +22,7 @@ from lab.robot.arm import GRAVITY, Arm
 
 __all__ = ["ServoJoint", "ServoRobot", "command_for", "servo_mjcf", "simulate", "write_servo_log"]
 
+HOSE = 1.2  # [1/rad]
 STEP = 5e-4  # [s]: the numerical damping of a step is kp h / 2, a thousandth of a servo's own
 
 
@@ -33,7 +34,8 @@ class ServoJoint:
     Stribeck; dead_band
     [rad]; slew [rad/s]; delay [s]; stall [N m], no_load [rad/s]: limit of torque and speed; ripple [N m], order [1/rad]:
     torque over the
-    angle; offset [N m].
+    angle; offset [N m]; sublinear, exponent: friction sublinear |v|^exponent; cable [N m]: a hose that stiffens to one side, which
+    opposes with cable (exp(`HOSE` q) - 1).
     """
 
     kp: float
@@ -50,6 +52,9 @@ class ServoJoint:
     ripple: float = 0.0
     order: float = 0.0
     offset: float = 0.0
+    sublinear: float = 0.0
+    exponent: float = 1.0
+    cable: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -164,7 +169,8 @@ def _run(place, axis, mass, centre, inertia, rotor, viscous, servos, lead, dt, e
             impulse = M @ v
             links = bias + M @ acceleration - rotor * acceleration  # torque that the links need
             for j in range(n):
-                kp, kv, friction, load, extra, speed, band, slew, delay, stall, no_load, ripple, order, offset = servos[j]
+                kp, kv, friction, load, extra, speed, band, slew, delay, stall, no_load, ripple, order, offset = servos[j, :14]
+                sublinear, exponent, cable = servos[j, 14:]
                 goal = lead[max(int(np.floor(k + (i + 0.5) / each - delay / dt)), 0), j]
                 if slew > 0:
                     target[j] += min(max(goal - target[j], -slew * h), slew * h)
@@ -183,10 +189,12 @@ def _run(place, axis, mass, centre, inertia, rotor, viscous, servos, lead, dt, e
                         constant, stiff, damp = -stall, 0.0, slope
                 # trapezoidal in the servo: half of its stiffness and damping at either end of the step
                 p[j] = impulse[j] + h * (constant - bias[j] + offset - ripple * np.sin(order * q[j]))
+                p[j] -= h * cable * (np.exp(HOSE * q[j]) - 1.0)
                 p[j] -= 0.5 * h * (damp + viscous[j]) * v[j]
                 A[j] = M[j]
                 A[j, j] += 0.5 * h * (damp + viscous[j]) + 0.5 * h * h * stiff
                 level[j] = friction + load * abs(links[j]) + extra * np.exp(-((v[j] / speed) ** 2))
+                level[j] += sublinear * np.abs(v[j]) ** exponent
             new = v.copy()
             for _ in range(60):
                 change = 0.0
@@ -206,17 +214,27 @@ def _run(place, axis, mass, centre, inertia, rotor, viscous, servos, lead, dt, e
 
 
 def write_servo_log(
-    robot: ServoRobot, path: Path, seed: int, seconds: float = 30.0, rate: float = 50.0, step: float = 2 * np.pi / 16384
+    robot: ServoRobot,
+    path: Path,
+    seed: int,
+    seconds: float = 30.0,
+    rate: float = 50.0,
+    step: float = 2 * np.pi / 16384,
+    *,
+    base: float = 0.05,
+    late: Mapping[int, int] | None = None,
 ) -> Mapping[str, np.ndarray]:
     """Simulate a program of commands drawn from a seed and write the log: time, commands and positions rounded to the
-    encoder's step [rad].
+    encoder's step [rad]; base: lowest frequency of the commands [Hz]; late: samples by which the position column of a joint is late.
 
     Returns the columns by name.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate)) / rate
-    command = command_for(robot, rng, t)
+    command = command_for(robot, rng, t, base)
     q = simulate(robot, command, 1 / rate)
+    for joint, samples in (late or {}).items():
+        q[:, joint] = np.concatenate([np.full(samples, q[0, joint]), q[: len(q) - samples, joint]])
     q = step * np.round((q + 0.3 * step * rng.standard_normal(q.shape)) / step)
     columns = {"time_s": t}
     for i in range(len(robot.servos)):
