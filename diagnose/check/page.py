@@ -18,6 +18,7 @@ from diagnose.report.figures import number, prose, unit
 from diagnose.report.plots import Axis, Chart, Line, Panel, Span, page_data
 from mjsim.errors import InputError
 from mjsim.recording import Recording
+from mjsim.robot.recording import RobotRecording
 
 __all__ = ["WORDS", "render_check", "write_check"]
 
@@ -29,7 +30,7 @@ WORDS = {
 _CHANNELS = ("torque", "velocity", "angle")
 
 
-def write_check(check: LogCheck, recordings: Sequence[Recording], model: str, out: Path) -> None:
+def write_check(check: LogCheck, recordings: Sequence[Recording | RobotRecording], model: str, out: Path) -> None:
     """Write both files into the folder ``out``. Raises InputError where it cannot be written."""
     texts = {
         "check.json": json.dumps(_finite({"model": model, **check.as_dict()}), indent=2) + "\n",
@@ -51,7 +52,7 @@ def write_check(check: LogCheck, recordings: Sequence[Recording], model: str, ou
                 part.unlink(missing_ok=True)
 
 
-def render_check(check: LogCheck, recordings: Sequence[Recording], model: str) -> str:
+def render_check(check: LogCheck, recordings: Sequence[Recording | RobotRecording], model: str) -> str:
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
 
@@ -61,7 +62,9 @@ def render_check(check: LogCheck, recordings: Sequence[Recording], model: str) -
     environment.filters |= {"number": number, "unit": unit, "prose": prose}
     template = environment.from_string((files("diagnose.check") / "page.html.j2").read_text(encoding="utf-8"))
     word, colour = WORDS[check.verdict]
-    drawn = [(r.source, _charts(check, r, i)) for i, r in enumerate(recordings)]
+    drawn = [
+        (r.source, _of_joints(r, i) if isinstance(r, RobotRecording) else _charts(check, r, i)) for i, r in enumerate(recordings)
+    ]
     columns = [Column("Family"), Column("Identifiable"), Column("Why", wide=True)]
     excitation = [(prose(e.family), "yes" if e.identifiable else "no", prose(e.sentence)) for e in check.excitation]
     names = ", ".join(r.source for r in recordings)
@@ -101,6 +104,22 @@ def _charts(check: LogCheck, recording: Recording, index: int) -> list[tuple[Cha
         u = unit(recording.units.get("torque", ""))
         caption = "Torque in the band of the check, at the estimated delay, and what the motion needs, all coefficients free."
         out.append((_chart(f"c{index}-needed", "torque", u, recording.source, lines, ()), caption))
+    return out
+
+
+def _of_joints(recording: RobotRecording, index: int) -> list[tuple[Chart, str]]:
+    """Position of each joint over time with its command, and its torque."""
+    out: list[tuple[Chart, str]] = []
+    for k, name in enumerate(recording.joints):
+        lines = [Line("position", recording.time, recording.angle[:, k], "measured", 1.6)]
+        if recording.command is not None and recording.has("command", name):
+            lines.append(Line("command", recording.time, recording.command[:, k], "corrected", 1.1))
+        out.append(
+            (_chart(f"c{index}-{k}-angle", name, "", recording.source, tuple(lines), ()), f"{name}: position and command.")
+        )
+        if recording.torque is not None and recording.has("torque", name):
+            torque = (Line("torque", recording.time, recording.torque[:, k], "corrected", 1.1),)
+            out.append((_chart(f"c{index}-{k}-torque", name, "", recording.source, torque, ()), f"{name}: torque."))
     return out
 
 

@@ -1,6 +1,7 @@
 """A concealed sample of robots that is declared beforehand: draw, diagnose, score, one JSON line a case.
 
-The plan is a shuffled list, so that the cases of a run that is cut short are a random part of it. A run goes on where the file ends.
+The plan is a shuffled list, so that the cases of a run that is cut short are a random part of it. A run goes on where
+the file ends.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from lab.real_use.score import Count
 from lab.robot.cases import draw
 from lab.robot.measure import one as one_by_force
 from lab.robot.servo_cases import ServoCase, draw_servo, write_servo_case
-from mjsim.errors import InputError
 
 __all__ = ["PLAN", "Item", "markdown", "plan", "run", "score_servo"]
 
@@ -114,8 +114,8 @@ def run(path: Path, seed: int, minutes: float = math.inf, most: int = 10**9) -> 
         begun, folder = time.monotonic(), path.parent / item.key
         try:
             record = _measured(item, seed, folder)
-        except InputError as error:
-            record = {"error": str(error)}
+        except Exception as error:  # a crash is a result as well: it counts as not right
+            record = {"error": f"{type(error).__name__}: {error}"}
         record |= {
             "case": item.key,
             "plant": item.plant,
@@ -158,8 +158,9 @@ def markdown(found: Sequence[Mapping[str, Any]]) -> str:
         f"{len(found)} of {total} planned cases are measured, {total - len(found)} are missing; {failed} ended with an error.",
     ]
     if errors:
-        lines.append(f"Median relative error of the values {100 * float(np.median(errors)):.2g} %; the 95 % intervals hold the truth in "
-                     f"{sum(held)} of {len(held)} ({_interval(sum(held), len(held))}).")  # fmt: skip
+        share = f"{sum(held)} of {len(held)} ({_interval(sum(held), len(held))})"
+        middle = 100 * float(np.median(errors))
+        lines.append(f"Median relative error of the values {middle:.2g} %; the 95 % intervals hold the truth in {share}.")
     if gaps:
         lines.append(
             f"Median part of the held-out closed-loop error that corrected.xml takes away: {float(np.median(gaps)):.3f}."

@@ -33,9 +33,8 @@ class ServoJoint:
     kp [N m/rad], kv [N m s/rad]; friction [N m]; load: friction per torque of the links; extra [N m] and speed [rad/s]:
     Stribeck; dead_band
     [rad]; slew [rad/s]; delay [s]; stall [N m], no_load [rad/s]: limit of torque and speed; ripple [N m], order [1/rad]:
-    torque over the
-    angle; offset [N m]; sublinear, exponent: friction sublinear |v|^exponent; cable [N m]: a hose that stiffens to one side, which
-    opposes with cable (exp(`HOSE` q) - 1).
+    torque over the angle; offset [N m]; sublinear, exponent: friction sublinear |v|^exponent; cable [N m]: a hose that
+    stiffens to one side, which opposes with cable (exp(`HOSE` q) - 1).
     """
 
     kp: float
@@ -225,7 +224,8 @@ def write_servo_log(
     late: Mapping[int, int] | None = None,
 ) -> Mapping[str, np.ndarray]:
     """Simulate a program of commands drawn from a seed and write the log: time, commands and positions rounded to the
-    encoder's step [rad]; base: lowest frequency of the commands [Hz]; late: samples by which the position column of a joint is late.
+    encoder's step [rad]; base: lowest frequency of the commands [Hz]; late: samples by which the position
+    column of a joint is late.
 
     Returns the columns by name.
     """

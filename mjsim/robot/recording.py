@@ -112,8 +112,12 @@ def joints_in_table(columns: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(m["joint"] for m in map(_COLUMN.match, columns) if m))
 
 
-def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | None = None) -> RobotRecording:
+def load_robot_recording(
+    path: str | Path, robot: Robot, *, model: str | Path | None = None, checked: bool = True
+) -> RobotRecording:
     """Read a recording of a robot; the binding is looked for beside it and beside ``model``.
+
+    ``checked``: whether stamps, limits and the assignment of commands are checked; without it they are left to the caller.
 
     Raises InputError naming the file, the joint or row, what was expected and what to do: a joint that the model does not have,
     sampling that is not uniform, a position outside the joint's limits, a command and a position of different joints swapped.
@@ -121,10 +125,12 @@ def load_robot_recording(path: str | Path, robot: Robot, *, model: str | Path | 
     path = Path(path)
     need_source(path)
     binding = find_robot_binding(path, Path(model) if model else None)
-    return robot_from_table(path, read_table(path), binding, robot, sha256=digest(path))
+    return robot_from_table(path, read_table(path), binding, robot, sha256=digest(path), checked=checked)
 
 
-def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, robot: Robot, *, sha256: str = "") -> RobotRecording:
+def robot_from_table(
+    path: Path, table: Table, binding: RobotBinding | None, robot: Robot, *, sha256: str = "", checked: bool = True
+) -> RobotRecording:
     """The recording that a table of columns holds, as `load_robot_recording` reads it; ``path``: how messages name the source."""
     notes = list(table.notes)
     if binding is not None and binding.unused:
@@ -135,7 +141,7 @@ def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, rob
     arrays = _arrays(path, table, given, names)
     count = len(next(iter(arrays.values())))
     time, jitter = _time(path, table, binding, count), 0.0 if binding is None else binding.jitter
-    dt = sample_time(path, time, jitter)
+    dt = sample_time(path, time, jitter, uniform=checked)
     if jitter:
         time, arrays, told = _resampled(time, arrays, binding.hold if binding else "held", dt)
         notes += told
@@ -154,8 +160,9 @@ def robot_from_table(path: Path, table: Table, binding: RobotBinding | None, rob
         hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, notes=tuple(notes),
         **matrices,
     )  # fmt: skip
-    _within_limits(path, recording, robot)
-    _not_swapped(path, recording)
+    if checked:
+        _within_limits(path, recording, robot)
+        _not_swapped(path, recording)
     return recording
 
 

@@ -15,6 +15,7 @@ from mjsim.mjcf import load_model
 from mjsim.recording import Recording
 from simgap.api.model import Model
 from simgap.api.recording import loaded
+from simgap.robot import is_robot
 
 __all__ = ["check", "listed"]
 
@@ -27,11 +28,11 @@ def listed(source: Any) -> list[Any]:
 def check(
     recordings: Any | Sequence[Any], model: Model | str | Path | mujoco.MjSpec, *, out: str | Path | None = None
 ) -> LogCheck:
-    """Check recordings of one axis against its model.
+    """Check recordings of one axis, or of all joints of a robot, against its model.
 
     ``recordings``: one, or several in a list; each a file, columns by name, a DataFrame or a `Recording`. ``out``: a folder for
     check.json and check.html. Returns the verdict (``ready``, ``limits`` or ``fix``), the problems with what to do about each,
-    and which families of effects the excitation can show. Raises `InputError` for a model that is driven by a servo.
+    and which families of effects the excitation can show. Raises `InputError` for a model that is one axis driven by a servo.
 
     >>> import numpy as np
     >>> import simgap
@@ -47,6 +48,9 @@ def check(
     [('torque', 'sign')]
     """
     subject = Model(model)
+    given = [Path(x) if isinstance(x, str) else x for x in listed(recordings)]
+    if is_robot(given, subject.path):
+        return _check_robot(given, subject, out)
     source = load_model(subject.path)
     if source.axis.chain.servo is not None:
         raise InputError(
@@ -59,4 +63,25 @@ def check(
         from diagnose.check.page import write_check
 
         write_check(result, group, subject.path.name, Path(out))
+    return result
+
+
+def _check_robot(given: Sequence[Any], subject: Model, out: str | Path | None) -> LogCheck:
+    """The check of a robot: its channels joint by joint; a file that a diagnosis would refuse is read all the same."""
+    from diagnose.robot.check.run import check_robot
+    from mjsim.robot.recording import RobotRecording, load_robot_recording
+
+    robot = subject.robot
+    group = [
+        load_robot_recording(x, robot, model=subject.path, checked=False)
+        if isinstance(x, Path)
+        else loaded(x, subject, robot=True)
+        for x in given
+    ]
+    logs = [r for r in group if isinstance(r, RobotRecording)]
+    result = check_robot(robot, logs)
+    if out is not None:
+        from diagnose.check.page import write_check
+
+        write_check(result, logs, subject.path.name, Path(out))
     return result

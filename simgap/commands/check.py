@@ -13,14 +13,17 @@ __all__ = ["command"]
 
 @click.command("check", epilog="Example: simgap check log.csv --model robot_axis1 --out check/")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis, or the name of a shipped model.")
+@click.option(
+    "--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis or robot, or the name of a shipped model."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for check.json and check.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print check.json on standard output.")
 def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json: bool) -> None:
     """Check RECORDINGS against a nominal model before any physics is sought.
 
     Says what was understood, what is wrong with the log (units, signs, clocks, sampling, clipping), and which effects the
-    excitation can show. Exit 0: ready, or usable with limits. 1: the log has to be fixed first. 2: bad input.
+    excitation can show. Of a robot, each joint is checked, and whether columns of different joints are swapped. Exit 0: ready,
+    or usable with limits. 1: the log has to be fixed first. 2: bad input.
     """
     import json
 

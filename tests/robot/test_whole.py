@@ -11,11 +11,13 @@ import pytest
 
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot.options import RobotOptions
+from diagnose.robot.servos.motion import DIVERGED
 from diagnose.robot.servos.pipeline import diagnose_servos
 from diagnose.robot.servos.whole import is_explained, lowered, predictable
 from lab.robot.arm import three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, servo_mjcf, write_servo_log
 from mjsim.robot.closed_loop import closed_loop
+from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import load_robot
 from mjsim.robot.recording import load_robot_recording
 from simgap.robot_servos import judge_servos, write_corrected_servos
@@ -99,3 +101,12 @@ def test_the_integration_error_halves_with_the_timestep(rubbing):
     _, robot, logs, _ = rubbing
     a, b, c = (closed_loop(robot, logs[0], (), 100, finer=k).z for k in (1, 2, 4))
     assert np.max(np.abs(b - c)) == pytest.approx(0.5 * np.max(np.abs(a - b)), rel=0.15)
+
+
+def test_a_run_that_diverges_has_an_error_whose_square_is_a_number(rubbing):
+    p = rubbing[0].searches[0].problem
+    slots = p.nominal.copy()
+    slots[SLOT["kv"]], slots[SLOT["kp"]] = -1e9, -1e9
+    e = p.error(slots)
+    assert np.max(np.abs(e)) <= DIVERGED * np.ptp(p.angle)
+    assert math.isfinite(float(e @ e) ** 2)

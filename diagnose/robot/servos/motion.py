@@ -23,8 +23,9 @@ from mjsim.robot.joint_kernel import run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 
-__all__ = ["JointProblem", "Motion", "joint_problem", "moving", "prepare", "resolution", "unit_payload"]
+__all__ = ["JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution", "unit_payload"]
 
+DIVERGED = 1e3  # times the travel: the largest error of a run, whose square stays a number
 ORDER = 4  # of the low-pass, run both ways
 FASTEST = 0.2  # of the sampling rate: the highest cutoff, where an eighth-order difference errs by 1e-3
 STANDS_OUT = 4.0  # power of the position over that of its noise, up to which it is kept
@@ -64,14 +65,15 @@ def moving(robot: Robot, recordings: Sequence[RobotRecording]) -> tuple[str, ...
     for j, name in enumerate(robot.joints):
         if drives[j] is None or not all(r.has("command", name) and name in r.joints for r in recordings):
             continue
-        if any(_moves(r.angle[:, r.joints.index(name)]) for r in recordings):
+        if any(moves(r.angle[:, r.joints.index(name)]) for r in recordings):
             out.append(name)
     if not out:
         raise need_command(robot, recordings[0].source)
     return tuple(out)
 
 
-def _moves(q: np.ndarray) -> bool:
+def moves(q: np.ndarray) -> bool:
+    """Whether a position (N,) travels more than its resolution explains."""
     return bool(np.ptp(q) > LEAST_MOVED * resolution(q))
 
 
@@ -84,7 +86,7 @@ def smoothed(robot: Robot, r: RobotRecording) -> tuple[np.ndarray, np.ndarray, n
     cutoff = 0.0
     for name in r.joints:
         q = r.angle[:, r.joints.index(name)]
-        if not _moves(q):
+        if not moves(q):
             continue
         f, power = welch(q, 1 / r.dt, nperseg=min(len(q), 512), detrend="linear")
         clear = np.flatnonzero(power > STANDS_OUT * 2 * r.dt * (resolution(q) ** 2 + 1e-300))
@@ -158,9 +160,9 @@ class JointProblem:
         return q, v
 
     def error(self, p: np.ndarray) -> np.ndarray:
-        """Measured less simulated position (N,)."""
-        e = self.angle - self.run(p)[0]
-        return np.where(np.isfinite(e), e, 1e3 * np.ptp(self.angle))
+        """Measured less simulated position (N,); a run that diverges has at most `DIVERGED` times the travel."""
+        e, most = self.angle - self.run(p)[0], DIVERGED * float(np.ptp(self.angle))
+        return np.where(np.abs(e) < most, e, most)
 
     def part(self, run: int) -> slice:
         """Samples of one recording."""
@@ -256,7 +258,7 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
             m.dz[:, j], m.payload.inertia[:, j], m.payload.bias[:, j], m.payload.by_position[:, j],
         ])  # fmt: skip
         one[0, 5] = q[0]  # the run starts where the joint is measured
-        counts = np.full(n, _moves(q))
+        counts = np.full(n, moves(q))
         apart = (np.arange(n) * BLOCKS // n) % EVERY == EVERY - 1 if split else np.full(n, m.held)
         for group, values in (
             (firsts, first), (slopes, slope), (series, one), (angles, q), (fitted, counts & ~apart), (held, counts & apart),

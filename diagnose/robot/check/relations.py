@@ -1,0 +1,67 @@
+"""Relations between two channels of a joint: slope, delay, and the part of the variance that they explain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Relation", "correlations", "relate"]
+
+WINDOW = 0.5  # [s]: largest delay that is tried; a servo's own lag is below it
+SHARE = 0.1  # of the duration: the largest delay of a short log
+INDEPENDENT = 3.0  # standard errors of a correlation by its independent samples, below which two signals are unrelated
+
+
+@dataclass(frozen=True)
+class Relation:
+    """y(t) = slope x(t - delay) + constant (+ other columns): slope, delay [s] and explained part of the variance of y."""
+
+    slope: float
+    delay: float
+    explained: float
+
+
+def relate(x: np.ndarray, y: np.ndarray, dt: float, beside: np.ndarray | None = None, *, delays: bool = True) -> Relation | None:
+    """The relation of two signals (N,) at the delay that leaves least, refined by a parabola; None where one does not vary.
+
+    ``beside`` (N, k): further columns, not delayed. ``delays``: whether a delay is free; else it is 0.
+    """
+    n = len(x)
+    most = round(min(WINDOW / dt, SHARE * n)) if delays else 0
+    inner = slice(most, n - most)
+    target = y[inner] - np.mean(y[inner])
+    total = float(target @ target)
+    if np.ptp(x) == 0 or total <= 1e-24 * n:
+        return None
+    other = np.ones((n, 1)) if beside is None else np.column_stack([np.ones(n), beside])
+    Q = np.linalg.qr(other[inner])[0]
+    left = target - Q @ (Q.T @ target)
+
+    def at(shift: int) -> tuple[float, float]:
+        moved = x[most - shift : n - most - shift]
+        moved = moved - Q @ (Q.T @ moved)
+        size = float(moved @ moved)
+        slope = float(moved @ left) / size if size > 1e-24 * n else 0.0
+        return float(left @ left) - slope * slope * size, slope
+
+    errors = np.array([at(k)[0] for k in range(-most, most + 1)])
+    best = int(np.argmin(errors))
+    offset = 0.0
+    if 0 < best < len(errors) - 1:
+        a, b, c = errors[best - 1 : best + 2]
+        curve = a - 2 * b + c
+        offset = 0.5 * (a - c) / curve if curve > 0 else 0.0
+    return Relation(at(best - most)[1], (best - most + offset) * dt, 1.0 - errors[best] / total)
+
+
+def correlations(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Correlation (J, K) of every column of x (N, J) with every one of y (N, K); 0 for what does not vary or is not there."""
+
+    def unit(a: np.ndarray) -> np.ndarray:
+        a = np.nan_to_num(a) - np.nan_to_num(a).mean(axis=0)
+        size = np.linalg.norm(a, axis=0)
+        return np.where(size > 1e-12 * math.sqrt(len(a)), a / np.maximum(size, 1e-300), 0.0)
+
+    return np.asarray(unit(x).T @ unit(y))
