@@ -130,6 +130,7 @@ NAMES_AN_EFFECT = {
     "diagnose/robot/servos/library.py": "the laws of a servo joint, under the identifiers of the contract",
     "mjsim/robot/carried.py": "the slots of the effects that a robot's file carries",
     "lab/robot/cases.py": "conceals known effects in robots",
+    "lab/robot/servo_cases.py": "conceals known effects in servo robots",
     "diagnose/explain/second_encoder.py": "terms of its own model of a second encoder, which bear the names of the contract",
     "lab/proof/concealed.py": "conceals known effects in real recordings",
     "lab/proof/emps.py": "published values of named effects",

@@ -56,10 +56,8 @@ def plan(seed: int) -> list[Item]:
 def score_servo(case: ServoCase, d: RobotDiagnosis) -> dict[str, Any]:
     """Names, verdict, relative errors of the values, intervals that hold the truth, and the part of the held-out closed-loop
     error at the joints with an effect that corrected.xml takes away.
-
-    A position that is late is answered by a delay at its joint: the log shows no more.
     """
-    expected = set(case.effects) | {("time_delay", f"joint{j + 1}") for j in case.late}
+    expected = case.expected
     found = {(f.effect, f.joint): f for f in d.findings}
     errors, held = [], []
     for key, values in case.effects.items():

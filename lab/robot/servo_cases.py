@@ -38,6 +38,11 @@ class ServoCase:
     parameters: tuple[str, ...]
     late: Mapping[int, int]
 
+    @property
+    def expected(self) -> set[tuple[str, str]]:
+        """The right answer; a position that is late is a delay at its joint, since the log shows no more."""
+        return set(self.effects) | {("time_delay", f"joint{j + 1}") for j in self.late}
+
 
 def nominal_robot(axes: int) -> ServoRobot:
     """The arm of three or six joints with its servos."""
