@@ -65,6 +65,10 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
     elif files.bears or (out.verdict is Verdict.UNEXPLAINED and at_noise(nominal.cases, files.runs)):
         out = _explained(out, files.form)
+    # a file that follows the held-out recordings worse than the one as given explains nothing, whatever the equations say
+    worse = fits["corrected"].held_out_rms > MISSES * fits["nominal"].held_out_rms and not at_noise(nominal.cases, files.runs)
+    if worse and not files.lacks and out.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
+        return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_worse(out))
     # an effect that the equations explain keeps its name; the warning says that the file does not step it
     told = files.lacks or files.sensitive or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
     if missed and not told and not at_noise(nominal.cases, files.runs):
@@ -166,6 +170,15 @@ def _as_given(result: Diagnosis) -> str:
     return (
         f"No physics is missing: the equations agree with the recording. The file as given, stepped by MuJoCo, misses it by "
         f"{_told(given.held_out_rms)} {result.unit} on held-out data, corrected.xml by {_told(mended.held_out_rms)}."
+    )
+
+
+def _worse(result: Diagnosis) -> str:
+    given, mended = result.fit["nominal"], result.fit["corrected"]
+    return (
+        f"The mismatch is not explained: by the numbers that suit the equations best, the file misses held-out recordings by "
+        f"{_told(mended.held_out_rms)} {result.unit} in MuJoCo, as given by {_told(given.held_out_rms)}. It holds what the "
+        "equations do not, such as a limit that the joint reaches."
     )
 
 

@@ -274,8 +274,13 @@ def test_the_verdict_follows_the_figures(judged):
     out = by_simulator(result, given, Files(given.engine, (), "stiff settings"))
     assert out.verdict is Verdict.UNEXPLAINED
     assert out.notes[0].startswith("Warning")
-    for told in (Files(given.engine, ("it lacks this",), ""), Files(given.engine, (), "", sensitive=True)):
-        assert by_simulator(result, given, told).verdict is result.verdict
+    assert by_simulator(result, given, Files(given.engine, ("it lacks this",), "")).verdict is result.verdict
+    # where the smallest change leads elsewhere the file need not reach the engine's error, but it may not be worse than as given
+    sensitive = by_simulator(result, given, Files(given.engine, (), "", sensitive=True))
+    assert result.verdict is Verdict.PARAMETERS_ONLY or result.verdict is Verdict.NO_MISMATCH
+    assert figures(given.cases, given.engine).held_out_rms > 1.1 * n.held_out_rms
+    assert sensitive.verdict is Verdict.UNEXPLAINED
+    assert "as given by" in sensitive.summary
 
 
 @pytest.mark.slow
