@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test coverage proof lint docs lowest clean
+.PHONY: demo test coverage proof lint docs lowest audit wheel clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
@@ -30,6 +30,19 @@ lowest:
 	$(VENV)-lowest/bin/python -m pip install --quiet -e '.[formats]' -c $(VENV)-lowest/constraints.txt
 	$(VENV)-lowest/bin/python -m pip install --quiet pytest hypothesis pandas pytest-xdist hatchling
 	$(VENV)-lowest/bin/python -m pytest -n auto -W ignore::DeprecationWarning tests/test_api.py tests/readers tests/ident tests/mjsim/test_mjcf.py tests/test_cli.py
+
+# known vulnerabilities of what is installed; says so and passes where the service cannot be reached
+audit: $(STAMP)
+	$(BIN)/python -m pip install --quiet 'pip-audit>=2.7' || true
+	$(BIN)/python .ci/audit.py
+
+# the wheel, built twice: the same bytes
+wheel: export SOURCE_DATE_EPOCH ?= 315532800
+wheel: $(STAMP)
+	rm -rf dist out/wheel
+	$(BIN)/python -m hatchling build -t wheel -d dist
+	$(BIN)/python -m hatchling build -t wheel -d out/wheel
+	cmp dist/*.whl out/wheel/*.whl
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -132,6 +132,8 @@ NAMES_AN_EFFECT = {
     "lab/robot/cases.py": "conceals known effects in robots",
     "lab/robot/servo_cases.py": "conceals known effects in servo robots",
     "diagnose/explain/second_encoder.py": "terms of its own model of a second encoder, which bear the names of the contract",
+    "lab/fuzz/corpus.py": "makes a corrected file that carries an effect",
+    "lab/kill.py": "makes recordings of a known effect",
     "lab/proof/concealed.py": "conceals known effects in real recordings",
     "lab/proof/emps.py": "published values of named effects",
     "lab/proof/kuka.py": "published values of named effects",

@@ -1,8 +1,9 @@
 """The ledger of fits: append-only, keyed by problem, structure and start; on disk, so that an interrupted diagnosis resumes.
 
 The first line of the file is a hash of what every fit depends on (recordings, model, options, code); each other line is a fit
-under the hash of its request. The search is deterministic: run again, it requests the same fits in the same order, and known ones
-are read from the file. Residual and Jacobian are large and are computed again for the few fits that others build on. A line is
+under the hash of its request, with a checksum. The search is deterministic: run again, it requests the same fits in the same
+order, and known ones are read from the file. Residual and Jacobian are large and are computed again for the few fits that
+others build on. A line is
 written whole and flushed; a line that was cut off is dropped when the file is read.
 """
 
@@ -13,7 +14,7 @@ import hashlib
 import json
 import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,9 @@ from diagnose.fit.least_squares import Fit, Status
 from mjsim.axis import Axis
 from mjsim.recording import Recording
 
-__all__ = ["Entry", "Ledger", "fingerprint"]
+__all__ = ["Entry", "Ledger", "checksum", "fingerprint"]
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,12 @@ class Entry:
     predicted_gain: float
     n: int
     work: int
+
+
+def checksum(said: Mapping[str, Any]) -> str:
+    """The first 16 digits of the SHA-256 of a line without its checksum."""
+    rest = {k: v for k, v in said.items() if k != "check"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()[:16]
 
 
 class Ledger:
@@ -70,6 +77,8 @@ class Ledger:
         for line in lines[1:]:
             said = _parsed(line)
             try:
+                if said["check"] != checksum(said):
+                    continue
                 self._known[said["key"]] = Entry(
                     np.array([float.fromhex(v) for v in said["x"]]), float.fromhex(said["cost"]), Status[said["status"]],
                     int(said["iterations"]), float.fromhex(said["gain"]), int(said["n"]), int(said["work"]),
@@ -101,7 +110,7 @@ class Ledger:
             if not self._ready:
                 self._begin()
             with self.path.open("a", encoding="utf-8") as handle:
-                handle.write(json.dumps(said) + "\n")
+                handle.write(json.dumps(said | {"check": checksum(said)}) + "\n")
 
     def _begin(self) -> None:
         """The folder and the first line."""
@@ -135,7 +144,7 @@ class Ledger:
 def _parsed(line: str) -> dict[str, Any]:
     try:
         said = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return said if isinstance(said, dict) else {}
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 
 from mjsim.errors import InputError
+from mjsim.mjcf.limits import need_finite, need_sizes
 
 __all__ = ["caught_warnings", "compile_file", "save_compiled"]
 
@@ -31,12 +32,20 @@ def compile_file(path: str | Path) -> mujoco.MjModel:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "no such file", "an MJCF model (.xml)", "check the path")
+    need_sizes(path)
     try:
         with caught_warnings():
-            return mujoco.MjModel.from_xml_path(str(path))
+            model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(path, f"MuJoCo does not load it ({said})", "an MJCF model", "correct the element it names") from None
+    for name in model.names.split(b"\0"):
+        try:
+            name.decode("utf-8")
+        except UnicodeDecodeError:
+            raise InputError(path, f"the name {name!r} is not UTF-8", "UTF-8", "save the model as UTF-8") from None
+    need_finite(model, path)
+    return model
 
 
 def save_compiled(content: bytes, out: Path, load: Callable[[Path], object] = compile_file) -> None:

@@ -134,7 +134,13 @@ def _carried(model: mujoco.MjModel, path: Path) -> custom.Carried | None:
     for t in range(model.ntext):
         if mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, t) == custom.NAME:
             start, size = int(model.text_adr[t]), int(model.text_size[t])
-            return custom.unpack(model.text_data[start : start + size - 1].decode(), path)
+            try:
+                text = model.text_data[start : start + size - 1].decode()
+            except UnicodeDecodeError:
+                raise InputError(
+                    path, f"the <text> {custom.NAME!r} is not UTF-8", "UTF-8", "use the file as simgap wrote it"
+                ) from None
+            return custom.unpack(text, path)
     return None
 
 

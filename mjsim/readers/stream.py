@@ -21,6 +21,7 @@ from numpy.lib import format as npy
 from mjsim.errors import InputError
 from mjsim.readers.optional import need
 from mjsim.readers.table import Table, first_line
+from mjsim.readers.text import form_of
 
 __all__ = ["row_count", "windows"]
 
@@ -67,9 +68,11 @@ def windows(path: Path, rows: int) -> Iterator[tuple[int, Table]]:
 
 def _parquet(path: Path, rows: int) -> Iterator[dict[str, np.ndarray]]:
     arrow = need("pyarrow", path)
-    file = need("pyarrow.parquet", path).ParquetFile(str(path))
+    file = need("pyarrow.parquet", path).ParquetFile(str(path), pre_buffer=False)
     names = [f.name for f in file.schema_arrow if arrow.types.is_integer(f.type) or arrow.types.is_floating(f.type)]
-    for batch in _even(file.iter_batches(batch_size=rows, columns=names), rows, arrow):
+    # one row group at a time: the iterator over all of them keeps what it has read
+    groups = (b for g in range(file.num_row_groups) for b in file.iter_batches(batch_size=rows, row_groups=[g], columns=names))
+    for batch in _even(groups, rows, arrow):
         yield {n: np.asarray(batch.column(n).to_numpy(), float) for n in names}
 
 
@@ -133,11 +136,6 @@ def _values(stream: IO[bytes], kind: np.dtype, count: int) -> np.ndarray:
     return np.frombuffer(data, kind).astype(float)
 
 
-def _csv_header(path: Path) -> list[str]:
-    with path.open(newline="", encoding="utf-8-sig") as handle:
-        return [h.strip() for h in next(csv.reader(handle), [])]
-
-
 def _csv_rows(path: Path) -> int:
     """The number of rows, from the mean length of the first ones where the file is long."""
     size = path.stat().st_size
@@ -148,13 +146,16 @@ def _csv_rows(path: Path) -> int:
 
 
 def _csv(path: Path, rows: int) -> Iterator[dict[str, np.ndarray]]:
-    names = _csv_header(path)
     with path.open(newline="", encoding="utf-8-sig") as handle:
-        next(handle)
+        by, comma = form_of(handle.readline(), handle.readline())
+        handle.seek(0)
+        names = [h.strip() for h in next(csv.reader(handle, delimiter=by), [])]
         while lines := list(itertools.islice(handle, rows)):
+            if comma:
+                lines = [line.replace(",", ".") for line in lines]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of empty lines at the end
-                data = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None, quotechar='"')
+                data = np.loadtxt(lines, delimiter=by, ndmin=2, comments=None, quotechar='"')
             if data.size == 0:
                 return
             if data.shape[1] != len(names):

@@ -11,7 +11,7 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.readers.table import Table
 
-__all__ = ["read_csv"]
+__all__ = ["form_of", "read_csv"]
 
 SEPARATORS = ",;\t|"
 
@@ -24,9 +24,7 @@ def read_csv(path: Path) -> Table:
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as handle:
-            first, second = handle.readline(), handle.readline()
-            by = _separator(first)
-            comma = by != "," and "," in second and "." not in second
+            by, comma = form_of(handle.readline(), handle.readline())
             handle.seek(0)
             header = [h.strip() for h in next(csv.reader(handle, delimiter=by), [])]
             rows = (line.replace(",", ".") for line in handle) if comma else handle
@@ -48,6 +46,12 @@ def read_csv(path: Path) -> Table:
         raise InputError(path, f"{data.shape[1]} columns under {len(header)} names", "as many", "correct the header")
     notes = () if by == "," else (f"Columns are separated by {_called(by)}{', decimals by commas' if comma else ''}.",)
     return Table.of({h: data[:, i].copy() for i, h in enumerate(header)}, notes=notes)
+
+
+def form_of(header: str, row: str) -> tuple[str, bool]:
+    """The separator of columns, and whether decimals have commas, from the first two lines of a file."""
+    by = _separator(header)
+    return by, by != "," and "," in row and "." not in row
 
 
 def _separator(header: str) -> str:

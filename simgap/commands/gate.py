@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mjsim.axis import Axis
     from mjsim.recording import Recording
 
-__all__ = ["Check", "command", "judged"]
+__all__ = ["Check", "command", "judged", "read_baseline"]
 
 ROLES = ("estimation", "held-out")
 
@@ -64,7 +64,7 @@ def judged(model: Path, recordings: Sequence[Path], baseline: Path, against: str
     from mjsim.mjcf import carried_binding, load_model
     from mjsim.recording import load
 
-    known = _baseline(baseline, against)
+    known = read_baseline(baseline, against)
     source = load_model(model)
     loaded = [without_derived_velocity(load(p, model=model, binding=carried_binding(source, p))) for p in recordings]
     view = choose_view(loaded, known["view"], source.axis)
@@ -85,7 +85,7 @@ def judged(model: Path, recordings: Sequence[Path], baseline: Path, against: str
     return checks, known["unit"]
 
 
-def _baseline(path: Path, against: str) -> dict[str, Any]:
+def read_baseline(path: Path, against: str) -> dict[str, Any]:
     """Figures of a diagnosis.json: rms of each role, roles of each recording by hash, view, unit. Raises InputError."""
     from mjsim.errors import InputError
 

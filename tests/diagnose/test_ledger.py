@@ -20,7 +20,7 @@ import simgap.pipeline as pipeline
 from diagnose.data.experiment import prepare
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Fit, Linearised, Status
-from diagnose.fit.ledger import Ledger, fingerprint
+from diagnose.fit.ledger import FORMAT, Ledger, checksum, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from mjsim.mjcf import load_axis
@@ -113,6 +113,21 @@ def test_a_second_search_over_all_recordings_is_remembered_too(whole, robot, tmp
     again = Ledger(tmp_path / "state.jsonl", "this")
     assert answer(diagnose(robot, [estimation], [held_out], options, ledger=again)) == answer(first)
     assert again.size == again.recalled == ledger.size
+
+
+@pytest.mark.parametrize("damage", [lambda line: line.replace('"n": 9', '"n": 8'), lambda line: "[" * 100_000 + "\n"])
+def test_a_line_that_was_altered_is_dropped(tmp_path, damage):
+    path, one = tmp_path / "state.jsonl", float(1).hex()
+    said = {"x": [one], "cost": one, "status": "CONVERGED", "iterations": 3, "gain": one, "n": 9, "work": 4}
+    lines = [json.dumps(s | {"check": checksum(s)}) + "\n" for s in ({"key": k, **said} for k in "ab")]
+    head = json.dumps({"format": FORMAT, "follows": "this"}) + "\n"
+    path.write_text(head + "".join(lines))
+    assert Ledger(path, "this").size == 2
+    path.write_text(head + lines[0] + damage(lines[1]))
+    ledger = Ledger(path, "this")
+    assert ledger.recall("a") is not None
+    assert ledger.size == 1
+    assert path.read_text() == head + lines[0]
 
 
 def test_other_samples_of_a_recording_are_another_fit(whole, robot, tmp_path):

@@ -71,6 +71,13 @@ def test_a_file_that_breaks_off(tmp_path, suffix, said):
         list(windows(path, 1000))
 
 
+def test_windows_of_a_csv_with_semicolons_and_decimal_commas(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("a;b\n" + "".join(f"{i},5;{i}\n" for i in range(7)))
+    parts = [(first, list(part["a"]), list(part["b"])) for first, part in windows(path, 5)]
+    assert parts == [(0, [0.5, 1.5, 2.5, 3.5, 4.5], [0, 1, 2, 3, 4]), (5, [5.5, 6.5], [5, 6])]
+
+
 def test_a_format_that_is_read_as_a_whole(tmp_path):
     assert row_count(tmp_path / "log.mcap") is None
     (tmp_path / "log.npz").write_bytes(b"no archive")

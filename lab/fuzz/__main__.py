@@ -1,0 +1,5 @@
+"""``python -m lab.fuzz``."""
+
+from lab.fuzz.cli import main
+
+main()

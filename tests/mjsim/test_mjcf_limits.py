@@ -1,0 +1,72 @@
+"""MJCF that expands without bound, refers to what is no file, or holds no numbers: refused before a fit, in one line."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from mjsim.errors import InputError
+from mjsim.mjcf import limits, load_model
+from mjsim.models import shipped_model
+
+MODEL = """<mujoco><compiler meshdir="m"/><worldbody>{world}<body name="rod"{body}>
+<joint name="hinge" axis="0 1 0" damping="{damping}"/><geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass="1"/></body>
+</worldbody><actuator><motor name="drive" joint="hinge"/></actuator>{more}</mujoco>"""
+
+
+def written(folder, *, world="", body="", damping="0.05", more=""):
+    path = folder / "axis.xml"
+    path.write_text(MODEL.format(world=world, body=body, damping=damping, more=more))
+    return path
+
+
+def test_the_model_itself_loads(tmp_path):
+    load_model(written(tmp_path, world='<!-- <replicate count="1e8"/> -->'))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"damping": "nan"}, r"dof_damping\[0\] is not finite"),
+        ({"body": ' pos="nan 0 0"'}, r"body_pos\[1, 0\] is not finite"),
+        ({"world": '<replicate count="100000000"><site/></replicate>'}, "1e\\+08 copies"),
+        ({"world": '<replicate count="2000"><replicate count="2000"><site/></replicate></replicate>'}, "4e\\+06 copies"),
+        ({"more": "<keyframe>" + "<key/>" * (limits.MOST_KEYS + 1) + "</keyframe>"}, "10001 keyframes"),
+    ],
+)
+def test_what_is_refused(tmp_path, changed, said):
+    with pytest.raises(InputError, match=said):
+        load_model(written(tmp_path, **changed))
+
+
+@pytest.mark.parametrize("inside", ["", "m"])
+def test_a_mesh_that_is_a_pipe(tmp_path, inside):
+    (tmp_path / "m").mkdir()
+    os.mkfifo(tmp_path / inside / "part.stl")
+    path = written(tmp_path, more='<asset><mesh name="part" file="part.stl"/></asset>')
+    with pytest.raises(InputError, match="not a regular file"):
+        load_model(path)
+
+
+def test_the_limit_of_copies(monkeypatch, tmp_path):
+    path = written(tmp_path, world='<replicate count="7" offset="1 0 0"><site/></replicate>')
+    monkeypatch.setattr(limits, "MOST_COPIES", 7)
+    limits.need_sizes(path)
+    monkeypatch.setattr(limits, "MOST_COPIES", 6)
+    with pytest.raises(InputError, match="7 copies"):
+        limits.need_sizes(path)
+
+
+def test_a_name_that_is_not_utf_8_is_refused(tmp_path):
+    path = tmp_path / "axis.xml"
+    path.write_bytes(shipped_model("pendulum").read_bytes().replace(b'<body name="', b'<body name="\xe9', 1))
+    with pytest.raises(InputError, match=r"xe9.*is not UTF-8"):
+        load_model(path)
+
+
+def test_a_carried_text_that_is_not_utf_8_is_refused(tmp_path):
+    path = written(tmp_path, more='<custom><text name="simgap" data="AB"/></custom>')
+    path.write_bytes(path.read_bytes().replace(b'"AB"', b'"\x88"'))
+    with pytest.raises(InputError, match="is not UTF-8"):
+        load_model(path)
