@@ -30,7 +30,6 @@ LONGEST = 400
 LONG_BY_NATURE = {
     "mjsim/kernel.py": "one compiled unit: numba inlines across functions of one file, and every runner calls it",
     "lab/speed/other_machines.py": "a script: the equations and published numbers of several machines, each used once",
-    "tests/diagnose/test_search.py": "whole searches that share fitters of one recording",
 }
 
 

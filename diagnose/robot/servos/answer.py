@@ -3,6 +3,7 @@ words."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -18,13 +19,14 @@ from diagnose.robot.servos.state import QUICK, JointSearch, Structure, held_out
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
 
-__all__ = ["Scale", "answer", "changed", "scale_of"]
+__all__ = ["AT_NOISE", "Scale", "answer", "changed", "scale_of"]
 
 LEAST_LOAD = (
     0.2  # of the servo's torque: what the links must take for their masses to set the scale, and not an error of friction
 )
 SMALL = 0.01  # relative change of a number that is not said: the kernel's step and the smoothed motion err by as much
 KNOWN = 0.25  # standard deviation of a gain's logarithm below which the data tell the gain, and not only its ratios
+AT_NOISE = 1.5  # times the noise: the largest rms of an error that is taken for noise
 DRAWN = 1500  # points of a trace at most
 OWN = {
     "kp": ("kp", Quantity.STIFFNESS), "kv": ("kv", Quantity.DAMPING), "damp": ("kv + damping", Quantity.DAMPING),
@@ -94,11 +96,22 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
            for i, (n, x) in enumerate(zip(s.now.fit.numbers, s.now.fit.x, strict=True)) if n.slot in OWN}  # fmt: skip
     own |= _ratios(s, V, motion)
     nominal = {OWN[n.slot][0]: _file_value(s, n) for n in s.now.fit.numbers if n.slot in OWN}
-    return JointResult(
+    result = JointResult(
         p.name, "m" if p.slide else "rad", verdict, _sentence(verdict, errors["corrected"], remains, borrowed, p.slide), found,
         errors, own,
         {**nominal}, remains, refused, tuple(_traces(s, given)),
     )  # fmt: skip
+    if verdict is Verdict.PARAMETERS_ONLY and _at_noise(s, given) and not changed(s, result, scale):
+        # no number that can be told differs, and the file leaves noise
+        told = _sentence(Verdict.NO_MISMATCH, errors["corrected"], remains, borrowed, p.slide)
+        return dataclasses.replace(result, verdict=Verdict.NO_MISMATCH, summary=told)
+    return result
+
+
+def _at_noise(s: JointSearch, f: Fit) -> bool:
+    """Whether a fit leaves an error near the noise, on fitted and held-out samples."""
+    p = s.problem
+    return f.rms(p.held) < AT_NOISE * p.noise and f.rms(p.fitted) < AT_NOISE * p.noise
 
 
 def _file_value(s: JointSearch, n: Number) -> float:
@@ -171,8 +184,7 @@ def _without(s: JointSearch, law: ServoLaw) -> Structure:
 def _verdict(s: JointSearch, given: Fit, found: bool, remains: tuple[float, float]) -> Verdict:
     """Structure that a black-box model predicts, else effects, changed numbers, or nothing."""
     p = s.problem
-    noisy = s.now.fit.rms(p.held) < 1.5 * p.noise and s.now.fit.rms(p.fitted) < 1.5 * p.noise
-    if remains[0] > s.options.remains and remains[1] < 0.05 and not noisy:
+    if remains[0] > s.options.remains and remains[1] < 0.05 and not _at_noise(s, s.now.fit):
         return Verdict.UNEXPLAINED
     if found:
         return Verdict.MISSING_PHYSICS

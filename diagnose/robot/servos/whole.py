@@ -13,13 +13,13 @@ import numpy as np
 
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot.result import JointResult
+from diagnose.robot.servos.answer import AT_NOISE
 from diagnose.robot.servos.fit import Fit
 from diagnose.robot.servos.remains import black_box
 from diagnose.robot.servos.state import JointSearch
 
-__all__ = ["AT_NOISE", "is_explained", "judged", "lowered", "predictable"]
+__all__ = ["is_explained", "judged", "lowered", "predictable"]
 
-AT_NOISE = 1.5  # times the noise: the largest rms of an error that is taken for noise, as in the verdict of one joint
 LEVEL = 0.05  # of the one-sided test that a black-box model predicts the error
 
 
