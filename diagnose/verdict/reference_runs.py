@@ -19,6 +19,7 @@ from diagnose.verdict.reference import Case, Run, judged, noise_level
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, simulate
 from mjsim.plant import MujocoPlant, Start
+from mjsim.system import assemble
 
 __all__ = ["run_file", "run_files", "run_surrogate", "run_watched", "starts_of", "too_far", "work_of"]
 
@@ -70,15 +71,24 @@ def run_surrogate(
 ) -> Run | None:  # fmt: skip
     """The fitting engine's run on a recording; None where it diverges.
 
-    ``locked``: position-locked laws follow ``along`` (N,), by default the recorded angle, as in a fit; else the run's own, as in
-    MuJoCo.
+    ``locked``: laws that repeat over the angle follow the recorded one, as in a fit; else the run's own, as in MuJoCo. ``along``
+    (N,): an angle that all laws follow, gravity and springs too.
     """
     r, chain = case.recording, axis.chain
     ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
     initial = np.array([start.angle * ratios, start.velocity * ratios])
     try:
         angle = (r.angle if along is None else along) if locked and not case.servo else None
-        y = simulate(axis, r.input, r.dt, initial=initial, angle=angle, before=start.input, hold=r.hold)
+        system = assemble(axis)
+        y = simulate(
+            system if along is None else system.tied(),
+            r.input,
+            r.dt,
+            initial=initial,
+            angle=angle,
+            before=start.input,
+            hold=r.hold,
+        )
     except (DivergedError, ValueError):
         return None
     return Run(np.array(y.velocity), np.array(y.angle), start)

@@ -317,3 +317,21 @@ def test_numbers_do_not_stand_in_for_what_a_file_lacks(nominal, tmp_path):
     before = out.read_bytes()
     assert _soft_or_not(bench, form, given.engine) == (form, given.engine)
     assert out.read_bytes() == before
+
+
+def test_along_an_angle_gravity_follows_it_and_else_the_run(nominal):
+    """What differs along the same angle is the numerics of a step, whatever a free run makes of the motion."""
+    from diagnose.verdict.reference_runs import run_surrogate
+
+    axis = load_axis(nominal)  # a pendulum
+    (case,) = cases_of([log(text(), 1, 1.0)], [])
+    start = case.start()
+    own = run_surrogate(axis, case, start)
+    assert own is not None
+    along = run_surrogate(axis, case, start, along=own.angle)
+    other = run_surrogate(axis, case, start, along=own.angle + 0.5)
+    assert along is not None
+    assert other is not None
+    spread = float(np.std(own.velocity))
+    assert np.max(np.abs(along.velocity - own.velocity)) < 0.02 * spread  # held over each sample
+    assert np.max(np.abs(other.velocity - own.velocity)) > 0.1 * spread
