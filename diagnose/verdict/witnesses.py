@@ -84,7 +84,7 @@ def remaining_error(search: Search, base: Fitted, best: Fitted, structure: Struc
     now = Remaining(structure, motion, _is_unexplained(search, base, search.held_out(best), structure, motion, options))
     now = dataclasses.replace(now, unexplained=now.unexplained or _is_left_behind(fitter, base, best, options))
     beyond = _beyond_sensors(fitter, search.held_out(best))
-    # effects that explain most of the error keep the verdict: what is left beside them is said
+    # effects that explain most of the error keep the verdict; the remaining error is stated
     little = beyond and not _explains_most(search.held_out(base), search.held_out(best))
     now = dataclasses.replace(now, beyond_sensors=beyond, unexplained=now.unexplained or little)
     if beyond:
