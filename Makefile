@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx2
 
 .PHONY: demo test coverage proof lint docs lowest audit wheel clean
 demo: $(STAMP)
@@ -25,11 +26,11 @@ docs: $(STAMP)
 
 # the lowest versions that pyproject.toml declares, in an environment of their own
 lowest:
-	$(PYTHON) -m venv $(VENV)-lowest
+	$(PYTHON) -m venv --clear $(VENV)-lowest
 	$(PYTHON) .ci/lowest.py > $(VENV)-lowest/constraints.txt
-	$(VENV)-lowest/bin/python -m pip install --quiet -e '.[formats]' -c $(VENV)-lowest/constraints.txt
-	$(VENV)-lowest/bin/python -m pip install --quiet pytest hypothesis pandas pytest-xdist hatchling
-	$(VENV)-lowest/bin/python -m pytest -n auto -W ignore::DeprecationWarning tests/test_api.py tests/readers tests/ident tests/mjsim/test_mjcf.py tests/test_cli.py
+	$(VENV)-lowest/bin/python -m pip install --quiet -e '.[formats,fleet,app]' $(LOWEST_TESTS) -c $(VENV)-lowest/constraints.txt
+	$(VENV)-lowest/bin/python -m pytest -n auto -W ignore::DeprecationWarning tests/test_api.py tests/readers tests/ident \
+	  tests/mjsim/test_mjcf.py tests/test_cli.py tests/test_gate.py tests/fleet tests/app
 
 # known vulnerabilities of what is installed; says so and passes where the service cannot be reached
 audit: $(STAMP)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 PYPROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 BOUND = re.compile(r"^(?P<name>[\w-]+)(\[[\w,]+\])?>=(?P<version>[\w.]+)")
-EXTRAS = ("formats",)
+EXTRAS = ("formats", "fleet", "app")
 
 
 def lowest(text: str) -> list[str]:
@@ -19,7 +19,7 @@ def lowest(text: str) -> list[str]:
     project = tomllib.loads(text)["project"]
     wanted = [*project["dependencies"], *(d for e in EXTRAS for d in project["optional-dependencies"][e])]
     found = [BOUND.match(d) for d in wanted]
-    return [f"{m['name']}=={m['version']}" for m in found if m is not None]
+    return list(dict.fromkeys(f"{m['name']}=={m['version']}" for m in found if m is not None))
 
 
 if __name__ == "__main__":

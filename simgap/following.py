@@ -55,17 +55,16 @@ def _compiling() -> Callable[[Step], None]:
 
 
 def _lines() -> Callable[[Step], None]:
-    """A line when the stage or the best changes, and otherwise no more than one in a while."""
+    """A line when the stage or the best changes, and otherwise no more than one in a while; of compiling always that few."""
     began = time.monotonic()
-    last_head, last_time = "", -SPARING
+    told: dict[str, float] = {}
 
     def tell(step: Step) -> None:
-        nonlocal last_head, last_time
         now = time.monotonic() - began
-        head = f"{step.stage} {step.what} {step.best}"
-        if head == last_head and now - last_time < SPARING:
+        head = step.stage if step.stage == "compile" else f"{step.stage} {step.what} {step.best}"
+        if now - told.get(head, -SPARING) < SPARING:
             return
-        last_head, last_time = head, now
+        told[head] = now
         print(f"simgap: {now:4.0f} s  {step}", file=sys.stderr, flush=True)
 
     return tell

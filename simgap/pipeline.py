@@ -229,8 +229,8 @@ def _compiling_told(say: Callable[[Step], None]) -> Iterator[None]:
     """Say so when the simulation has to be compiled, and how far: the first diagnosis on a machine waits for it."""
 
     def tell(done: int) -> None:
-        so_far = f"; {done} functions so far" if done else ""
-        say(Step("compile", f"the simulation of such an axis, once on this machine: half a minute to a few{so_far}"))
+        so_far = f": {done} functions so far" if done else ""
+        say(Step("compile", f"the simulation of this kind of axis, once on a machine, takes one to three minutes{so_far}"))
 
     with _when_compiling(lambda: tell(0), tell):
         yield

@@ -45,10 +45,11 @@ def show_robot(result: RobotDiagnosis, out: Path) -> None:
 def show_diagnosis(result: Diagnosis, out: Path) -> None:
     """Verdict, findings with their numbers, errors before and after, where to read on."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console()
-    console.print(f"[bold]{result.verdict.value}[/bold]  {result.summary}")
+    console.print(f"[bold]{result.verdict.value}[/bold]  {escape(result.summary)}", highlight=False)
     for p in result.log.problems if result.log is not None else ():
         console.print(
             f"log ({p.severity.value}): {p.problem} of the {p.channel} in {p.recording}: {p.advice}",
@@ -56,7 +57,7 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
             markup=False,
         )
     for f in result.findings:
-        console.print(f"\n[bold]{f.effect}[/bold] at {f.place} (element {f.element})\n  {f.sentence}")
+        console.print(f"\n[bold]{f.effect}[/bold] at {f.place} (element {escape(f.element)})\n  {f.sentence}", highlight=False)
         for name, e in f.parameters.items():
             console.print(f"  {name} = {e.value:.5g} {e.unit}   95 % [{e.ci95[0]:.5g}, {e.ci95[1]:.5g}]", highlight=False)
         ev = f.evidence
@@ -67,7 +68,8 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
         )
         if f.equivalents:
             console.print(f"  cannot be told from: {', '.join(f.equivalents)}")
-    table = Table("model", f"rms [{result.unit}]", "nrmse", f"held-out rms [{result.unit}]", "held-out nrmse")
+    unit = escape(f"[{result.unit}]")
+    table = Table("model", f"rms {unit}", "nrmse", f"held-out rms {unit}", "held-out nrmse")
     for name, fit in result.fit.items():
         table.add_row(name, *(f"{x:.4g}" for x in (fit.rms, fit.nrmse, fit.held_out_rms, fit.held_out_nrmse)))
     if result.noise_floor == result.noise_floor:
@@ -75,7 +77,7 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     console.print(table)
     if a := result.false_alarm:
         console.print(
-            f"False alarms: {a['alarms']:.0f} of {a['recordings']:.0f} simulated recordings with nothing missing "
+            f"Of {a['recordings']:.0f} simulated recordings with nothing missing, {a['alarms']:.0f} gave a false alarm "
             f"(95 %: {100 * a['low']:.2g} to {100 * a['high']:.2g} %).",
             highlight=False,
         )

@@ -17,9 +17,10 @@ __all__ = ["command", "compile_all", "examine"]
 BODIES = range(1, 5)  # of the axes whose simulation is compiled ahead: up to three inertias and a further mode
 
 REQUIRED = ("mujoco", "numpy", "scipy", "numba", "matplotlib", "control", "pydantic", "click", "rich", "jinja2", "imageio-ffmpeg")
-OPTIONAL = {
-    "pyarrow": "Parquet recordings and LeRobot data sets", "mcap": "MCAP recordings", "mcap-ros2-support": "ROS 2 in MCAP",
-    "rosbags": "ROS bags", "h5py": "MATLAB 7.3", "starlette": "simgap app", "uvicorn": "simgap app",
+OPTIONAL = {  # package: what needs it, the extra that installs it
+    "pyarrow": ("Parquet recordings and LeRobot data sets", "formats"), "mcap": ("MCAP recordings", "formats"),
+    "mcap-ros2-support": ("ROS 2 in MCAP", "formats"), "rosbags": ("ROS bags", "formats"), "h5py": ("MATLAB 7.3", "formats"),
+    "distributed": ("simgap fleet", "fleet"), "starlette": ("simgap app", "app"), "uvicorn": ("simgap app", "app"),
 }  # fmt: skip
 
 
@@ -142,8 +143,8 @@ def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
     v, s = found["versions"], found["system"]
     rows = [("simgap", f"{v['simgap']}, Python {v['python']} ({s['python']})")]
     rows.append(("packages", ", ".join(f"{n} {v[n] or 'MISSING'}" for n in REQUIRED)))
-    for name, use in OPTIONAL.items():
-        rows.append((name, v[name] or f"not installed: needed for {use} (pip install 'simgap[formats]')"))
+    for name, (use, extra) in OPTIONAL.items():
+        rows.append((name, v[name] or f"not installed: needed for {use} (pip install 'simgap[{extra}]')"))
     rows.append(("system", f"{s['platform']}, {s['usable_cores']} of {s['cores']} cores usable"))
     r, c = found["rendering"], found["compiled"]
     if "backend" in r:
@@ -151,7 +152,7 @@ def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
     blas = found["linear_algebra"].get("blas", ())
     rows += [("BLAS", f"{b['library']} {b['version']}, kernel {b['kernel']}, {b['threads']} threads ({b['file']})") for b in blas]
     if "folder" in c:
-        later = "not compiled yet: the first diagnosis takes about a minute longer; simgap doctor --compile does it now"
+        later = "not compiled yet: the first diagnosis takes one to three minutes longer; simgap doctor --compile does it now"
         state = "compiled" if c["simulation"] else later
         rows.append(("simulation", f"{state}; {c['files']} files, {c['megabytes']} MB in {c['folder']}"))
     if "folder" in found["data"]:
@@ -184,7 +185,9 @@ def command(do_compile: bool, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found, indent=1))
     else:
-        for name, text in _lines(found):
-            click.echo(printable(f"{name:11s} {text}"))
+        lines = _lines(found)
+        width = max(len(name) for name, _ in lines)
+        for name, text in lines:
+            click.echo(printable(f"{name:{width}s}  {text}"))
     if problems:
         raise CheckError("; ".join(problems))
