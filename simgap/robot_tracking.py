@@ -9,7 +9,7 @@ bandwidth.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.write import carried_effects
 
-__all__ = ["with_tracking"]
+__all__ = ["tracking_errors", "with_tracking"]
 
 MOST_STEPS = 200_000  # of MuJoCo in one run of one recording; of a longer one its beginning is run
 SETTLED = 1.0  # [s]: of a run that are not counted, until the loop has caught up
@@ -42,19 +42,26 @@ def with_tracking(
     for k, r in enumerate((*recordings, *held_out)):
         if r.payload is not None:
             continue
-        samples = min(len(r), max(2, int(MOST_STEPS * float(robot.model.opt.timestep) / r.dt)))
-        runs = closed_loop(robot, r, (), samples), closed_loop(after, r, effects, samples)
-        lacking |= set(runs[1].lacking)
-        diverged = [a or run.diverged for a, run in zip(diverged, runs, strict=True)]
+        (before, first), (corrected_rms, second) = tracking_errors(robot, r, (), table), tracking_errors(after, r, effects, table)
+        lacking |= set(second.lacking)
+        diverged = [a or run.diverged for a, run in zip(diverged, (first, second), strict=True)]
         for name, rows in table.items():
-            j = robot.joints.index(name)
             rows.append(
                 {"file": r.source, "role": "estimation" if k < len(recordings) else "held_out", "moves": True,
-                 "nominal_rms": _rms(runs[0], j, r.dt), "corrected_rms": _rms(runs[1], j, r.dt)}
+                 "nominal_rms": before[name], "corrected_rms": corrected_rms[name]}
             )  # fmt: skip
     engine = f"MuJoCo, all joints together under the logged torques and a tracking loop of {TRACKING:g} Hz: torque of the loop"
     closed = {"engine": engine, "unit": "torque", "joints": table, "lacking": sorted(lacking), "diverged": diverged}
     return dataclasses.replace(d, closed_loop=closed)
+
+
+def tracking_errors(
+    robot: Robot, recording: RobotRecording, effects: Sequence[Mapping[str, Any]], joints: Iterable[str]
+) -> tuple[dict[str, float | None], ClosedLoop]:
+    """Rms of the loop's torque by joint, None where the run diverges, and the run; of a long recording that of its beginning."""
+    samples = min(len(recording), max(2, int(MOST_STEPS * float(robot.model.opt.timestep) / recording.dt)))
+    run = closed_loop(robot, recording, effects, samples)
+    return {name: _rms(run, robot.joints.index(name), recording.dt) for name in joints}, run
 
 
 def _rms(run: ClosedLoop, j: int, dt: float) -> float | None:

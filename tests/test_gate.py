@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import simgap
 from mjsim.errors import CheckError, InputError
 from mjsim.mjcf import load_axis
 from mjsim.ode import simulate
@@ -123,6 +124,54 @@ def test_a_baseline_that_is_none(folder, text, said):
     assert said in str(ended.exception)
     (folder / "diagnosis.json").unlink()
     assert "no such file" in str(gate(folder, "model.xml").exception)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory) -> Path:
+    """A recording and its diagnosis, whose figures are those of MuJoCo; ``soft.xml`` differs in the timestep alone."""
+    folder = tmp_path_factory.mktemp("diagnosed")
+    given = MODEL.format(damping=0.03)
+    (folder / "model.xml").write_text(given)
+    (folder / "worse.xml").write_text(MODEL.format(damping=0.02))
+    (folder / "coarse.xml").write_text(given.replace("<option ", '<option timestep="0.05" '))
+    t = DT * np.arange(N)
+    u = np.sin(2 * np.pi * (1 + 2 * t) * t)
+    v = simulate(load_axis(folder / "model.xml"), u, DT).velocity + 0.005 * np.random.default_rng(0).standard_normal(N)
+    table = np.column_stack([t, u, v])
+    np.savetxt(folder / "a.csv", table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="")
+    simgap.diagnose(folder / "a.csv", folder / "model.xml", effects=["torque_offset"], out=folder / "report")
+    return folder
+
+
+def of_diagnosed(folder: Path, model: str, *more: str):
+    words = [str(folder / model), str(folder / "a.csv"), "--baseline", str(folder / "report" / "diagnosis.json"), "--json"]
+    return CliRunner().invoke(command, [*words, *more])
+
+
+@pytest.mark.parametrize(("model", "against"), [("model.xml", "nominal"), ("report/corrected.xml", "corrected")])
+def test_the_model_of_a_diagnosis_has_the_figures_of_the_diagnosis(diagnosed, model, against):
+    ended = of_diagnosed(diagnosed, model, "--against", against)
+    assert ended.exit_code == 0, ended.exception
+    (check,) = json.loads(ended.stdout)["checks"]
+    assert check["role"] == "estimation + held-out"
+    assert check["ratio"] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("model", ["worse.xml", "coarse.xml"])
+def test_numbers_and_settings_of_the_simulator_count(diagnosed, model):
+    """The baseline is of the file as MuJoCo steps it: a coarse timestep is a worse model."""
+    ended = of_diagnosed(diagnosed, model)
+    assert isinstance(ended.exception, CheckError), ended.exception
+
+
+def test_the_summary_for_a_pull_request(diagnosed, tmp_path):
+    for model, said in (("model.xml", "no error grew"), ("worse.xml", "1 of 1 errors grew")):
+        of_diagnosed(diagnosed, model, "--markdown", str(tmp_path / "new" / "summary.md"))
+        text = (tmp_path / "new" / "summary.md").read_text()
+        assert said in text
+        assert text.count("\n| ") == 2
+    refused = of_diagnosed(diagnosed, "model.xml", "--markdown", str(diagnosed / "a.csv"))
+    assert "overwrite" in str(refused.exception)
 
 
 def test_another_recording_is_refused(folder):

@@ -57,6 +57,18 @@ def test_options_in_the_text_of_a_page_are_options(page):
         assert set(re.findall(r"(?<![\w-])--[\w-]+", rest)) <= offered, f"{page}: simgap {name}{rest}"
 
 
+def test_the_workflow_of_the_guide_is_yaml_whose_command_has_these_options():
+    yaml = pytest.importorskip("yaml")
+    text = (DOCS / "guides" / "ci-gate.md").read_text(encoding="utf-8")
+    told = yaml.safe_load(re.search(r"```yaml\n(.*?)```", text, re.DOTALL)[1])
+    (line,) = [s["run"] for s in told["jobs"]["gate"]["steps"] if "simgap gate" in s.get("run", "")]
+    from simgap.commands.gate import command
+
+    asked = set(re.findall(r"--\w+", line))
+    assert asked == {"--baseline", "--markdown"}
+    assert asked <= {o for p in command.params for o in p.opts}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_runs_as_printed(page, tmp_path):

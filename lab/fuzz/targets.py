@@ -49,7 +49,7 @@ def _model(path: Path) -> None:
 
 
 def _baseline(path: Path) -> None:
-    from simgap.commands.gate import read_baseline
+    from simgap.gating.check import read_baseline
 
     read_baseline(path, "corrected")
 

@@ -21,10 +21,11 @@ from diagnose.robot.solve import covariance, held_out, solve, weigh
 from lab.robot import cases
 from lab.robot.arm import three_axes
 from lab.robot.cases import Case, draw, write_log
-from mjsim.errors import InputError
+from mjsim.errors import CheckError, InputError
 from mjsim.robot.model import load_robot, robot_from
 from mjsim.robot.recording import load_robot_recording
 from mjsim.robot.write import carried_effects
+from simgap.commands.gate import command as gate
 from simgap.commands.replay import command as replay
 from simgap.robot import diagnose_robot_files, is_robot
 
@@ -92,6 +93,29 @@ def test_a_robot_is_replayed_with_what_its_file_carries(rubbing, tmp_path):
     assert set(told["joints"]) == {"joint1", "joint2", "joint3"}
     assert told["fit_percent"] > 99
     assert "joint2.tracking_Nm" in out.read_text().splitlines()[0]
+
+
+def test_a_gate_passes_the_files_of_a_diagnosis_and_stops_a_worse_one(rubbing, tmp_path):
+    folder, _ = rubbing
+
+    def gated(model, against):
+        words = [str(model), str(folder / "a.csv"), str(folder / "b.csv"), "--baseline", str(folder / "out/diagnosis.json")]
+        return CliRunner().invoke(gate, [*words, "--against", against, "--json"])
+
+    for model, against in ((folder / "arm.xml", "nominal"), (folder / "out/corrected.xml", "corrected")):
+        ended = gated(model, against)
+        assert ended.exit_code == 0, ended.exception
+        checks = json.loads(ended.stdout)["checks"]
+        assert {(c["joint"], c["role"]) for c in checks} == {
+            (f"joint{k}", role) for k in (1, 2, 3) for role in ("estimation", "held-out")
+        }
+        assert [c["ratio"] for c in checks] == pytest.approx([1.0] * 6, abs=1e-6)
+        assert {c["unit"] for c in checks} == {"N m"}
+    worse = tmp_path / "worse.xml"
+    worse.write_text(re.sub(r'frictionloss="[^"]*"', 'frictionloss="0.1"', (folder / "out/corrected.xml").read_text()))
+    ended = gated(worse, "corrected")
+    assert isinstance(ended.exception, CheckError)
+    assert {c["joint"] for c in json.loads(ended.stdout)["checks"] if c["grew"]} >= {"joint2"}
 
 
 def test_the_folder_holds_what_the_contract_says(rubbing):

@@ -8,6 +8,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from diagnose.result import Verdict
 from diagnose.robot.options import RobotOptions
@@ -17,7 +18,7 @@ from diagnose.robot.servos.motion import joint_problem, prepare, resolution
 from diagnose.robot.servos.pipeline import diagnose_servos
 from lab.robot.arm import three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, simulate, write_servo_log
-from mjsim.errors import InputError
+from mjsim.errors import CheckError, InputError
 from mjsim.robot.along import along
 from mjsim.robot.carried import effect_slots
 from mjsim.robot.closed_loop import closed_loop
@@ -27,6 +28,7 @@ from mjsim.robot.model import load_robot, robot_from
 from mjsim.robot.recording import RobotRecording, load_robot_recording
 from mjsim.robot.rows import link_rows
 from mjsim.robot.write import carried_effects
+from simgap.commands.gate import command as gate
 from simgap.robot import diagnose_robot_files
 
 NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
@@ -93,6 +95,19 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     assert "&lt;section" not in page
     assert page.count('data-chart="joint-') == 6
     assert "All joints together" in page
+
+
+def test_a_gate_compares_the_position_of_each_joint(rubbing):
+    where, _ = rubbing
+    words = [str(where / "a.csv"), str(where / "b.csv"), "--baseline", str(where / "out" / "diagnosis.json"), "--json"]
+    ended = CliRunner().invoke(gate, [str(where / "arm.xml"), *words])
+    assert ended.exit_code == 0, ended.exception
+    checks = json.loads(ended.stdout)["checks"]
+    assert [c["ratio"] for c in checks] == pytest.approx([1.0] * 6, abs=1e-6)
+    assert {c["unit"] for c in checks} == {"rad"}
+    ended = CliRunner().invoke(gate, [str(where / "arm.xml"), *words, "--against", "corrected"])
+    assert isinstance(ended.exception, CheckError)
+    assert {c["joint"] for c in json.loads(ended.stdout)["checks"] if c["grew"]} >= {"joint2", "joint3"}
 
 
 def test_the_picture_is_rendered_or_a_plan_of_the_joints(rubbing, monkeypatch):
