@@ -15,6 +15,8 @@ from numba.core.caching import FunctionCache
 from numba.core.ccallback import CFunc
 from numba.core.runtime import rtsys
 
+from mjsim.notices import compiling
+
 __all__ = ["callback", "compiled"]
 
 
@@ -25,7 +27,10 @@ class _Kept(FunctionCache):
         """The code for a signature, None where there is none."""
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+            found = self._load_overload(sig, target_context)
+        if found is None:
+            compiling()
+        return found
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:

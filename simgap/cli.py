@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mjsim.notices import tell_compiling
 from simgap import __version__
 from simgap.terminal import file_error, one_line, printable
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
+COMPILING = "simgap: compiling the simulation, once on this machine: this takes up to three minutes ..."
 CLOSED = 141  # exit code when nobody reads standard output any more: that of a program ended by SIGPIPE, 128 + 13
 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
@@ -121,6 +123,7 @@ def main() -> None:
     gc.set_threshold(*COLLECT)
     atexit.register(gc.freeze)  # without it the interpreter scans every object once more as it ends, which takes half a second
     defer_rendering(os.environ)
+    tell_compiling(lambda: click.echo(COMPILING, err=True))
     code = _outcome()
     with contextlib.suppress(OSError):
         if code == CLOSED:  # what is still buffered would raise once more as the interpreter ends

@@ -32,6 +32,7 @@ from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
+from mjsim.notices import quiet
 from mjsim.ode import load_kernel
 from mjsim.recording import Recording
 from simgap.following import following
@@ -232,7 +233,7 @@ def _compiling_told(say: Callable[[Step], None]) -> Iterator[None]:
         so_far = f": {done} functions so far" if done else ""
         say(Step("compile", f"the simulation of this kind of axis, once on a machine, takes one to three minutes{so_far}"))
 
-    with _when_compiling(lambda: tell(0), tell):
+    with quiet(), _when_compiling(lambda: tell(0), tell):
         yield
 
 
