@@ -18,8 +18,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from mjsim.errors import InputError
-from mjsim.experiment_table import need_known, need_known_experiment
+from mjsim.errors import InputError, nearest
+from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table
 from mjsim.hold import HOLDS
 
 __all__ = ["DEFAULT_COLUMNS", "NAMES", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
@@ -75,7 +75,11 @@ class Channel:
         if self.unit is None:
             return 1.0 if self.gain is None else self.gain
         if self.unit not in UNITS:
-            raise InputError(where, f"unit {self.unit!r} is not known", f"one of {', '.join(UNITS)}", "correct the unit")
+            known = [u for u, (_, kind) in UNITS.items() if kind == measures or u in _OWN.get(measures, ())] or list(UNITS)
+            raise InputError(
+                where, f"unit {self.unit!r} is not known", f"one of {', '.join(known)}",
+                nearest(self.unit, known, "correct the unit"),
+            )  # fmt: skip
         factor, kind = UNITS[self.unit]
         if measures == "command" and kind in ("angle", "velocity"):
             measures = kind
@@ -146,6 +150,7 @@ class Binding:
     @classmethod
     def from_tables(cls, table: Mapping[str, Any], path: Path) -> Binding | None:
         """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
+        need_no_misspelt_table(table, path)
         if not {"recording", "experiment", "joints"} & set(table):
             return None
         given, experiment = _table(table, "recording", path), _table(table, "experiment", path)
@@ -160,7 +165,12 @@ class Binding:
         need_known_experiment(experiment, path)
         for key, choices in (("loop", ("open", "closed")), ("judge", ("motion", "force"))):
             if experiment.get(key) not in (None, *choices):
-                raise InputError(f"{path}: [experiment] {key}", f"{experiment[key]!r}", " or ".join(choices), "correct it")
+                raise InputError(
+                    f"{path}: [experiment] {key}",
+                    f"{experiment[key]!r}",
+                    " or ".join(choices),
+                    nearest(str(experiment[key]), choices, "correct it"),
+                )
         varies = experiment.get("varies", [])
         if not isinstance(varies, list) or not all(isinstance(v, str) for v in varies):
             raise InputError(f"{path}: [experiment] varies", f"{varies!r}", 'a list of names, as ["Jm"]', "correct it")
@@ -204,12 +214,9 @@ def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> d
         if isinstance(value, str):
             value = {"column": value}
         if not isinstance(value, dict) or "column" not in value:
+            need_known(value if isinstance(value, dict) else (), CHANNEL_KEYS, f"{where} {key}")
             raise InputError(f"{where} {key}", "no column named", '"name" or {column = "name", unit = ...}', "add it")
-        unknown = set(value) - {"column", "unit", "gain", "row"}
-        if unknown:
-            raise InputError(
-                f"{where} {key}", f"key {sorted(unknown)[0]!r} is not known", "column, unit, gain or row", "rename it"
-            )
+        need_known(value, CHANNEL_KEYS, f"{where} {key}")
         channels[key] = Channel(**_checked(value, f"{where} {key}"))
     return channels
 
@@ -227,7 +234,7 @@ def _above_zero(own: Mapping[str, Any], key: str, path: Path) -> float | None:
 def _choice(own: Mapping[str, Any], path: Path) -> str:
     hold = own.get("hold", "held")
     if hold not in HOLDS:
-        raise InputError(f"{path}: [recording] hold", f"{hold!r}", " or ".join(HOLDS), "correct it")
+        raise InputError(f"{path}: [recording] hold", f"{hold!r}", " or ".join(HOLDS), nearest(str(hold), HOLDS, "correct it"))
     return str(hold)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from mjsim.errors import nearest
 from mjsim.quantity import Motion, Quantity
 from mjsim.servo import Servo, Target
 from mjsim.site import Side, Site
@@ -185,7 +186,9 @@ class Chain:
         servo: dict[str, Any] = {}
         for name, value in values.items():
             if name not in known:
-                raise KeyError(f"unknown linear parameter {name!r}; choose from {', '.join(known)}")
+                raise KeyError(
+                    f"unknown linear parameter {name!r}; choose from {', '.join(known)}; {nearest(name, known, 'name one')}"
+                )
             p = known[name]
             if p.kind.endswith("servo"):
                 servo[name] = float(value)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 __all__ = ["CheckError", "InputError", "nearest"]
+
+_WORD = re.compile(r"[a-z0-9]+")
 
 
 def nearest(name: str, choices: Iterable[str], advice: str = "name one of them") -> str:
     """Advice for an unknown name: ``did you mean 'x'?`` where one choice begins with it or resembles it, else ``advice``.
 
-    Resemblance is difflib's ratio of matching characters, at least 0.6 (its default).
+    Resemblance is difflib's ratio of matching characters, at least 0.6 (its default), of the whole name; else at least 0.8 of
+    a word of one choice alone (``frction`` and ``coulomb_friction``), without regard to upper and lower case.
     """
     known = list(choices)
     begun = [c for c in known if name and c.startswith(name)]
     close = begun if len(begun) == 1 else difflib.get_close_matches(name, known, 1)
+    if not close:
+        lower = name.lower()
+        alike = [c for c in known if difflib.get_close_matches(lower, {c.lower(), *_WORD.findall(c.lower())}, 1, 0.8)]
+        close = alike if len(alike) == 1 else difflib.get_close_matches(lower, alike, 1, 0.0)
     return f"did you mean {close[0]!r}?" if close else advice
 
 

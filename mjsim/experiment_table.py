@@ -11,9 +11,12 @@ from typing import Any
 
 from mjsim.errors import InputError, nearest
 
-__all__ = ["EXPERIMENT_KEYS", "need_known", "need_known_experiment"]
+__all__ = ["CHANNEL_KEYS", "EXPERIMENT_KEYS", "TABLES", "need_known", "need_known_experiment", "need_no_misspelt_table"]
 
 EXPERIMENT_KEYS = ("loop", "judge", "varies", "kp", "kv", "supply_V", "payload")
+
+CHANNEL_KEYS = ("column", "unit", "gain", "row")
+TABLES = ("recording", "experiment", "joints", "model")
 
 OTHERWISE = {
     "mass": "on a robot use payload = {body, mass, pos}; of one joint set the mass in the model",
@@ -27,6 +30,13 @@ def need_known(given: Collection[str], known: Collection[str], where: str, other
         if key not in known:
             advice = (otherwise or {}).get(key) or nearest(key, known, "rename or remove it")
             raise InputError(where, f"key {key!r} is not known", ", ".join(known), advice)
+
+
+def need_no_misspelt_table(tables: Collection[str], path: object) -> None:
+    """Raise InputError for a table that is not one of `TABLES` and resembles one; other tables are another program's."""
+    for name in tables:
+        if name not in TABLES and (advice := nearest(name, TABLES, "")):
+            raise InputError(path, f"table [{name}] is not known", ", ".join(f"[{t}]" for t in TABLES), advice)
 
 
 def need_known_experiment(given: Mapping[str, Any], path: object) -> None:

@@ -28,7 +28,7 @@ from mjsim.binding import (
     joints_in,
     plain_channels,
 )
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.hold import HOLDS
 from mjsim.readers import Table, digest, guess, need_source, part_of, read_table
 from mjsim.timebase import onto_stamps, resample, sample_time, where_in
@@ -133,7 +133,8 @@ class Recording:
                 return np.asarray(array)
         if name in self.columns:
             return self.columns[name]
-        raise InputError(self.source, f"no column {name!r}", f"one of {', '.join(self.columns)}", "name one that is there")
+        raise InputError(self.source, f"no column {name!r}", f"one of {', '.join(self.columns)}",
+                         nearest(name, self.columns, "name one that is there"))  # fmt: skip
 
     def slice(self, start: int, stop: int) -> Recording:
         """The samples [start, stop) as a recording of their own."""
@@ -283,7 +284,9 @@ def _bound(path: Path, binding: Binding, table: Table, joint: str | None, prefer
         raise InputError(path, f"it holds {len(names)} joints", "one that is chosen", f"--joint, one of {', '.join(names)}")
     joint = joint or names[0]
     if joint not in names:
-        raise InputError("--joint", f"{joint!r} is not in {path.name}", f"one of {', '.join(names)}", "correct the name")
+        raise InputError(
+            "--joint", f"{joint!r} is not in {path.name}", f"one of {', '.join(names)}", nearest(joint, names, "correct the name")
+        )
     if binding.joints:
         return binding.of_joint(joint), joint
     return dataclasses.replace(binding, channels=joint_channels(table, joint)), joint
@@ -294,8 +297,8 @@ def _values(path: Path, table: Table, role: str, channel: Channel, binding: Bind
     where = f"{binding.source}: {role}"
     if channel.column not in table:
         raise InputError(
-            path, f"no column {channel.column!r} for {role}", f"columns found: {', '.join(table) or 'none'}",
-            f"rename it, or bind it {_in_binding(path)}",
+            path, f"no column {channel.column!r} for {role}", f"one of the columns {', '.join(table) or '(none)'}",
+            nearest(channel.column, table, f"rename it, or bind it {_in_binding(path)}"),
         )  # fmt: skip
     array = table[channel.column]
     if channel.row is not None:

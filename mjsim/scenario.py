@@ -21,9 +21,10 @@ import hashlib
 import json
 import os
 import platform
+import re
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -109,7 +110,7 @@ class Scenario(Strict):
             try:
                 axis = axis.with_linear(self.linear)
             except (KeyError, ValueError) as error:
-                raise InputError(f"{where}: [linear]", str(error.args[0]), todo="name one that is there") from None
+                raise InputError(f"{where}: [linear]", str(error.args[0])) from None
         for given in self.effects:
             effect = make_effect(given, where)
             if effect.key in {e.key for e in axis.effects}:
@@ -172,12 +173,36 @@ def load_scenario(source: str | Path, **overrides: Any) -> Scenario:
     try:
         return Scenario(**{**table, "name": path.stem, "folder": path.resolve().parent})
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the scenario"
-        known = (
-            f"known keys: {', '.join(sorted(set(Scenario.model_fields) - {'name', 'folder'}))}" if len(first["loc"]) == 1 else ""
+        raise _refused(path, error.errors()) from None
+
+
+def _refused(path: Path, errors: Sequence[Any]) -> InputError:
+    """The first key that a scenario may not have, else the first value that is wrong."""
+    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+    loc = [str(part) for part in first["loc"]]
+    if first["type"] == "extra_forbidden":
+        known = _keys(loc)
+        where = f"{path}: [{loc[0]}]" if len(loc) > 1 else str(path)
+        return InputError(
+            where, f"key {loc[-1]!r} is not known", ", ".join(known), nearest(loc[-1], known, "rename or remove it")
         )
-        raise InputError(f"{path}: {key}", first["msg"][0].lower() + first["msg"][1:], known, "correct it") from None
+    said, advice = first["msg"][0].lower() + first["msg"][1:], "correct it"
+    choices = re.findall(r"'(\w+)'", str(first.get("ctx", {}).get("expected_tags", first.get("ctx", {}).get("expected", ""))))
+    given = first.get("ctx", {}).get("tag", first["input"])
+    if choices:
+        said, expected, advice = f"{given!r}", f"one of {', '.join(choices)}", nearest(str(given), choices, advice)
+        loc += [first["ctx"]["discriminator"].strip("'")] if "discriminator" in first["ctx"] else []
+        return InputError(f"{path}: {'.'.join(loc)}", said, expected, advice)
+    return InputError(f"{path}: {'.'.join(loc) or 'the scenario'}", said, "", advice)
+
+
+def _keys(loc: Sequence[str]) -> tuple[str, ...]:
+    """Keys that the table at ``loc`` of a scenario may have."""
+    kinds: dict[str, type[Strict]] = {"chirp": Chirp, "multisine": Multisine, "step": Step, "trapezoids": Trapezoids}
+    if len(loc) > 1:
+        table: type[Strict] = Noise if loc[0] == "noise" else kinds[loc[1]]
+        return tuple(table.model_fields)
+    return tuple(sorted(set(Scenario.model_fields) - {"name", "folder"}))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.readers.optional import need
 
 __all__ = ["WRITERS", "write_table"]
@@ -29,7 +29,8 @@ def write_table(path: Path, columns: Columns) -> None:
     """
     suffix = path.suffix.lower() or ".csv"
     if suffix not in WRITERS:
-        raise InputError(path, f"unknown kind of file {path.suffix!r}", f"one of {', '.join(WRITERS)}", "name it so")
+        raise InputError(path, f"unknown kind of file {path.suffix!r}", f"one of {', '.join(WRITERS)}",
+                         nearest(suffix, WRITERS, "name it so"))  # fmt: skip
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=f".part{suffix}")

@@ -57,7 +57,11 @@ _WHERE = {
 
 def __getattr__(name: str) -> object:
     if name not in _WHERE:
-        raise AttributeError(f"module 'simgap' has no attribute {name!r}")
+        from mjsim.errors import nearest
+
+        raise AttributeError(
+            f"module 'simgap' has no attribute {name!r}; {nearest(name, __all__, 'dir(simgap) lists the names')}"
+        )
     value = getattr(importlib.import_module(_WHERE[name]), name)
     globals()[name] = value
     return value

@@ -9,9 +9,24 @@ from typing import Any
 
 import click
 
-__all__ = ["ModelFile", "need_file", "need_folder", "spare_inputs"]
+__all__ = ["Choice", "ModelFile", "need_file", "need_folder", "spare_inputs"]
 
 ADVICE = "choose another --out"
+
+
+class Choice(click.Choice):
+    """One of some names; another is told with the nearest of them."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The name as it is declared. Raises click.BadParameter."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter as error:
+            from mjsim.errors import nearest
+
+            told = nearest(str(value), self.choices, "")
+            said = f"{error.message.rstrip('.')}; {told}" if told else error.message
+            raise click.BadParameter(said, ctx, param) from None
 
 
 class ModelFile(click.ParamType):

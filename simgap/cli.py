@@ -6,7 +6,6 @@ import atexit
 import contextlib
 import gc
 import importlib
-import io
 import os
 import select
 import sys
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
+HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # where no command is given; click < 8.2 ends the program itself
 COMPILING = "simgap: compiling the simulation, once on this machine: this takes up to three minutes ..."
 CLOSED = 141  # exit code when nobody reads standard output any more: that of a program ended by SIGPIPE, 128 + 13
 
@@ -152,11 +152,13 @@ def _outcome() -> int:
         return code if isinstance(code, int) else 0
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _tell("interrupted", 130)
-    except click.ClickException as error:
-        text = io.StringIO()
-        error.show(file=text)
-        click.echo(printable(text.getvalue()), err=True, nl=False)
+    except HELP as error:
+        click.echo(error.format_message(), err=True)
         return error.exit_code
+    except click.UsageError as error:
+        return _tell(one_line(printable(_usage(error))), error.exit_code)
+    except click.ClickException as error:
+        return _tell(one_line(printable(error.format_message())), error.exit_code)
     except InputError as error:
         return _tell(one_line(str(error)), 2)
     except CheckError as error:
@@ -165,6 +167,15 @@ def _outcome() -> int:
         return CLOSED if _nobody_reads() else _tell(one_line(str(error)), 2)
     except OSError as error:
         return _tell(one_line(file_error(error)), 2)
+
+
+def _usage(error: click.UsageError) -> str:
+    """What is wrong with a command line, and the help that says what is right."""
+    said = error.format_message().rstrip(".")
+    said = said[:1].lower() + said[1:]
+    path = error.ctx.command_path if error.ctx is not None else "simgap"
+    where = path.removeprefix("simgap").strip()
+    return f"{where + ': ' if where else ''}{said}; {path} --help has the options"
 
 
 def _tell(line: str, code: int) -> int:

@@ -24,7 +24,7 @@ from diagnose.robot.result import JointResult, RobotDiagnosis, Trace
 from diagnose.robot.select import select
 from diagnose.robot.solve import Solution
 from diagnose.robot.state import Selection
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
@@ -79,7 +79,10 @@ def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOp
     for name in options.joints:
         if name not in robot.joints:
             raise InputError(
-                "--joint", f"joint {name!r} is not in the model", f"one of {', '.join(robot.joints)}", "correct the name"
+                "--joint",
+                f"joint {name!r} is not in the model",
+                f"one of {', '.join(robot.joints)}",
+                nearest(name, robot.joints, "correct the name"),
             )
         if name not in moving:
             why = "does not move" if first.has("torque", name) else "has no torque"

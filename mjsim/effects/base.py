@@ -19,6 +19,7 @@ from mjsim.effects.admissible import Range
 from mjsim.effects.native import Native, Value
 from mjsim.effects.ports import CouplingTorque, Gap, Port, Twist
 from mjsim.effects.scales import Scales
+from mjsim.errors import nearest
 from mjsim.quantity import Motion, Quantity
 from mjsim.servo import Target
 from mjsim.site import Site
@@ -46,7 +47,7 @@ class PlaceError(ValueError):
     """The effect is not known at this place."""
 
     def __init__(self, effect: str, place: str, places: Sequence[str]) -> None:
-        super().__init__(f"{effect}: place {place!r}; choose from {', '.join(places)}")
+        super().__init__(f"{effect}: place {place!r}; choose from {', '.join(places)}; {nearest(place, places, 'name one')}")
         self.effect = effect
         self.place = place
         self.places = tuple(places)

@@ -16,7 +16,7 @@ from mjsim.axis import Axis
 from mjsim.chain import Chain
 from mjsim.effects import BacklashLaw, Effect, PlaceError, registered
 from mjsim.effects.native import Value
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.mjcf import custom
 from mjsim.mjcf.chain import Found, find_chain
 from mjsim.mjcf.compile import compile_file
@@ -109,7 +109,8 @@ def _bound(path: Path) -> dict[str, str]:
     known = ("actuator", "velocity_sensor", "angle_sensor")
     for key, value in table.items():
         if key not in known or not isinstance(value, str):
-            raise InputError(f"{beside}: [model]", f"key {key!r} is not known", f"{', '.join(known)}, each a name", "rename it")
+            raise InputError(f"{beside}: [model]", f"key {key!r} is not known", f"{', '.join(known)}, each a name",
+                             nearest(key, set(known) - {key}, "rename it"))  # fmt: skip
     return dict(table)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.readers.lerobot import INFO, is_lerobot
 from mjsim.readers.sage import CONTROL, JOINTS, STATE, is_sage
 
@@ -56,7 +56,9 @@ def need_source(path: Path) -> None:
         return
     if part_of(path)[0].is_dir():
         raise InputError(path, "a folder of no known form", KINDS, "name a file in it")
-    raise InputError(path, "no such file", KINDS, "check the path")
+    base = part_of(path)[0]
+    beside = [p.name for p in base.parent.iterdir() if is_source(p)] if base.parent.is_dir() else []
+    raise InputError(path, "no such file", KINDS, nearest(base.name, beside, "check the path"))
 
 
 def files_of(path: Path) -> list[Path]:

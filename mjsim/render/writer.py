@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 
 __all__ = ["SUFFIXES", "need_suffix", "save"]
 
@@ -22,7 +22,8 @@ SUFFIXES = (".mp4", ".gif", ".png")
 def need_suffix(path: Path) -> None:
     """Raise InputError when no film can be written to a file of this ending."""
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(path, f"unknown kind of film {path.suffix!r}", ", ".join(SUFFIXES), "choose another name")
+        raise InputError(path, f"unknown kind of film {path.suffix!r}", ", ".join(SUFFIXES),
+                         nearest(path.suffix.lower(), SUFFIXES, "choose another name"))  # fmt: skip
 
 
 def save(frames: Iterator[np.ndarray], path: Path, fps: float) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from mjsim.binding import Binding, Channel
-from mjsim.errors import InputError
-from mjsim.experiment_table import need_known, need_known_experiment
+from mjsim.errors import InputError, nearest
+from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table
 from mjsim.hold import HOLDS
 from mjsim.readers import part_of
 
@@ -60,6 +60,7 @@ class RobotBinding:
     @classmethod
     def from_tables(cls, table: Mapping[str, Any], path: Path) -> RobotBinding | None:
         """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
+        need_no_misspelt_table(table, path)
         recording, experiment = table.get("recording", {}), table.get("experiment", {})
         need_known(recording, (*Binding.CHANNELS, "dt", "hold", "jitter"), f"{path}: [recording]")
         need_known_experiment(experiment, path)
@@ -79,7 +80,9 @@ class RobotBinding:
                 joints.setdefault(name, {})[key] = _bound(value, MEASURES[key], f"{where} {key}")
         hold = recording.get("hold", "held")
         if hold not in HOLDS:
-            raise InputError(f"{path}: [recording] hold", f"{hold!r}", " or ".join(HOLDS), "correct it")
+            raise InputError(
+                f"{path}: [recording] hold", f"{hold!r}", " or ".join(HOLDS), nearest(str(hold), HOLDS, "correct it")
+            )
         dt = recording.get("dt")
         if dt is not None and not (isinstance(dt, int | float) and 0 < dt < math.inf):
             raise InputError(f"{path}: [recording] dt", f"{dt!r}", "a sample time in seconds, above zero", "correct it")
@@ -97,10 +100,9 @@ def _bound(value: Any, measures: str, where: str) -> tuple[str, float, int | Non
     if isinstance(value, str):
         return value, 1.0, None
     if not isinstance(value, dict) or not isinstance(value.get("column"), str):
+        need_known(value if isinstance(value, dict) else (), CHANNEL_KEYS, where)
         raise InputError(where, "no column named", '"name" or {column = "name", unit = ...}', "add it")
-    unknown = set(value) - {"column", "unit", "gain", "row"}
-    if unknown:
-        raise InputError(where, f"key {sorted(unknown)[0]!r} is not known", "column, unit, gain or row", "rename it")
+    need_known(value, CHANNEL_KEYS, where)
     row, gain = value.get("row"), value.get("gain")
     if not (row is None or (isinstance(row, int) and not isinstance(row, bool))):
         raise InputError(f"{where}.row", f"{row!r}", "a whole number", "correct it")
@@ -116,7 +118,8 @@ def _bound(value: Any, measures: str, where: str) -> tuple[str, float, int | Non
 def _payload(value: Any, where: str) -> Payload | None:
     if value is None:
         return None
-    if not isinstance(value, dict) or set(value) - {"body", "mass", "pos"} or not {"body", "mass"} <= set(value):
+    need_known(value if isinstance(value, dict) else (), ("body", "mass", "pos"), where)
+    if not isinstance(value, dict) or not {"body", "mass"} <= set(value):
         raise InputError(where, f"{value!r}", '{body = "name", mass = kg, pos = [x, y, z]}', "correct it")
     pos = value.get("pos", [0.0, 0.0, 0.0])
     if not (isinstance(value["mass"], int | float) and 0 <= value["mass"] < math.inf and isinstance(pos, list) and len(pos) == 3):

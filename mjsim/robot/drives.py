@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass
 
@@ -88,11 +87,6 @@ def joint_drives(robot: Robot) -> tuple[JointDrive | None, ...]:
 def _delay(model: mujoco.MjModel, a: int) -> float:
     value = float(model.actuator_delay[a]) if hasattr(model, "actuator_delay") else 0.0
     return value if math.isfinite(value) else 0.0
-
-
-def nearest(name: str, names: tuple[str, ...]) -> str:
-    """Names alike, for an error message."""
-    return ", ".join(difflib.get_close_matches(name, names, 3, 0.4) or names)
 
 
 def need_command(robot: Robot, source: str) -> InputError:

@@ -13,7 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.mjcf.compile import compile_file
 from mjsim.quantity import Motion
 from mjsim.robot.inertia import SIZE, from_body, moved
@@ -67,7 +67,9 @@ class Robot:
         """Link that a body belongs to, and the body's position and orientation in its frame. Raises InputError."""
         names = [_name(self.model, mujoco.mjtObj.mjOBJ_BODY, b) for b in range(self.model.nbody)]
         if body not in names:
-            raise InputError(self.source, f"no body {body!r}", f"one of {', '.join(names[1:])}", "correct the name")
+            raise InputError(
+                self.source, f"no body {body!r}", f"one of {', '.join(names[1:])}", nearest(body, names[1:], "correct the name")
+            )
         at = names.index(body)
         root = int(self.model.body_weldid[at])
         if root not in self.links:

@@ -8,7 +8,6 @@ a TOML file beside the recording, else beside the model (`mjsim.robot.binding`).
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.quantity import Motion
 from mjsim.readers import Table, digest, is_source, need_source, read_table
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
@@ -154,6 +153,8 @@ def robot_from_table(
     if lacking:
         raise InputError(path, f"joint {lacking[0]!r} has no position", "an angle of every joint that is recorded", "add it")
     held = tuple((j, _held_position(robot, k)) for k, j in enumerate(robot.joints) if j not in names)
+    if binding is not None and binding.payload is not None:
+        robot.link_of(binding.payload.body)
     recording = RobotRecording(
         time, names, dt, source=path.name,
         sha256=sha256,
@@ -208,8 +209,10 @@ def _by_name(path: Path, table: Table, robot: Robot, notes: list[str]) -> dict[s
 def _known(where: object, given: Sequence[str], robot: Robot) -> None:
     for name in given:
         if name not in robot.joints:
-            near = difflib.get_close_matches(name, robot.joints, 3, 0.4) or robot.joints
-            raise InputError(where, f"joint {name!r} is not in the model", f"one of {', '.join(near)}", "correct the name")
+            raise InputError(
+                where, f"joint {name!r} is not in the model", f"one of {', '.join(robot.joints)}",
+                nearest(name, robot.joints, "correct the name"),
+            )  # fmt: skip
 
 
 def _arrays(
@@ -224,7 +227,10 @@ def _arrays(
         for channel, (column, factor, row) in given[name].items():
             if column not in table:
                 raise InputError(
-                    path, f"no column {column!r} for {name}.{channel}", f"columns found: {', '.join(table)}", "bind it"
+                    path,
+                    f"no column {column!r} for {name}.{channel}",
+                    f"one of {', '.join(table)}",
+                    nearest(column, table, "bind it"),
                 )
             array = table[column]
             if row is not None:

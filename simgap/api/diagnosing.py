@@ -18,7 +18,7 @@ from diagnose.result import Estimate, Finding, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
 from mjsim.effects import registered
 from mjsim.effects.registry import named_instead
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.recording import Recording
 from mjsim.robot.recording import RobotRecording
 from simgap.api.checking import listed
@@ -259,6 +259,8 @@ def diagnose(
     'no_mismatch'
     """
     subject, given, held = Model(model), listed(recordings), listed(held_out)
+    if judge not in (None, "motion", "force"):
+        raise InputError("judge", repr(judge), "motion or force", nearest(str(judge), ("motion", "force"), "correct it"))
     if not given:
         raise InputError("recordings", "none", "at least one", "give a file, columns by name or a Recording")
     robot = is_robot([Path(r) if isinstance(r, str) else r for r in given], subject.path)

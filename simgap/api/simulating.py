@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjsim.effects import Effect, NotApplicableError
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.mjcf import load_model
 from mjsim.ode import DivergedError, Trajectory
 from mjsim.quantity import Motion
@@ -62,7 +62,7 @@ def simulate(
     """
     for name, value, choices in (("engine", engine, ENGINES), ("start", start, STARTS)):
         if value not in choices:
-            raise InputError(name, repr(value), " or ".join(choices), "correct it")
+            raise InputError(name, repr(value), " or ".join(choices), nearest(str(value), choices, "correct it"))
     subject = Model(model)
     given = load_model(subject.path)
     if effects:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile, need_folder, spare_inputs
+from simgap.arguments import Choice, ModelFile, need_folder, spare_inputs
 
 __all__ = ["command"]
 
@@ -26,7 +26,7 @@ __all__ = ["command"]
 )
 @click.option(
     "--judge",
-    type=click.Choice(["motion", "force"]),
+    type=Choice(["motion", "force"]),
     help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says.",
 )
 @click.option("--effects", default="", help="Consider only these effects: identifiers with commas (simgap effects lists them).")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import ModelFile, need_file, spare_inputs
+from simgap.arguments import Choice, ModelFile, need_file, spare_inputs
 
 if TYPE_CHECKING:
     from simgap.gating.check import Check
@@ -78,7 +78,7 @@ def as_markdown(model: Path, checks: Sequence[Check], tolerance: float) -> str:
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--baseline", required=True, type=click.Path(path_type=Path), help="diagnosis.json to compare with.")
 @click.option(
-    "--against", type=click.Choice(["nominal", "corrected"]), default="nominal", show_default=True,
+    "--against", type=Choice(["nominal", "corrected"]), default="nominal", show_default=True,
     help="Figures of the baseline: those of the model that was diagnosed, or of its corrected.xml.",
 )  # fmt: skip
 @click.option(

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mjsim.errors import InputError
-from simgap.arguments import ModelFile, need_folder, spare_inputs
+from simgap.arguments import Choice, ModelFile, need_folder, spare_inputs
 from simgap.terminal import printable
 
 __all__ = ["command"]
@@ -61,11 +61,11 @@ def _scan(text: str) -> range:
 @click.option("--input", "input_column", metavar="COLUMN", help="Input channel (default: the torque).")
 @click.option("--output", "output_column", metavar="COLUMN", help="Output channel (default: the velocity, else the angle).")
 @click.option(
-    "--phase", type=click.Choice(["causal", "zero-phase"]), default="causal", show_default=True, help="Phase of the low-pass."
+    "--phase", type=Choice(["causal", "zero-phase"]), default="causal", show_default=True, help="Phase of the low-pass."
 )
 @click.option(
     "--detrend",
-    type=click.Choice(["none", "mean", "linear"]),
+    type=Choice(["none", "mean", "linear"]),
     default="none",
     show_default=True,
     help="What to subtract from both channels.",
@@ -85,7 +85,7 @@ def _scan(text: str) -> range:
 @click.option("--model", type=ModelFile(), metavar="MODEL", help="Model (file or shipped name) whose TOML names the columns.")
 @click.option(
     "--clipping",
-    type=click.Choice(["refuse", "accept"]),
+    type=Choice(["refuse", "accept"]),
     default="refuse",
     show_default=True,
     help="What to do with saturated channels (samples that stay at the limit of the range).",

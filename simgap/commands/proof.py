@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import need_folder
+from simgap.arguments import Choice, need_folder
 
 __all__ = ["PAGES", "command"]
 
@@ -14,7 +14,7 @@ PAGES = ("emps", "kuka", "concealed", "summary")
 
 
 @click.command("proof", epilog="Example: simgap proof emps --out out/proof")
-@click.argument("name", type=click.Choice(PAGES))
+@click.argument("name", type=Choice(PAGES))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the page, its pictures and its numbers.")
 @click.option(
     "--from", "source", type=click.Path(path_type=Path),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import ModelFile, need_file, spare_inputs
+from simgap.arguments import Choice, ModelFile, need_file, spare_inputs
 from simgap.terminal import printable
 
 if TYPE_CHECKING:
@@ -228,11 +228,11 @@ def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
     "--recording", type=click.Path(path_type=Path), help="A log: shows the model on its input, and the recorded motion."
 )
 @click.option("--simulation", type=click.Path(path_type=Path), help="A log of a simulation, shown instead of running the model.")
-@click.option("--style", type=click.Choice(["ghost", "side"]), default="ghost", show_default=True,
+@click.option("--style", type=Choice(["ghost", "side"]), default="ghost", show_default=True,
               help="With a recording: as a translucent ghost in the same picture, or in a second picture.")  # fmt: skip
 @click.option("--camera", help="Camera of the MJCF file; 'free' fits one to the motion (default: the file's first, else free).")
 @click.option("--joint", help="Joint that the recording measures, where the model has several.")
-@click.option("--view", type=click.Choice(["auto", "model", "magnified"]), default="auto", show_default=True,
+@click.option("--view", type=Choice(["auto", "model", "magnified"]), default="auto", show_default=True,
               help="model: the file's own geoms. magnified: a drawn axis with wind-up and gap enlarged.")  # fmt: skip
 @click.option("--magnify", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True,
               help="Enlarge the motion of the model's own geoms about the first pose.")  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import ModelFile, need_file, spare_inputs
+from simgap.arguments import Choice, ModelFile, need_file, spare_inputs
 from simgap.terminal import printable
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ __all__ = ["command"]
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Predicted motion: .csv, .mcap, .npz or .parquet.")
 @click.option(
     "--engine",
-    type=click.Choice(["ode", "mujoco", "literal"]),
+    type=Choice(["ode", "mujoco", "literal"]),
     default="ode",
     show_default=True,
     help="ode: the analytic equations. mujoco: MuJoCo with steps that end at stick, slip and contact. Both simulate every "
@@ -34,7 +34,7 @@ __all__ = ["command"]
 )
 @click.option(
     "--start",
-    type=click.Choice(["auto", "rest", "recorded"]),
+    type=Choice(["auto", "rest", "recorded"]),
     default="auto",
     show_default=True,
     help="Motion at the first sample: auto chooses rest or the recorded velocity by the error over the first half second.",
@@ -54,7 +54,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
 
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
-    from mjsim.errors import InputError
+    from mjsim.errors import InputError, nearest
     from mjsim.mjcf import load_model
     from mjsim.recording import Recording
     from mjsim.writers import WRITERS
@@ -64,7 +64,8 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
 
     need_file(out)
     if out.suffix and out.suffix.lower() not in WRITERS:
-        raise InputError("--out", f"{out.name!r}", f"a name that ends in {', '.join(WRITERS)}", "correct it")
+        raise InputError("--out", f"{out.name!r}", f"a name that ends in {', '.join(WRITERS)}",
+                         nearest(out.suffix.lower(), WRITERS, "correct it"))  # fmt: skip
     spare_inputs([out], [recording, model])
     from simgap.robot import is_robot
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import need_folder, spare_inputs
+from simgap.arguments import Choice, need_folder, spare_inputs
 from simgap.terminal import printable
 
 __all__ = ["command"]
@@ -17,8 +17,8 @@ __all__ = ["command"]
 @click.argument("scenario", required=False)
 @click.option("--out", type=click.Path(path_type=Path), help="Directory for the log and its provenance.")
 @click.option("--list", "listing", is_flag=True, help="List the shipped scenarios.")
-@click.option("--engine", type=click.Choice(["ode", "accurate", "literal"]), help="Overrides the scenario's engine.")
-@click.option("--format", "file_format", type=click.Choice(["csv", "parquet"]), help="Overrides the scenario's file format.")
+@click.option("--engine", type=Choice(["ode", "accurate", "literal"]), help="Overrides the scenario's engine.")
+@click.option("--format", "file_format", type=Choice(["csv", "parquet"]), help="Overrides the scenario's file format.")
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
 @click.option("--duration", type=float, help="Overrides the scenario's duration [s].")
 @click.option("--model", help="Overrides the scenario's model: an MJCF file or a shipped name.")

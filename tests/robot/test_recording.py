@@ -93,7 +93,10 @@ def test_a_known_value_that_no_fit_of_a_robot_uses_is_named(log, robot):
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ({"join2__angle_rad": np.zeros(300)}, "joint 'join2' is not in the model; expected one of joint2"),
+        (
+            {"join2__angle_rad": np.zeros(300)},
+            "joint 'join2' is not in the model; expected one of joint1, joint2, joint3; did you mean 'joint2'",
+        ),
         ({"joint2__angle_rad": None}, "joint 'joint2' has no position"),
         ({"joint2__angle_m": np.zeros(300)}, "expected joint2.angle_rad"),
         ({"joint2__angle_rad": np.linspace(0, 5, 300)}, "joint2 is at .* the joint's range"),

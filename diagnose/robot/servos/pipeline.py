@@ -27,8 +27,7 @@ from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, pr
 from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
 from diagnose.robot.servos.state import JointSearch
-from mjsim.errors import InputError
-from mjsim.robot.drives import nearest
+from mjsim.errors import InputError, nearest
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
@@ -90,8 +89,10 @@ def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOp
     found = moving(robot, recordings)
     for name in options.joints:
         if name not in robot.joints:
-            near = nearest(name, robot.joints)
-            raise InputError("--joint", f"joint {name!r} is not in the model", f"one of {near}", "correct the name")
+            raise InputError(
+                "--joint", f"joint {name!r} is not in the model", f"one of {', '.join(robot.joints)}",
+                nearest(name, robot.joints, "correct the name"),
+            )  # fmt: skip
         if name not in found:
             raise InputError(
                 recordings[0].source, f"joint {name!r} does not move, or has no servo, command or position",
