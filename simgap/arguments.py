@@ -1,15 +1,33 @@
-"""Arguments that several commands share: a model by path or shipped name, and the checks of an output place."""
+"""Types of arguments that commands share, and the checks of an output place.
+
+A type says what a path is for: a recording or another file that is read, a folder or a file that is written. The form of the app
+(`simgap.app.forms`) is made from these types.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, final
 
 import click
 
-__all__ = ["Choice", "ModelFile", "need_file", "need_folder", "spare_inputs"]
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+__all__ = [
+    "Choice",
+    "InputFile",
+    "InputPattern",
+    "ModelFile",
+    "NamedSource",
+    "OutputFile",
+    "OutputFolder",
+    "need_file",
+    "need_folder",
+    "spare_inputs",
+]
 
 ADVICE = "choose another --out"
 
@@ -27,6 +45,80 @@ class Choice(click.Choice):
             told = nearest(str(value), self.choices, "")
             said = f"{error.message.rstrip('.')}; {told}" if told else error.message
             raise click.BadParameter(said, ctx, param) from None
+
+
+def _completed(kind: str, incomplete: str) -> list[CompletionItem]:
+    from click.shell_completion import CompletionItem
+
+    return [CompletionItem(incomplete, type=kind)]
+
+
+@final
+class InputFile(click.ParamType):
+    """A file that is read; converts to a Path. ``endings``: such as ``.json``; none: those of recordings, folders among them."""
+
+    name = "path"
+
+    def __init__(self, *endings: str) -> None:
+        self.endings = endings
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path as it is; whether the file is there is for its reader to say."""
+        return Path(value)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Files."""
+        return _completed("file", incomplete)
+
+
+@final
+class InputPattern(click.ParamType):
+    """A pattern of paths, such as ``logs/*/*.csv``; stays a string."""
+
+    name = "text"
+
+
+@final
+class OutputFolder(click.ParamType):
+    """A folder that is written to, made where it is missing; converts to a Path."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path as it is; see `need_folder`."""
+        return Path(value)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Folders."""
+        return _completed("dir", incomplete)
+
+
+@final
+class OutputFile(click.ParamType):
+    """A file that is written; converts to a Path. ``endings``: those among which its name chooses the format."""
+
+    name = "path"
+
+    def __init__(self, *endings: str) -> None:
+        self.endings = endings
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path as it is; see `need_file`."""
+        return Path(value)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Files."""
+        return _completed("file", incomplete)
+
+
+@final
+class NamedSource(click.ParamType):
+    """A scenario by TOML file or shipped name, and with ``models`` also an MJCF file or a shipped model; stays a string."""
+
+    name = "text"
+
+    def __init__(self, *, models: bool = False) -> None:
+        self.models = models
 
 
 class ModelFile(click.ParamType):

@@ -39,7 +39,7 @@ COMMANDS: dict[str, str] = {
     "crosscheck": "Compare MuJoCo with the analytic equations, effect by effect.",
     "replay": "Simulate a model, with the physics found in it, on a recorded input.",
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
-    "app": "Check, diagnose and compare in the browser, on this machine only.",
+    "app": "All commands, and runs side by side, in the browser; on this machine only.",
     "effects": "List the effects that a diagnosis can name, or describe one.",
     "schema": "Print the JSON Schema of diagnosis.json.",
     "data": "Find or download a public recording and verify its hash.",

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import errno
+import os
 
-__all__ = ["file_error", "one_line", "printable", "rich_text"]
+__all__ = ["PROGRESS", "file_error", "lines_wanted", "one_line", "printable", "rich_text"]
 
 LONGEST = 2000  # characters of an error line: 25 lines of a terminal of 80 columns
+
+
+PROGRESS = "SIMGAP_PROGRESS"
+"""Environment variable: ``lines`` asks for progress as lines on standard error, also where that is no terminal."""
+
+
+def lines_wanted() -> bool:
+    """Whether progress is asked for as lines."""
+    return os.environ.get(PROGRESS) == "lines"
 
 
 def printable(text: str) -> str:

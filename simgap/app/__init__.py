@@ -1,6 +1,7 @@
-"""``simgap app``: the flow from a model to a diagnosis in the browser, on this machine only.
+"""``simgap app``: the command line in the browser, on this machine only.
 
-`runs` keeps what was uploaded and answered in a folder, `jobs` runs ``simgap check`` and ``simgap diagnose`` in child processes,
-`guard` decides which requests are answered, `server` holds the routes, `pages` the HTML, `answers` what the pages show of the
+`forms` makes fields from the parameters of commands, `runs` keeps what was uploaded and filled in in a folder, `jobs` runs commands
+in child processes, `record` keeps how they ended, `preview` draws recordings, `guard` decides which requests are
+answered, `server` holds the routes, `pages` the HTML, `answers` what the pages show of the
 written JSON. See docs/decisions/app.md.
 """

@@ -16,9 +16,9 @@ from diagnose.report.components import Column, badge, table
 from diagnose.report.figures import number, p_value, prose, unit
 from diagnose.report.words import VERDICTS, effect_name
 from diagnose.result import Verdict
-from simgap.app.runs import ANSWERS, Run
+from simgap.app.runs import Run
 
-__all__ = ["Answer", "checked", "compared", "diagnosed", "written"]
+__all__ = ["Answer", "checked", "compared", "diagnosed"]
 
 _MODELS = {"nominal": "model as given", "refitted": "its numbers refitted", "corrected": "corrected"}
 _SEVERITIES = {"fix": "alarm", "limits": "warn"}
@@ -34,11 +34,6 @@ class Answer:
     notes: tuple[str, ...]
 
 
-def written(run: Run, command: str) -> list[str]:
-    """Names of the files that a command has written, in the order in which they are shown."""
-    return [n for n in ANSWERS[command] if (run.out / n).is_file()]
-
-
 def _read(path: Path) -> dict[str, Any] | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -49,7 +44,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 def checked(run: Run) -> Answer | None:
     """The answer of the check; None where there is none."""
-    found = _read(run.out / "check.json")
+    found = _read(run.out("check") / "check.json")
     if found is None:
         return None
     word, colour = WORDS[LogVerdict(found["verdict"])]
@@ -76,7 +71,7 @@ def checked(run: Run) -> Answer | None:
 
 def diagnosed(run: Run) -> Answer | None:
     """The answer of the diagnosis; None where there is none."""
-    found = _read(run.out / "diagnosis.json")
+    found = _read(run.out("diagnose") / "diagnosis.json")
     if found is None:
         return None
     tables = []
@@ -123,7 +118,7 @@ def compared(runs: Sequence[Run]) -> Markup:
 def _row(run: Run) -> tuple[str | Markup, ...]:
     link = Markup('<a href="/runs/{}">{}</a>').format(run.id, run.name)
     model = run.settings.model.removeprefix("model/")
-    found = _read(run.out / "diagnosis.json")
+    found = _read(run.out("diagnose") / "diagnosis.json")
     if found is None:
         return (link, model, ", ".join(run.recordings), badge("not diagnosed", "info"), "–", "", "", "", "")
     words = VERDICTS[Verdict(found["verdict"])]

@@ -61,11 +61,15 @@ document.addEventListener("DOMContentLoaded", () => {
   // settings are saved as they are changed; a start waits for those under way
   let saving = Promise.resolve();
   const save = (settings, again) => {
-    saving = ask("POST", `${run}/settings`, settings).then(() => { state.textContent = "Saved."; if (again) location.reload(); });
+    saving = saving.catch(() => {}).then(() => ask("POST", `${run}/settings`, settings)).then(() => { state.textContent = "Saved."; if (again) location.reload(); });
     return saving;
   };
-  const value = (e) => e.type === "checkbox" ? e.checked : e.type === "number" ? Number(e.value) : e.value;
-  all("[data-setting]", (e) => e.addEventListener("change", attempt(() => save({ [e.dataset.setting]: value(e) }, e.dataset.setting === "model"))));
+  const value = (e) => e.type === "checkbox" ? e.checked : e.type !== "number" ? e.value : e.value === "" ? null : Number(e.value);
+  all("[data-setting]", (e) => e.addEventListener("change", attempt(() => {
+    if (e.validity.badInput) throw new Error(`${e.labels[0]?.textContent.trim()}: no number.`);
+    const { command, setting } = e.dataset;
+    return save(command ? { values: { [command]: { [setting]: value(e) } } } : { [setting]: value(e) }, !command);
+  })));
   all("[data-held-out]", (e) => e.addEventListener("change", attempt(() => {
     const held = [...document.querySelectorAll("[data-held-out]:checked")].map((c) => c.value);
     return save({ held_out: held }, true);
@@ -75,6 +79,14 @@ document.addEventListener("DOMContentLoaded", () => {
     await ask("POST", `${run}/start`, { command: b.dataset.start });
     location.reload();
   })));
+
+  all("[data-picture]", async (place) => {
+    try {
+      const told = await ask("GET", place.dataset.picture);
+      if (told.svg) place.innerHTML = told.svg; // drawn by the server, its texts escaped
+      else place.textContent = told.problem;
+    } catch (error) { place.textContent = error.message; }
+  });
 
   all("[data-events]", (list) => {
     const events = new EventSource(list.dataset.events);

@@ -6,6 +6,7 @@ A child runs ``python -P -m simgap``: -P keeps the run's folder off the module p
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -14,15 +15,16 @@ from dataclasses import dataclass, field
 from typing import IO
 
 from mjsim.errors import InputError
+from simgap.app import record
 from simgap.app.runs import Run
-from simgap.terminal import one_line
+from simgap.terminal import PROGRESS, one_line
 
 __all__ = ["Job", "Jobs"]
 
 MOST_JOBS = 2  # at a time: a diagnosis uses two threads
 MOST_LINES = 5000  # that are kept of one command
 PATIENCE = 5.0  # seconds after an interrupt before the child is killed; its fits are on disk by then
-_CHECK_MISSED = 1  # exit code: the command did its work, and what it checked is not as it should be
+COLUMNS = "110"  # width of the tables that a command prints
 
 
 @dataclass
@@ -60,11 +62,12 @@ class Jobs:
                 raise InputError(run.name, "a command of this run works already", "one at a time", "wait for it, or stop it")
             if sum(j.code is None for j in self._jobs.values()) >= MOST_JOBS:
                 raise InputError(run.name, f"{MOST_JOBS} commands work already", "fewer", "wait for one, or stop one")
-            run.begin(command)
-            job = Job(command, subprocess.Popen(
-                [sys.executable, "-P", "-m", "simgap", *words], cwd=run.folder, text=True, encoding="utf-8", errors="replace",
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-            ))  # fmt: skip
+            with record.begin(run, command, words).open("wb") as printed:
+                job = Job(command, subprocess.Popen(
+                    [sys.executable, "-P", "-m", "simgap", *words], cwd=run.folder, text=True, encoding="utf-8", errors="replace",
+                    stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE,
+                    env=os.environ | {PROGRESS: "lines", "COLUMNS": COLUMNS, "NO_COLOR": "1", "PYTHONIOENCODING": "utf-8"},
+                ))  # fmt: skip
             self._jobs[run.id] = job
         threading.Thread(target=self._follow, args=(run, job), daemon=True).start()
         return job
@@ -74,13 +77,8 @@ class Jobs:
         with job.process.stderr:
             _keep(job.process.stderr, job.lines)
         code = job.process.wait()
-        error = ""
-        if job.stopped:
-            error = "stopped; the fits that were made are kept, and starting again continues"
-        elif code and not _is_answer(run, job.command, code):
-            error = job.lines[-1].removeprefix("simgap: ") if job.lines and code > 0 else f"the process ended with code {code}"
         with contextlib.suppress(OSError):  # the folder may be gone
-            run.end(job.command, code, error, job.lines)
+            record.end(run, job.command, code, stopped=job.stopped, lines=job.lines)
         job.code = code
 
     def stop(self, run: Run) -> None:
@@ -101,11 +99,6 @@ class Jobs:
         """Stop all, as the server ends."""
         for run in runs:
             self.stop(run)
-
-
-def _is_answer(run: Run, command: str, code: int) -> bool:
-    """Whether the exit code is that of a check whose answer is that the log has to be fixed."""
-    return command == "check" and code == _CHECK_MISSED and (run.out / "check.json").is_file()
 
 
 def _keep(stream: IO[str], lines: list[str]) -> None:

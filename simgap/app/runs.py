@@ -3,14 +3,14 @@
 FOLDER/<id>/run.json       name and settings
 FOLDER/<id>/model/         uploaded MJCF and its meshes
 FOLDER/<id>/recordings/    uploaded recordings and their bindings
-FOLDER/<id>/out/           what simgap check and simgap diagnose write
-FOLDER/<id>/progress.txt   the lines of the last command; ended.json: how it ended
+FOLDER/<id>/files/         uploaded scenarios and baselines
+FOLDER/<id>/out/COMMAND/   what a command writes
+FOLDER/<id>/jobs/          how each command ended, and what it printed; see `simgap.app.record`
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import secrets
@@ -25,21 +25,27 @@ from typing import Any
 from mjsim.errors import InputError, nearest
 from mjsim.models import shipped_models
 from mjsim.readers import MOST_BYTES, READERS
+from mjsim.scenario import shipped_scenarios
+from simgap.app.forms import LONGEST_TEXT, Field, Form, Kind, forms
+from simgap.pipeline import STATE
 
-__all__ = ["ANSWERS", "BINDING", "KINDS", "MOST_UPLOAD", "MissingError", "Run", "Runs", "Settings", "safe_name"]
+__all__ = [
+    "BINDING", "FILES", "HELD_OUT", "KINDS", "MOST_UPLOAD", "RECORDINGS", "MissingError", "Run", "Runs", "Settings", "form_for",
+    "read_json", "safe_name", "write_json",
+]  # fmt: skip
 
 BINDING = ".toml"
 MESHES = (".stl", ".obj", ".msh", ".png", ".skn", ".hf", ".bin")
 KINDS = {
     "model": (".xml", *MESHES, BINDING),
+    "files": (BINDING, ".json"),
     "recordings": (*(ending for ending in READERS if ending.startswith(".")), BINDING),
 }
 """Folder of a run -> endings of files that may be uploaded into it."""
-ANSWERS = {
-    "check": ("check.html", "check.json"),
-    "diagnose": ("report.html", "summary.md", "corrected.xml", "mapped.xml", "nominal.xml", "diagnosis.json"),
-}
-"""Command -> files that it writes and that are served."""
+OUT = "out"
+RECORDINGS, HELD_OUT = "recordings", "held_out"  # parameters that step 2 of a run fills in
+FILES = (Kind.MODEL, Kind.RECORDING, Kind.FILE, Kind.SOURCE)
+HIDDEN = (STATE,)  # files in the folder of a command that are no results
 MOST_UPLOAD = min(MOST_BYTES, 512 * 2**20)  # bytes of one file; readers take more from a disk
 MOST_FILES = 200  # in one folder of a run: an MJCF of a humanoid has about 100 meshes
 LONGEST_NAME = 120  # characters of a file or run name; file systems allow 255 bytes
@@ -66,58 +72,54 @@ def safe_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class Settings:
-    """What a diagnosis is asked for; as the options of ``simgap diagnose``.
+    """What a run is asked for.
 
-    ``model``: a shipped name, or ``model/FILE``; ``held_out``: names of recordings kept for validation.
+    ``model``: a shipped name, or a file of the run; ``held_out``: names of recordings kept for validation; ``values``: command ->
+    field -> value, of the fields that were filled in.
     """
 
     model: str = ""
     held_out: tuple[str, ...] = ()
-    effects: str = ""
-    joints: str = ""
-    judge: str = ""
-    effort: float = 1.0
-    budget: float = 0.0
-    seed: int = 0
-    accept_log: bool = False
-    film: bool = False
-    markdown: bool = False
+    values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def changed(self, new: Mapping[str, Any]) -> Settings:
-        """These settings with the given ones in their place. Raises InputError for an unknown name, type or value."""
-        known = asdict(self)
-        for name, value in new.items():
+        """These settings with the given ones in their place; values of fields are added to those of their command.
+
+        Raises InputError for an unknown name, type or value.
+        """
+        known = ("model", "held_out", "values")
+        for name in new:
             if name not in known:
                 raise InputError(
                     f"setting {name[:LONGEST_NAME]!r}", "unknown", f"one of: {', '.join(known)}", nearest(name, known)
                 )
-            known[name] = _typed(name, value, known[name])
-        return Settings(**known)
+        model, held_out, values = new.get("model", self.model), new.get("held_out", self.held_out), dict(self.values)
+        if not isinstance(model, str) or len(model) > LONGEST_TEXT or not model.isprintable():
+            raise InputError("setting 'model'", "no short text", f"at most {LONGEST_TEXT} printable characters")
+        if not isinstance(held_out, list | tuple) or not all(isinstance(v, str) for v in held_out) or len(held_out) > MOST_FILES:
+            raise InputError("setting 'held_out'", "no list of names", "names of recordings")
+        given = new.get("values", {})
+        if not isinstance(given, Mapping):
+            raise InputError("setting 'values'", f"{given!r:.40}", "an object: command, then field, then value")
+        for command, fields in given.items():
+            if not isinstance(fields, Mapping):
+                raise InputError(f"setting {command!r:.80}", f"{fields!r:.40}", "an object of fields")
+            there = {**values.get(command, {}), **form_for(command).checked(fields)}
+            values[command] = {name: value for name, value in there.items() if name not in fields or not _empty(fields[name])}
+        return Settings(model.strip(), tuple(safe_name(v) for v in held_out), values)
 
 
-def _typed(name: str, value: Any, default: Any) -> Any:
-    """The value as the type of the present one."""
-    where = f"setting {name!r}"
-    if isinstance(default, tuple):
-        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value) or len(value) > MOST_FILES:
-            raise InputError(where, "no list of names", "names of recordings")
-        return tuple(safe_name(v) for v in value)
-    if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise InputError(where, f"{value!r:.40}", "true or false")
-        return value
-    if isinstance(default, str):
-        if not isinstance(value, str) or len(value) > 1000 or not value.isprintable():
-            raise InputError(where, "no short text", "at most 1000 printable characters")
-        if name == "judge" and value not in ("", "motion", "force"):
-            raise InputError(where, f"{value!r:.40}", "motion, force or nothing")
-        return value.strip()
-    whole = isinstance(default, int)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or not 0 <= value < 2**31:
-        raise InputError(where, f"{value!r:.40}", "a number of at least 0, below 2^31")
-    if whole and value != int(value):
-        raise InputError(where, f"{value!r:.40}", "a whole number")
-    return int(value) if whole else float(value)
+def _empty(value: Any) -> bool:
+    """Whether a value clears a field."""
+    return value is None or value is False or value == ""
+
+
+def form_for(command: str) -> Form:
+    """The form of a command. Raises InputError for one that has none."""
+    found = forms().get(command)
+    if found is None:
+        raise InputError(f"command {command!r:.80}", "unknown", f"one of: {', '.join(forms())}", nearest(command, forms()))
+    return found
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,9 @@ class Run:
         """Name of the folder."""
         return self.folder.name
 
-    @property
-    def out(self) -> Path:
-        """Where the commands write."""
-        return self.folder / "out"
+    def out(self, command: str) -> Path:
+        """Where a command writes."""
+        return self.folder / OUT / command
 
     def files(self, kind: str) -> list[str]:
         """Names of the files that were uploaded into a folder of `KINDS`, sorted."""
@@ -147,6 +148,14 @@ class Run:
     def recordings(self) -> list[str]:
         """Names of the recordings, without their bindings."""
         return [n for n in self.files("recordings") if not n.lower().endswith(BINDING)]
+
+    def written(self, command: str) -> list[str]:
+        """Files that a command wrote, relative to its folder: pages first, then pictures and films, then others by name."""
+        top = self.out(command)
+        paths = (p for p in top.rglob("*") if p.is_file() and not p.is_symlink()) if top.is_dir() else ()
+        names = [p.relative_to(top).as_posix() for p in paths]
+        shown = (n for n in names if not any(part.startswith(".") for part in n.split("/")) and n not in HIDDEN)
+        return sorted(shown, key=lambda n: (n.count("/"), _rank(n), n))[:MOST_FILES]
 
     def place(self, kind: str, name: str) -> Path:
         """Where an uploaded file goes. Raises InputError for an ending that cannot be read, and for too many files."""
@@ -162,70 +171,86 @@ class Run:
 
     def save(self) -> None:
         """Write ``run.json`` in one move."""
-        _write(self.folder / "run.json", {"name": self.name, "settings": asdict(self.settings)})
+        write_json(self.folder / "run.json", {"name": self.name, "settings": asdict(self.settings)})
 
     def with_settings(self, new: Mapping[str, Any]) -> Run:
-        """Save changed settings; answers that hold for another model or split of recordings are removed."""
-        settings = self.settings.changed(new)
-        if settings.model:
-            self._need_model(settings.model)
-        changed = replace(self, settings=settings)
+        """Save changed settings. Raises InputError for a model that is not there."""
+        changed = replace(self, settings=self.settings.changed(new))
+        if changed.settings.model and changed.settings.model not in changed.models():
+            known = changed.models()
+            raise InputError(f"model {changed.settings.model!r:.80}", "not there", f"one of: {', '.join(known)}",
+                             nearest(changed.settings.model, known))  # fmt: skip
         changed.save()
-        if settings.model != self.settings.model:
-            self.forget("check")
-        if (settings.model, settings.held_out) != (self.settings.model, self.settings.held_out):
-            self.forget("diagnose")
         return changed
 
-    def _need_model(self, model: str) -> None:
-        own = [f"model/{n}" for n in self.files("model") if n.lower().endswith(".xml")]
-        known = [*own, *shipped_models()]
-        if model not in known:
-            raise InputError(f"model {model!r:.80}", "not there", f"one of: {', '.join(known)}", nearest(model, known))
+    def models(self) -> list[str]:
+        """Models that can be chosen: uploaded, written by a command, shipped."""
+        return [*self._uploaded("model", (".xml",)), *self._results((".xml",)), *shipped_models()]
 
-    def forget(self, command: str) -> None:
-        """Remove the answers of a command, and how it ended."""
-        for name in ANSWERS[command]:
-            (self.out / name).unlink(missing_ok=True)
-        if self.ended().get("command") == command:
-            (self.folder / "ended.json").unlink(missing_ok=True)
+    def candidates(self, f: Field) -> list[str]:
+        """What a field of files may hold: paths relative to the run's folder, and shipped names."""
+        if f.kind is Kind.MODEL:
+            return self.models()
+        if f.kind is Kind.SOURCE:
+            return [*self._uploaded("files", (BINDING,)), *(self.models() if f.models else ()), *shipped_scenarios()]
+        if f.kind is Kind.FILE:
+            return [*self._uploaded("files", f.endings), *self._results(f.endings)]
+        readable = tuple(e for e in KINDS["recordings"] if e != BINDING)
+        return [*(f"recordings/{n}" for n in self.recordings), *self._results(readable)]
 
-    def ended(self) -> dict[str, Any]:
-        """How the last command ended: command, code, error; empty where none has; a command without a code was broken off."""
-        return _read(self.folder / "ended.json")
+    def _uploaded(self, kind: str, endings: tuple[str, ...]) -> list[str]:
+        return [f"{kind}/{n}" for n in self.files(kind) if n.lower().endswith(endings)]
 
-    def begin(self, command: str) -> None:
-        """Note that a command runs, and remove its earlier answers."""
-        self.forget(command)
-        self.out.mkdir(parents=True, exist_ok=True)
-        _write(self.folder / "ended.json", {"command": command, "code": None, "error": ""})
+    def _results(self, endings: tuple[str, ...]) -> list[str]:
+        return [f"{OUT}/{c}/{n}" for c in forms() for n in self.written(c) if n.lower().endswith(endings)]
 
-    def end(self, command: str, code: int, error: str, lines: list[str]) -> None:
-        """Note how it ended."""
-        (self.folder / "progress.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-        _write(self.folder / "ended.json", {"command": command, "code": code, "error": error})
+    def automatic(self, form: Form, f: Field) -> list[str]:
+        """What a field of files holds while nothing is chosen: the run's model, its recordings, the newest file that fits.
+
+        Of a command that keeps recordings for validation, ``recordings`` are the others.
+        """
+        if f.name in (HELD_OUT, RECORDINGS):
+            split = any(other.name == HELD_OUT for other in form.fields)
+            held = [n for n in self.recordings if n in self.settings.held_out]
+            rest = [n for n in self.recordings if not (split and n in held)]
+            return [f"recordings/{n}" for n in (held if f.name == HELD_OUT else rest)]
+        if not f.required:
+            return []
+        if f.kind in (Kind.MODEL, Kind.SOURCE):
+            return [self.settings.model] if self.settings.model else []
+        return self.candidates(f)[:1]
 
     def words(self, command: str) -> list[str]:
         """The words of the command line after ``simgap``, relative to the run's folder. Raises InputError for what is missing."""
-        s = self.settings
-        if not s.model:
-            raise InputError("model", "none was chosen", "a shipped model or an uploaded MJCF file", "choose one in step 1")
-        self._need_model(s.model)
-        if not self.recordings:
-            raise InputError("recordings", "there are none", "at least one", "upload one in step 2")
-        common = [f"--model={s.model}", "--out=out"]
-        if command == "check":
-            return ["check", *common, *(f"recordings/{n}" for n in self.recordings)]
-        held_out = [n for n in self.recordings if n in s.held_out]
-        used = [n for n in self.recordings if n not in held_out]
-        if not used:
-            raise InputError("recordings", "all of them are held out", "at least one to identify from", "clear one mark")
-        options = [f"--effects={s.effects}", f"--effort={s.effort}", f"--budget={s.budget}", f"--seed={s.seed}"]
-        options += [f"--held-out=recordings/{n}" for n in held_out]
-        options += [f"--joint={j.strip()}" for j in s.joints.split(",") if j.strip()]
-        options += [f"--judge={s.judge}"] * bool(s.judge) + ["--accept-log"] * s.accept_log
-        options += ["--film"] * s.film + ["--markdown"] * s.markdown
-        return ["diagnose", *common, *options, *(f"recordings/{n}" for n in used)]
+        form = form_for(command)
+        values = self.settings.values.get(command, {})
+        files: dict[str, list[str]] = {}
+        for f in form.fields:
+            if f.kind in FILES:
+                files[f.name] = self._chosen(form, f, values.get(f.name))
+        lacking = [f for f in form.fields if f.required and not files.get(f.name, values.get(f.name, f.default))]
+        if lacking:
+            self._lacks(min(lacking, key=lambda f: f.kind not in (Kind.MODEL, Kind.SOURCE)))
+        return form.words({f.name: f.default for f in form.fields if f.required} | dict(values), files, f"{OUT}/{command}")
+
+    def _chosen(self, form: Form, f: Field, value: Any) -> list[str]:
+        if value is None or f.name in (RECORDINGS, HELD_OUT):
+            return self.automatic(form, f)
+        known = self.candidates(f)
+        if value not in known:
+            raise InputError(
+                f.label, f"{value!r:.80} is not there", f"one of: {', '.join(known) or 'none yet'}", nearest(value, known)
+            )
+        return [value]
+
+    def _lacks(self, f: Field) -> None:
+        if f.kind in (Kind.MODEL, Kind.SOURCE):
+            raise InputError(f.label, "none was chosen", "a shipped model or an uploaded MJCF file", "choose one in step 1")
+        if f.kind is Kind.RECORDING and self.recordings:
+            raise InputError(f.label, "all of them are held out", "at least one to identify from", "clear one mark")
+        if f.kind is Kind.RECORDING:
+            raise InputError(f.label, "there are none", "at least one", "upload one in step 2")
+        raise InputError(f.label, "nothing is given", f.help or "a value", "fill it in")
 
 
 class Runs:
@@ -248,7 +273,7 @@ class Runs:
         path = self.folder / run_id
         if not _ID.fullmatch(run_id) or not (path / "run.json").is_file():
             raise MissingError(run_id)
-        kept = _read(path / "run.json")
+        kept = read_json(path / "run.json")
         try:
             settings = Settings().changed(kept.get("settings", {}))
         except InputError:  # of another version, or edited: the run's files and answers can still be seen
@@ -273,14 +298,20 @@ class Runs:
         shutil.rmtree(run.folder)
 
 
-def _write(path: Path, content: Mapping[str, Any]) -> None:
+def _rank(name: str) -> int:
+    """Pages before pictures before the rest."""
+    return next((i for i, endings in enumerate(((".html",), (".mp4", ".gif", ".png", ".svg"))) if name.endswith(endings)), 2)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write an object in one move."""
     handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
     with os.fdopen(handle, "w", encoding="utf-8") as out:
         json.dump(content, out, indent=1)
     os.replace(scratch, path)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
     """An object from a JSON file; empty where there is none that can be read."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

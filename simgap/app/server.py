@@ -19,16 +19,19 @@ from starlette.routing import Route
 
 from mjsim.errors import InputError
 from simgap.app import pages
+from simgap.app.forms import forms
 from simgap.app.guard import WRITTEN_POLICY, Guard
 from simgap.app.jobs import Jobs
-from simgap.app.runs import ANSWERS, BINDING, MOST_UPLOAD, MissingError, Run, Runs
+from simgap.app.preview import Previews
+from simgap.app.runs import BINDING, MOST_UPLOAD, MissingError, Run, Runs, form_for
 from simgap.terminal import file_error, one_line
 
 __all__ = ["make_app"]
 
 MOST_JSON = 64 * 1024  # bytes of a request other than a file
 PAUSE = 0.2  # seconds between two looks at the lines of a job
-_TYPES = {".html": "text/html", ".json": "application/json", ".md": "text/plain", ".xml": "text/plain"}
+_TYPES = {".html": "text/html", ".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4", ".json": "application/json"}
+_SHOWN = (".png", ".gif", ".mp4")  # in a page; other files but pages are saved
 
 Handler: TypeAlias = Callable[[Request], Awaitable[Response]]
 
@@ -40,7 +43,7 @@ def make_app(
 
     Raises InputError where the folder cannot be made.
     """
-    app = _App(Runs(folder), Jobs(), most_upload, ending)
+    app = _App(Runs(folder), Jobs(), Previews(), most_upload, ending)
     return Starlette(
         routes=[Route(path, _told(endpoint), methods=[method]) for method, path, endpoint in app.table()],
         middleware=[Middleware(Guard, token=token, port=port)],
@@ -52,8 +55,8 @@ def make_app(
 class _App:
     """The endpoints, with the runs and the jobs that they serve."""
 
-    def __init__(self, runs: Runs, jobs: Jobs, most_upload: int, ending: Callable[[], bool]) -> None:
-        self._runs, self._jobs, self._most_upload, self._ending = runs, jobs, most_upload, ending
+    def __init__(self, runs: Runs, jobs: Jobs, previews: Previews, most_upload: int, ending: Callable[[], bool]) -> None:
+        self._runs, self._jobs, self._previews, self._most_upload, self._ending = runs, jobs, previews, most_upload, ending
 
     def table(self) -> list[tuple[str, str, Handler]]:
         """Method, path, endpoint."""
@@ -61,7 +64,8 @@ class _App:
             ("GET", "/", self.home),
             ("GET", "/compare", self.compare),
             ("GET", "/runs/{run}", self.page),
-            ("GET", "/files/{run}/{name}", self.file),
+            ("GET", "/runs/{run}/{command}", self.command),
+            ("GET", "/files/{run}/{command}/{name:path}", self.file),
             ("GET", "/static/{name}", self.static),
             ("POST", "/api/runs", self.new),
             ("DELETE", "/api/runs/{run}", self.delete),
@@ -70,14 +74,17 @@ class _App:
             ("POST", "/api/runs/{run}/stop", self.stop),
             ("POST", "/api/runs/{run}/copy", self.copy),
             ("GET", "/api/runs/{run}/events", self.events),
+            ("GET", "/api/runs/{run}/picture/{name}", self.picture),
             ("PUT", "/api/runs/{run}/{kind:str}/{name:path}", self.upload),
             ("DELETE", "/api/runs/{run}/{kind:str}/{name:path}", self.remove),
         ]
 
     @asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        """Stop the children when the server ends."""
+        """Load the process that draws; stop the children when the server ends."""
+        await run_in_threadpool(self._previews.start)
         yield
+        await run_in_threadpool(self._previews.close)
         await run_in_threadpool(self._jobs.close, self._runs.all())
 
     def _run(self, request: Request) -> Run:
@@ -103,16 +110,34 @@ class _App:
         """One run."""
         return HTMLResponse(await run_in_threadpool(pages.run_page, self._run(request), self._jobs))
 
+    async def command(self, request: Request) -> Response:
+        """One command of a run: its form, and what it said and wrote."""
+        command = request.path_params["command"]
+        if command not in forms():
+            raise MissingError(command)
+        return HTMLResponse(await run_in_threadpool(pages.command_page, self._run(request), self._jobs, command))
+
     async def file(self, request: Request) -> Response:
         """A file that a command wrote; no other."""
-        run, name = self._run(request), request.path_params["name"]
-        path = run.out / name
-        if not any(name in names for names in ANSWERS.values()) or not path.is_file():
+        run, command, name = (request.path_params[k] for k in ("run", "command", "name"))
+        found = self._runs.get(run)
+        if command not in forms() or name not in found.written(command):
             raise MissingError(name)
-        kind = _TYPES[path.suffix]
+        path = found.out(command) / name
+        kind = _TYPES.get(path.suffix, "text/plain")
         if kind == "text/html":
             return FileResponse(path, media_type=kind, headers={"Content-Security-Policy": WRITTEN_POLICY})
-        return FileResponse(path, media_type=kind, filename=name)
+        if path.suffix in _SHOWN and "save" not in request.query_params:
+            return FileResponse(path, media_type=kind)
+        return FileResponse(path, media_type=kind, filename=path.name)
+
+    async def picture(self, request: Request) -> Response:
+        """A recording as SVG, or why there is no picture of it."""
+        run, name = self._run(request), request.path_params["name"]
+        if name not in run.recordings:
+            raise MissingError(name)
+        svg, problem = await run_in_threadpool(self._previews.picture, run.folder, f"recordings/{name}", run.settings.model)
+        return JSONResponse({"svg": svg, "problem": problem})
 
     async def static(self, request: Request) -> Response:
         """Style and script."""
@@ -147,8 +172,9 @@ class _App:
     async def start(self, request: Request) -> Response:
         """Start a command."""
         run, command = self._run(request), (await _json(request)).get("command")
-        if not isinstance(command, str) or command not in ANSWERS:
-            raise InputError("command", "unknown", f"one of: {', '.join(ANSWERS)}")
+        if not isinstance(command, str):
+            raise InputError("command", "none is named", "the name of one")
+        form_for(command)
         await run_in_threadpool(self._jobs.start, run, command)
         return JSONResponse({}, 202)
 
@@ -192,7 +218,6 @@ class _App:
             with suppress(FileNotFoundError):
                 Path(scratch).unlink()
         run = self._run(request)
-        self._outdated(run, kind)
         if kind == "model" and not run.settings.model and path.suffix.lower() == ".xml":
             run.with_settings({"model": f"model/{path.name}"})
         return JSONResponse({"name": path.name}, 201)
@@ -204,18 +229,11 @@ class _App:
         if not path.is_file():
             raise MissingError(path.name)
         path.unlink()
-        self._outdated(run, kind)
         if run.settings.model == f"{kind}/{path.name}":
             run.with_settings({"model": ""})
         if path.suffix.lower() != BINDING and path.name in run.settings.held_out:
             run.with_settings({"held_out": [n for n in run.settings.held_out if n != path.name]})
         return JSONResponse({})
-
-    def _outdated(self, run: Run, kind: str) -> None:
-        """Answers hold for the files that they were made from."""
-        if kind == "recordings" or run.settings.model.startswith("model/"):
-            for command in ANSWERS:
-                run.forget(command)
 
 
 async def _json(request: Request) -> dict[str, Any]:

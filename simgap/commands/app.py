@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.option("--port", default=0, type=click.IntRange(0, 65535), help="Port on 127.0.0.1; default: a free one.")
 @click.option("--browser/--no-browser", default=True, show_default=True, help="Open the system's browser.")
 def command(folder: Path, port: int, browser: bool) -> None:
-    """Check, diagnose and compare in the browser: model, recordings, check, diagnosis, results, runs side by side.
+    """Run all commands in the browser: model, recordings, check, diagnosis, results, others, runs side by side.
 
     The server answers on this machine only, to who has the address that is printed. Ctrl-C ends it; runs stay in the folder.
     """

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, need_folder
+from simgap.arguments import Choice, OutputFolder, need_folder
 
 if TYPE_CHECKING:
     from lab.benchmark.arms import Arm
@@ -21,7 +21,7 @@ Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, s
 
 
 @click.command("benchmark", epilog="Example: simgap benchmark --out out/benchmark --grade quick --jobs 2")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for recordings, truth, results and page.")
+@click.option("--out", required=True, type=OutputFolder(), help="Folder for recordings, truth, results and page.")
 @click.option(
     "--grade", default="quick", show_default=True, type=Choice(["quick", "full"]), help="quick: 25 cases. full: about 660."
 )

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile
+from simgap.arguments import InputFile, ModelFile, OutputFolder
 
 __all__ = ["command"]
 
 
 @click.command("check", epilog="Example: simgap check log.csv --model robot_axis1 --out check/")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=InputFile())
 @click.option(
     "--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis or robot, or the name of a shipped model."
 )
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for check.json and check.html.")
+@click.option("--out", type=OutputFolder(), help="Folder for check.json and check.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print check.json on standard output.")
 def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json: bool) -> None:
     """Check RECORDINGS against a nominal model before any physics is sought.

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile, need_folder
+from simgap.arguments import ModelFile, OutputFolder, need_folder
+from simgap.terminal import lines_wanted
 
 __all__ = ["command"]
 
 
 @click.command(epilog="Example: simgap crosscheck --out out/crosscheck")
 @click.argument("model", required=False, type=ModelFile())
-@click.option("--out", type=click.Path(path_type=Path), help="Directory for crosscheck.json and crosscheck.png.")
+@click.option("--out", type=OutputFolder(), help="Directory for crosscheck.json and crosscheck.png.")
 @click.option("--duration", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="Duration of the chirp [s].")
 @click.option(
     "--amplitude",
@@ -42,8 +43,8 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
         for item in check_all(model, duration=duration, amplitude=amplitude):
             if isinstance(item, Report):
                 report = item
-            elif shown:
-                click.echo(f"\r{item.name:60.60s}", nl=False, err=True)
+            else:
+                _tell(item.name, terminal=shown)
     except DivergedError as error:
         raise InputError(model or "robot_axis1", str(error)) from None
     if shown:
@@ -65,3 +66,11 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
             click.echo(f"not compared: {name}: {why}")
     if report.missed:
         raise CheckError(f"{len(report.missed)} comparisons exceed their tolerance: {'; '.join(report.missed)}")
+
+
+def _tell(name: str, *, terminal: bool) -> None:
+    """What has been compared: in one line of a terminal, or as a line where that is asked for."""
+    if terminal:
+        click.echo(f"\r{name:60.60s}", nl=False, err=True)
+    elif lines_wanted():
+        click.echo(f"simgap: {name}", err=True)

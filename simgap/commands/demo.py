@@ -6,15 +6,13 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import need_folder
+from simgap.arguments import OutputFolder, need_folder
 
 __all__ = ["command"]
 
 
 @click.command("demo", epilog="Example: simgap demo --seed 7 --out out/demo")
-@click.option(
-    "--out", default=Path("out/demo"), show_default=True, type=click.Path(path_type=Path), help="Folder for the results."
-)
+@click.option("--out", default=Path("out/demo"), show_default=True, type=OutputFolder(), help="Folder for the results.")
 @click.option(
     "--seed", default=1, show_default=True, type=click.IntRange(0), help="Seed of the effect, its size, the axis and the noise."
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, ModelFile, need_folder, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, need_folder, spare_inputs
 
 __all__ = ["command"]
 
@@ -16,14 +16,10 @@ __all__ = ["command"]
     epilog="Example: simgap diagnose log.csv --model robot_axis1 --held-out other.csv --out report/; "
     "simgap diagnose log.csv --model robot.xml --joint elbow --joint wrist --out report/",
 )
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=InputFile())
 @click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis, or the name of a shipped model.")
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path), help="Folder for diagnosis.json, corrected.xml and report.html."
-)
-@click.option(
-    "--held-out", "held_out", multiple=True, type=click.Path(path_type=Path), help="Recording kept for validation (repeatable)."
-)
+@click.option("--out", required=True, type=OutputFolder(), help="Folder for diagnosis.json, corrected.xml and report.html.")
+@click.option("--held-out", "held_out", multiple=True, type=InputFile(), help="Recording kept for validation (repeatable).")
 @click.option(
     "--judge",
     type=Choice(["motion", "force"]),

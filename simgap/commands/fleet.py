@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile, need_folder
+from simgap.arguments import InputPattern, ModelFile, OutputFolder, need_folder
 
 __all__ = ["command"]
 
@@ -14,11 +14,9 @@ __all__ = ["command"]
 @click.command(
     "fleet", epilog="Example: simgap fleet 'logs/*/*.parquet' --model arm.xml --out fleet/ --workers 8",
 )  # fmt: skip
-@click.argument("pattern")
+@click.argument("pattern", type=InputPattern())
 @click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of all robots, or the name of a shipped model.")
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path), help="Folder for fleet.parquet, fleet.html and the records."
-)
+@click.option("--out", required=True, type=OutputFolder(), help="Folder for fleet.parquet, fleet.html and the records.")
 @click.option("--scheduler", default="", help="Address of a Dask scheduler; default: a local cluster.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(1), help="Processes of the local cluster.")
 @click.option("--memory", default="auto", show_default=True, help="Memory limit of each of them, as 2GB.")

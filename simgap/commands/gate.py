@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, ModelFile, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, need_file, spare_inputs
 
 if TYPE_CHECKING:
     from simgap.gating.check import Check
@@ -75,8 +75,8 @@ def as_markdown(model: Path, checks: Sequence[Check], tolerance: float) -> str:
 
 @click.command("gate", epilog="Example: simgap gate robot.xml log.csv --baseline report/diagnosis.json")
 @click.argument("model", type=ModelFile())
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--baseline", required=True, type=click.Path(path_type=Path), help="diagnosis.json to compare with.")
+@click.argument("recordings", nargs=-1, required=True, type=InputFile())
+@click.option("--baseline", required=True, type=InputFile(".json"), help="diagnosis.json to compare with.")
 @click.option(
     "--against", type=Choice(["nominal", "corrected"]), default="nominal", show_default=True,
     help="Figures of the baseline: those of the model that was diagnosed, or of its corrected.xml.",
@@ -85,9 +85,7 @@ def as_markdown(model: Path, checks: Sequence[Check], tolerance: float) -> str:
     "--tolerance", type=click.FloatRange(min=0), default=0.02, show_default=True,
     help="Allowed growth of the rms error, as a fraction of the baseline's.",
 )  # fmt: skip
-@click.option(
-    "--markdown", type=click.Path(path_type=Path), help="Write the comparison as Markdown too, such as for a job summary."
-)
+@click.option("--markdown", type=OutputFile(".md"), help="Write the comparison as Markdown too, such as for a job summary.")
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON.")
 def command(
     model: Path, recordings: tuple[Path, ...], baseline: Path, against: str, tolerance: float, markdown: Path | None,

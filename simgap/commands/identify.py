@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mjsim.errors import InputError
-from simgap.arguments import Choice, ModelFile, need_folder, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, need_folder, spare_inputs
 from simgap.terminal import printable
 
 __all__ = ["command"]
@@ -51,8 +51,8 @@ def _scan(text: str) -> range:
 
 
 @click.command("identify", short_help="Filter, decimate and fit a Box-Jenkins model to a recording.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--out", "out", type=click.Path(path_type=Path), required=True, help="Folder for the results.")
+@click.argument("recording", type=InputFile())
+@click.option("--out", "out", type=OutputFolder(), required=True, help="Folder for the results.")
 @click.option("--orders", default="5,5,5,5,1", show_default=True, metavar="NB,NC,ND,NF,NK", help="MATLAB's [nb nc nd nf nk].")
 @click.option("--decimate", "factor", type=int, default=10, show_default=True, help="Keep every N-th sample; 1 means all.")
 @click.option(
@@ -70,15 +70,13 @@ def _scan(text: str) -> range:
     show_default=True,
     help="What to subtract from both channels.",
 )
-@click.option(
-    "--validate", type=click.Path(path_type=Path), metavar="RECORDING", help="Simulate this recording too, for validation."
-)
+@click.option("--validate", type=InputFile(), metavar="RECORDING", help="Simulate this recording too, for validation.")
 @click.option(
     "--scan", metavar="LOW:HIGH", help="Try orders N,N,N,N,NK for each N of the range and use the smallest BIC; draws orders.png."
 )
 @click.option(
     "--level",
-    type=click.Path(path_type=Path),
+    type=InputFile(),
     metavar="RECORDING",
     help="The same excitation at another amplitude, to test whether the response is linear.",
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, need_folder
+from simgap.arguments import Choice, InputFile, OutputFolder, need_folder
 
 __all__ = ["PAGES", "command"]
 
@@ -15,12 +15,12 @@ PAGES = ("emps", "kuka", "concealed", "summary")
 
 @click.command("proof", epilog="Example: simgap proof emps --out out/proof")
 @click.argument("name", type=Choice(PAGES))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the page, its pictures and its numbers.")
+@click.option("--out", required=True, type=OutputFolder(), help="Folder for the page, its pictures and its numbers.")
 @click.option(
     "--from", "source", type=click.Path(path_type=Path),
     help="Folder with local copies of the recordings (default: where simgap data finds them).",
 )  # fmt: skip
-@click.option("--benchmark", type=click.Path(path_type=Path), help="benchmark.json of a simgap benchmark run, for the summary.")
+@click.option("--benchmark", type=InputFile(".json"), help="benchmark.json of a simgap benchmark run, for the summary.")
 @click.option(
     "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
 )

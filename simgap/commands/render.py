@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, ModelFile, need_file, spare_inputs
-from simgap.terminal import printable
+from simgap.arguments import Choice, InputFile, ModelFile, NamedSource, OutputFile, need_file, spare_inputs
+from simgap.terminal import lines_wanted, printable
 
 if TYPE_CHECKING:
     from mjsim.axis import Axis
@@ -216,18 +216,26 @@ def _amplitude(axis: Axis, w: float) -> float:
     return float(f"{torque / abs(chain.gain):.2g}")
 
 
+def _told(frames: Iterable[int], count: int) -> Iterator[int]:
+    """The frames, with a line on standard error at each tenth of them."""
+    for i, frame in enumerate(frames):
+        if (10 * i) // count > (10 * (i - 1)) // count:
+            click.echo(f"simgap: picture {i + 1} of {count}", err=True)
+        yield frame
+
+
 def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
     with click.progressbar(frames, length=count, label="rendering", file=sys.stderr) as bar:
         yield from bar
 
 
 @click.command(epilog="Example: simgap render pendulum.xml --recording log.csv --out pendulum.mp4")
-@click.argument("source", metavar="SCENARIO_OR_MODEL")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="FILE.mp4, FILE.gif or FILE.png (one picture).")
+@click.argument("source", metavar="SCENARIO_OR_MODEL", type=NamedSource(models=True))
 @click.option(
-    "--recording", type=click.Path(path_type=Path), help="A log: shows the model on its input, and the recorded motion."
+    "--out", required=True, type=OutputFile(".mp4", ".gif", ".png"), help="FILE.mp4, FILE.gif or FILE.png (one picture)."
 )
-@click.option("--simulation", type=click.Path(path_type=Path), help="A log of a simulation, shown instead of running the model.")
+@click.option("--recording", type=InputFile(), help="A log: shows the model on its input, and the recorded motion.")
+@click.option("--simulation", type=InputFile(), help="A log of a simulation, shown instead of running the model.")
 @click.option("--style", type=Choice(["ghost", "side"]), default="ghost", show_default=True,
               help="With a recording: as a translucent ghost in the same picture, or in a second picture.")  # fmt: skip
 @click.option("--camera", help="Camera of the MJCF file; 'free' fits one to the motion (default: the file's first, else free).")
@@ -261,7 +269,7 @@ def command(
 
     need_suffix(out)
     need_file(out)
-    progress = _bar if sys.stderr.isatty() else None
+    progress = _bar if sys.stderr.isatty() else _told if lines_wanted() else None
     given = {"size": _size(size), "fps": fps, "speed": speed, "start": start, "duration": duration, "progress": progress}
     wanted = _Wanted(recording, simulation, camera, joint, style, magnify, given)
     if simulation is not None and recording is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, ModelFile, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, need_file, spare_inputs
 from simgap.terminal import printable
 
 if TYPE_CHECKING:
@@ -22,8 +22,13 @@ __all__ = ["command"]
 
 @click.command("replay")
 @click.argument("model", type=ModelFile())
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Predicted motion: .csv, .mcap, .npz or .parquet.")
+@click.argument("recording", type=InputFile())
+@click.option(
+    "--out",
+    type=OutputFile(".csv", ".parquet", ".npz", ".mcap"),
+    required=True,
+    help="Predicted motion: .csv, .mcap, .npz or .parquet.",
+)
 @click.option(
     "--engine",
     type=Choice(["ode", "mujoco", "literal"]),

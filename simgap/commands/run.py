@@ -7,21 +7,21 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, need_folder, spare_inputs
+from simgap.arguments import Choice, ModelFile, NamedSource, OutputFolder, need_folder, spare_inputs
 from simgap.terminal import printable
 
 __all__ = ["command"]
 
 
 @click.command(epilog="Example: simgap run coulomb_2 --out logs/")
-@click.argument("scenario", required=False)
-@click.option("--out", type=click.Path(path_type=Path), help="Directory for the log and its provenance.")
+@click.argument("scenario", required=False, type=NamedSource())
+@click.option("--out", type=OutputFolder(), help="Directory for the log and its provenance.")
 @click.option("--list", "listing", is_flag=True, help="List the shipped scenarios.")
 @click.option("--engine", type=Choice(["ode", "accurate", "literal"]), help="Overrides the scenario's engine.")
 @click.option("--format", "file_format", type=Choice(["csv", "parquet"]), help="Overrides the scenario's file format.")
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
 @click.option("--duration", type=float, help="Overrides the scenario's duration [s].")
-@click.option("--model", help="Overrides the scenario's model: an MJCF file or a shipped name.")
+@click.option("--model", type=ModelFile(), help="Overrides the scenario's model: an MJCF file or a shipped name.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     scenario: str | None,
@@ -31,12 +31,11 @@ def command(
     file_format: str | None,
     seed: int | None,
     duration: float | None,
-    model: str | None,
+    model: Path | None,
     as_json: bool,
 ) -> None:
     """Simulate SCENARIO (a TOML file or a shipped name) and write its log."""
     from mjsim.errors import InputError
-    from mjsim.models import model_path
     from mjsim.ode import DivergedError
     from mjsim.scenario import load_scenario, provenance, shipped_scenarios, write_log
     from mjsim.scenario import run as run_scenario
@@ -53,9 +52,14 @@ def command(
     if scenario is None or out is None:
         raise click.UsageError("name a SCENARIO and --out DIR (simgap run --list shows the shipped ones)")
     need_folder(out)
-    if model is not None:
-        model = str(model_path(model).resolve())
-    chosen = load_scenario(scenario, engine=engine, format=file_format, seed=seed, duration_s=duration, model=model)
+    chosen = load_scenario(
+        scenario,
+        engine=engine,
+        format=file_format,
+        seed=seed,
+        duration_s=duration,
+        model=None if model is None else str(model.resolve()),
+    )
     spare_inputs([out / f"{chosen.name}.{chosen.format.value}", out / f"{chosen.name}.toml"], [Path(scenario)])
     try:
         log = run_scenario(chosen)

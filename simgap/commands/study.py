@@ -7,17 +7,15 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import need_folder
+from simgap.arguments import InputFile, OutputFolder, need_folder
 
 __all__ = ["command"]
 
 
 @click.command(epilog="Example: simgap study --out out/study --jobs 2")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for figures, claims.json and the ledger.")
+@click.option("--out", type=OutputFolder(), required=True, help="Folder for figures, claims.json and the ledger.")
 @click.option("--jobs", type=click.IntRange(min=1, max=256), help="Number of processes (default: two, or one on one core).")
-@click.option(
-    "--recording", type=click.Path(path_type=Path), help="A log of your robot, used in figure 4 instead of a simulated one."
-)
+@click.option("--recording", type=InputFile(), help="A log of your robot, used in figure 4 instead of a simulated one.")
 @click.option("--quick", is_flag=True, help="Fewer variants: takes less than a minute.")
 @click.option(
     "--docs",

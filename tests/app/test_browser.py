@@ -7,16 +7,19 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import slowdown
 
 for needed in ("starlette", "uvicorn"):
     pytest.importorskip(needed, reason=f"{needed} is not installed: pip install simgap[app]")
 
 MODEL = Path(__file__).resolve().parents[2] / "models" / "pendulum.xml"
+SECONDS = 3.0  # from an upload to the first picture
 PICTURES = os.environ.get("SIMGAP_PICTURES")  # a folder for screenshots
 
 
@@ -68,8 +71,8 @@ def test_from_a_new_run_to_a_comparison(browser: Any, address: str, log: bytes, 
 
         page.click("[data-start=check]")
         page.wait_for_selector("text=No problem found.")
-        page.click("summary")
-        page.fill("[data-setting=effects]", "coulomb_friction,torque_offset")
+        options(page, "diagnose")
+        page.fill("#diagnose-effects", "coulomb_friction,torque_offset")
         page.click("[data-start=diagnose]")
         page.wait_for_selector(".lines li")
         fits(page, 1400, "working")
@@ -89,7 +92,7 @@ def test_from_a_new_run_to_a_comparison(browser: Any, address: str, log: bytes, 
         first = page.url
         page.click("text=Copy to a new run")
         page.wait_for_url(lambda url: url != first)
-        assert page.input_value("[data-setting=effects]") == "coulomb_friction,torque_offset"
+        assert page.input_value("#diagnose-effects") == "coulomb_friction,torque_offset"
         page.goto(first.rpartition("/runs/")[0] + "/")
         for box in page.query_selector_all("[name=run]"):
             box.check()
@@ -129,14 +132,15 @@ def test_a_recording_of_a_real_machine(browser: Any, address: str, local_copy: A
         page.wait_for_selector("option[value=emps]:checked", state="attached")
         page.set_input_files("[data-put$='/recordings/']", files)
         page.wait_for_selector("[data-held-out][value='DATA_EMPS.mat']")
+        page.wait_for_selector(".preview svg >> nth=1")
         with page.expect_navigation():
             page.check("[data-held-out][value='DATA_EMPS_PULSES.mat']")
         assert page.is_checked("[data-held-out][value='DATA_EMPS_PULSES.mat']")
         page.click("[data-start=check]")
         page.wait_for_selector("a:has-text('check.html')")
-        page.click("summary")
-        page.fill("[data-setting=effects]", "coulomb_friction,torque_offset")
-        page.check("[data-setting=markdown]")
+        options(page, "diagnose")
+        page.fill("#diagnose-effects", "coulomb_friction,torque_offset")
+        page.check("#diagnose-markdown")
         page.click("[data-start=diagnose]")
         page.wait_for_selector("a:has-text('summary.md')")
         assert "Coulomb friction" in page.inner_text("main")
@@ -144,4 +148,98 @@ def test_a_recording_of_a_real_machine(browser: Any, address: str, local_copy: A
         with page.expect_download() as saved:
             page.click("a:has-text('corrected.xml')")
         assert "frictionloss" in Path(saved.value.path()).read_text(encoding="utf-8")
+
+        start(page, "replay", model="out/diagnose/corrected.xml", recording="recordings/DATA_EMPS_PULSES.mat")
+        assert "fit" in page.inner_text(".printed")
+        assert page.locator("a:has-text('replay.csv')").count() == 1
+        start(page, "gate")
+        assert "ok" in page.inner_text(".printed")
+        start(page, "identify", model="emps", orders="2,2,2,2,1", decimate=5)
+        page.wait_for_selector("figure img >> nth=0")
+        fits(page, 1400, "identify")
+        with page.expect_popup() as opened:
+            page.click("a:has-text('identification.html')")
+        opened.value.wait_for_selector("#response")
+        opened.value.close()
+        start(page, "render", source="emps", recording="recordings/DATA_EMPS.mat", duration=0.5, size="320x240", format=".gif")
+        assert page.evaluate("document.querySelector('figure img').naturalWidth") > 0
+        fits(page, 390, "render")
     assert said == []
+
+
+def options(page: Any, command: str) -> None:
+    """Show the optional fields of a command."""
+    page.click(f"details:has([data-command={command}]) > summary")
+
+
+def start(page: Any, command: str, fails: bool = False, **values: Any) -> None:
+    """Open a command from the page of the run, fill its form in, start it, and wait until it has ended."""
+    page.goto(page.url.partition("/runs/")[0] + "/runs/" + page.url.partition("/runs/")[2].partition("/")[0])
+    page.click(f".commands a:text-is('{command}')")
+    page.wait_for_url(f"**/{command}")
+    if page.locator("details:has([data-command]) > summary").count():
+        options(page, command)
+    for name, value in values.items():
+        field = page.locator(f".field:has(> label:text-is('{name.replace('_', ' ')}')) [data-setting]")
+        if field.evaluate("e => e.tagName") == "SELECT":
+            field.select_option(value)
+        elif value is True:
+            field.check()
+        else:
+            field.fill(str(value))
+    page.click("[data-start]")
+    page.wait_for_selector("[role=alert]:visible" if fails else "#results")
+
+
+@pytest.mark.slow
+def test_every_other_command(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
+    """Commands that need no diagnosis, with a refusal as one line, progress, and what was printed."""
+    said: list[str] = []
+    recording, bad = tmp_path / "log.csv", tmp_path / "baseline.json"
+    recording.write_bytes(log)
+    bad.write_text("{")
+    with browser.new_context(viewport={"width": 1400, "height": 900}) as window:
+        page = window.new_page()
+        page.set_default_timeout(120_000)
+        page.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda e: said.append(str(e)))
+        page.goto(address)
+        page.click("text=New run")
+        page.wait_for_url("**/runs/*")
+        start(page, "effects", name="backlash")
+        assert "gap_rad" in page.inner_text(".printed")
+        start(page, "effects", fails=True, name="backlsh")
+        assert "did you mean 'backlash'" in page.inner_text(".error")
+        start(page, "doctor")
+        assert "mujoco" in page.inner_text(".printed")
+        start(page, "run", scenario="coulomb_2", duration=1, engine="ode")
+        assert page.locator("a:has-text('coulomb_2.csv')").count() == 1
+        start(page, "crosscheck", model="pendulum", duration=1)
+        assert page.evaluate("document.querySelector('figure img').naturalWidth") > 0
+        fits(page, 390, "crosscheck")
+        page.set_viewport_size({"width": 1400, "height": 900})
+        start(page, "render", source="pendulum", duration=0.4, size="320x240")
+        assert page.evaluate("document.querySelector('video').readyState") >= 0
+        start(page, "gate", fails=True, model="pendulum")
+        assert "upload one in step 2" in page.inner_text("#problem")
+        assert said == []
+
+
+def test_from_an_upload_to_its_picture(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
+    recording, bad = tmp_path / "log.csv", tmp_path / "bad.csv"
+    recording.write_bytes(log)
+    bad.write_text("a,b\n1,2\n")
+    with browser.new_context(viewport={"width": 1400, "height": 900}) as window:
+        page = window.new_page()
+        page.goto(address)
+        page.click("text=New run")
+        page.wait_for_url("**/runs/*")
+        before, began = slowdown(), time.monotonic()
+        page.set_input_files("[data-put$='/recordings/']", recording)
+        page.wait_for_selector(".preview svg")
+        took = time.monotonic() - began
+        assert took < SECONDS * max(before, slowdown()), took
+        assert page.locator(".preview svg").get_attribute("aria-label") == "Signals of log.csv over time"
+        page.set_input_files("[data-put$='/recordings/']", bad)
+        page.wait_for_selector(".preview:has-text('bad.csv')")
+        fits(page, 390, "upload")

@@ -14,8 +14,10 @@ pytest.importorskip("httpx2", reason="httpx2 is not installed: pip install simga
 from starlette.testclient import TestClient
 
 from mjsim.errors import InputError
+from simgap.app.forms import FORMAT, Kind, forms
 from simgap.app.guard import POLICY, WRITTEN_POLICY
 from simgap.app.jobs import _keep
+from simgap.app.record import begin, end
 from simgap.app.runs import LONGEST_NAME, Runs, Settings, safe_name
 from simgap.app.server import make_app
 
@@ -53,7 +55,8 @@ def ended(client, run, seconds=120):
 
 
 ROUTES = [
-    ("GET", "/"), ("GET", "/compare"), ("GET", "/runs/x"), ("GET", "/files/x/report.html"), ("GET", "/static/app.js"),
+    ("GET", "/"), ("GET", "/compare"), ("GET", "/runs/x"), ("GET", "/files/x/diagnose/report.html"), ("GET", "/runs/x/run"),
+    ("GET", "/api/runs/x/picture/a.csv"), ("GET", "/static/app.js"),
     ("GET", "/static/app.css"), ("POST", "/api/runs"), ("DELETE", "/api/runs/x"), ("POST", "/api/runs/x/start"),
     ("GET", "/api/runs/x/events"), ("PUT", "/api/runs/x/model/a.xml"), ("GET", "/nowhere"),
 ]  # fmt: skip
@@ -101,7 +104,15 @@ def test_a_change_from_another_origin_is_refused(client, tmp_path, origin):
 
 
 def test_every_answer_has_a_policy(client, run):
-    for path in ("/", f"/runs/{run}", "/compare", "/static/app.js", "/nowhere", f"/files/{run}/report.html"):
+    for path in (
+        "/",
+        f"/runs/{run}",
+        "/compare",
+        "/static/app.js",
+        f"/runs/{run}/render",
+        "/nowhere",
+        f"/files/{run}/diagnose/report.html",
+    ):
         answer = client.get(path)
         assert answer.headers["content-security-policy"] == POLICY
         assert answer.headers["x-content-type-options"] == "nosniff"
@@ -166,8 +177,9 @@ def test_a_body_that_is_no_object_is_refused(client, run, body):
 
 
 ELSEWHERE = (
-    "/files/{run}/run.json", "/files/{run}/..%2Frun.json", "/files/{run}/../run.json", "/runs/..%2F..",
-    "/files/{run}/state.jsonl",     "/files/../{run}/out/report.html", "/files/..%2F..%2F{run}/check.html",
+    "/files/{run}/run.json", "/files/{run}/check/..%2F..%2Frun.json", "/files/{run}/check/../../run.json", "/runs/..%2F..",
+    "/files/{run}/diagnose/state.jsonl", "/files/{run}/../report.html", "/files/..%2F..%2F{run}/check/check.html",
+    "/runs/{run}/app", "/runs/{run}/rm", "/api/runs/{run}/picture/..%2Frun.json", "/api/runs/{run}/picture/a.csv",
     "/runs/20260101-000000-abcdef", "/static/server.py",
     "/static/..%2Fserver.py", "/compare?run=..",
 )  # fmt: skip
@@ -181,18 +193,23 @@ def test_paths_that_lead_elsewhere_are_not_there(client, run, path):
 @pytest.mark.parametrize(("new", "told"), [
     ({"modle": "emps"}, "did you mean 'model'?"), ({"model": "emp"}, "did you mean 'emps'?"),
     ({"model": "../a.xml"}, "not there"), ({"model": "model/none.xml"}, "not there"), ({"model": 3}, "no short text"),
-    ({"effects": "a\nb"}, "no short text"),
-    ({"effort": -1}, "at least 0"), ({"effort": True}, "a number"), ({"seed": 1.5}, "whole"), ({"seed": 2**31}, "below"),
-    ({"judge": "x"}, "motion, force"), ({"film": "yes"}, "true or false"), ({"held_out": "a"}, "no list"),
+    ({"held_out": "a"}, "no list"), ({"values": []}, "an object"), ({"values": {"diagnose": 1}}, "an object of fields"),
+    ({"values": {"diagnos": {}}}, "did you mean 'diagnose'?"), ({"values": {"app": {"port": 1}}}, "unknown"),
+    ({"values": {"diagnose": {"effort": -1}}}, "at least 0"), ({"values": {"diagnose": {"effort": True}}}, "a number"),
+    ({"values": {"diagnose": {"effort": 1e400}}}, "a number"), ({"values": {"diagnose": {"seed": 1.5}}}, "whole"),
+    ({"values": {"diagnose": {"judge": "x"}}}, "motion, force"), ({"values": {"diagnose": {"film": "yes"}}}, "true or false"),
+    ({"values": {"diagnose": {"effects": "a\nb"}}}, "printable"), ({"values": {"diagnose": {"out": "/tmp/x"}}}, "unknown"),
+    ({"values": {"replay": {"format": ".py"}}}, ".csv, .parquet"),
 ])  # fmt: skip
 def test_bad_settings_are_told(client, run, tmp_path, new, told):
-    assert told in error(client.post(f"/api/runs/{run}/settings", json=new))
+    assert told in error(client.post(f"/api/runs/{run}/settings", content=json.dumps(new)))
     assert Runs(tmp_path / "runs").get(run).settings == Settings()
 
 
 def test_a_start_without_what_it_needs_is_told(client, run):
     start = f"/api/runs/{run}/start"
     assert "unknown" in error(client.post(start, json={"command": "rm"}))
+    assert "unknown" in error(client.post(start, json={"command": "app"}))
     assert "step 1" in error(client.post(start, json={"command": "check"}))
     client.post(f"/api/runs/{run}/settings", json={"model": "pendulum"})
     assert "step 2" in error(client.post(start, json={"command": "check"}))
@@ -203,11 +220,23 @@ def test_a_start_without_what_it_needs_is_told(client, run):
 
 def test_no_setting_becomes_an_option(client, run, tmp_path):
     client.put(f"/api/runs/{run}/recordings/--out=x.csv", content=b"x")
-    client.post(f"/api/runs/{run}/settings", json={"model": "pendulum", "effects": "--json", "joints": "--film, a"})
+    values = {"diagnose": {"effects": "--json", "joints": "--film, a"}, "effects": {"name": "--help"}}
+    client.post(f"/api/runs/{run}/settings", json={"model": "pendulum", "values": values})
     words = Runs(tmp_path / "runs").get(run).words("diagnose")
     assert "recordings/out_x.csv" in words
     assert {"--effects=--json", "--joint=--film", "--joint=a"} <= set(words)
     assert not {"--json", "--film"} & set(words)
+    assert Runs(tmp_path / "runs").get(run).words("effects") == ["effects", "--", "--help"]
+
+
+def test_a_file_outside_of_the_run_is_refused(client, run):
+    client.put(f"/api/runs/{run}/recordings/a.csv", content=b"x")
+    for name, value in (("recording", "/etc/passwd"), ("recording", "recordings/../run.json"), ("model", "../a.xml")):
+        client.post(f"/api/runs/{run}/settings", json={"model": "pendulum", "values": {"replay": {name: value}}})
+        assert "is not there" in error(client.post(f"/api/runs/{run}/start", json={"command": "replay"}))
+        client.post(f"/api/runs/{run}/settings", json={"values": {"replay": {name: ""}}})
+    client.post(f"/api/runs/{run}/settings", json={"values": {"render": {"source": "/etc/passwd"}}})
+    assert "is not there" in error(client.post(f"/api/runs/{run}/start", json={"command": "render"}))
 
 
 def test_a_wrong_recording_is_told_in_one_line_of_the_page(client, run):
@@ -245,14 +274,15 @@ def test_from_upload_to_the_check_and_back_after_a_restart(client, run, log, tmp
     with TestClient(make_app(tmp_path / "runs", TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}") as again:
         again.cookies.set(f"simgap-{PORT}", TOKEN)
         assert "Ready" in again.get(f"/runs/{run}").text
-        answer = again.get(f"/files/{run}/check.html")
+        answer = again.get(f"/files/{run}/check/check.html")
         assert answer.headers["content-security-policy"] == WRITTEN_POLICY
-        assert again.get(f"/files/{run}/check.json").json()["verdict"] == "ready"
-        assert "attachment" in again.get(f"/files/{run}/check.json").headers["content-disposition"]
+        assert again.get(f"/files/{run}/check/check.json").json()["verdict"] == "ready"
+        assert "attachment" in again.get(f"/files/{run}/check/check.json").headers["content-disposition"]
         other = again.post(f"/api/runs/{run}/copy", json={}).json()["id"]
         assert Runs(tmp_path / "runs").get(other).recordings == ["a.csv"]
         again.put(f"/api/runs/{run}/recordings/b.csv", content=log)
-        assert again.get(f"/files/{run}/check.json").status_code == 404
+        assert again.get(f"/files/{run}/check/check.json").status_code == 200
+        assert "have changed since" in again.get(f"/runs/{run}").text
         assert again.delete(f"/api/runs/{run}").status_code == 200
         assert [r.id for r in Runs(tmp_path / "runs").all()] == [other]
 
@@ -270,14 +300,15 @@ def test_a_wrong_log_is_an_answer_of_the_check(client, run, log):
 
 
 def test_a_stopped_command_and_one_that_a_server_left(client, run, log, tmp_path):
-    client.post(f"/api/runs/{run}/settings", json={"model": "pendulum", "effort": 0})
+    client.post(f"/api/runs/{run}/settings", json={"model": "pendulum", "values": {"diagnose": {"effort": 0}}})
     client.put(f"/api/runs/{run}/recordings/a.csv", content=log)
     client.post(f"/api/runs/{run}/start", json={"command": "diagnose"})
     client.post(f"/api/runs/{run}/stop")
     ended(client, run)
-    assert "stopped; the fits" in client.get(f"/runs/{run}").text
+    assert "stopped; starting again" in client.get(f"/runs/{run}").text
     kept = Runs(tmp_path / "runs").get(run)
-    kept.begin("diagnose")
+    assert "--effort=0.0" in kept.words("diagnose")
+    begin(kept, "diagnose", kept.words("diagnose"))
     assert "broken off with the server" in client.get(f"/runs/{run}").text
     assert client.get("/").status_code == 200
 
@@ -309,3 +340,79 @@ def test_a_missing_extra_is_one_line(monkeypatch, capsys, tmp_path):
     assert len(said.splitlines()) == 1
     assert "pip install 'simgap[app]'" in said
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_form_for_every_command_that_a_run_can_hold():
+    from simgap.cli import COMMANDS, cli
+
+    assert set(COMMANDS) - set(forms()) == {"app"}
+    assert {
+        "identify",
+        "replay",
+        "render",
+        "crosscheck",
+        "run",
+        "gate",
+        "check",
+        "diagnose",
+        "fleet",
+        "effects",
+        "doctor",
+    } <= set(forms())
+    for name, form in forms().items():
+        options = {o for p in cli.get_command(None, name).params for o in p.opts}
+        assert {f.option for f in form.fields if f.option} | ({form.output} if form.output else set()) <= options
+        assert all(f.help for f in form.fields if f.option), name
+
+
+@pytest.mark.parametrize("name", ["check", "diagnose", "identify", "replay", "render", "crosscheck", "run", "gate"])
+def test_the_words_of_a_form_are_understood_by_the_command(name):
+    """What the form writes, click reads back as the same values."""
+    from simgap.cli import cli
+
+    form = forms()[name]
+    values, files = {}, {}
+    for f in form.fields:
+        if f.kind in (Kind.MODEL, Kind.SOURCE):
+            files[f.name] = ["pendulum"]
+        elif f.kind in (Kind.RECORDING, Kind.FILE):
+            files[f.name] = ["recordings/-a.csv", "recordings/b.csv"][: 1 + f.several]
+        elif f.kind is Kind.CHOICE:
+            values[f.name] = f.choices[-1]
+        else:
+            values[f.name] = {Kind.FLAG: True, Kind.WHOLE: 7, Kind.NUMBER: max(0.5, f.low or 0), Kind.TEXT: "--x"}[f.kind]
+    values = form.checked(values)
+    words = form.words(values, files, f"out/{name}")
+    read = cli.get_command(None, name).make_context(name, words[1:]).params
+    for f in form.fields:
+        if f.name == FORMAT:
+            assert read["out"].suffix == values[FORMAT]
+        elif f.kind in (Kind.RECORDING, Kind.FILE):
+            got = read[f.name] if f.several else (read[f.name],)
+            assert [p.as_posix() for p in got] == files[f.name]
+        elif f.kind not in (Kind.MODEL, Kind.SOURCE):
+            assert read[f.name] == ((values[f.name],) if f.several else values[f.name])
+
+
+def test_a_picture_of_a_recording_or_why_there_is_none(client, run, log):
+    client.put(f"/api/runs/{run}/recordings/a.csv", content=log)
+    client.put(f"/api/runs/{run}/recordings/b.csv", content=b"<b>,y\n1,2\n")
+    picture = f"/api/runs/{run}/picture/"
+    assert client.get(picture + "a.csv").json()["svg"].startswith("<svg ")
+    told = client.get(picture + "b.csv").json()
+    assert told["svg"] == ""
+    assert told["problem"].startswith("recordings/b.csv")
+    client.post(f"/api/runs/{run}/settings", json={"model": "pendulum"})
+    assert "velocity" in client.get(picture + "a.csv").json()["svg"]
+
+
+def test_how_a_command_ended_is_shown(client, run, tmp_path):
+    """Exit code 1 is a result, with the line that it ended with; 2 is a refusal; neither hides what was printed."""
+    kept = Runs(tmp_path / "runs").get(run)
+    for code, colour, shown in ((0, "", True), (1, "warn", True), (2, "alarm", False)):
+        begin(kept, "gate", ["gate"]).write_text("a table", encoding="utf-8")
+        end(kept, "gate", code, stopped=False, lines=["working", "simgap: the error <grew>"])
+        page = client.get(f"/runs/{run}/gate").text
+        assert ("a table" in page) == shown
+        assert (f'class="{colour} error"' in page) == bool(code)
+        assert ("the error &lt;grew&gt;" in page) == bool(code)

@@ -30,6 +30,14 @@ def started() -> Iterator[Any]:
             browser.close()
 
 
+def slowdown(seconds: float = 0.1) -> float:
+    """Time on the clock over time of the processor now, at least 1: others share the machine."""
+    wall, processor = time.perf_counter(), time.thread_time()
+    while time.thread_time() - processor < seconds:
+        pass
+    return max(1.0, (time.perf_counter() - wall) / seconds)
+
+
 @dataclass
 class Watched:
     """A page with what it said on the console and what it asked of the network."""
