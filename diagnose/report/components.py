@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -25,7 +25,7 @@ from markupsafe import Markup
 from diagnose.report.plots import Chart, Explorer
 from diagnose.report.static import draw
 
-__all__ = ["Cell", "Column", "badge", "bar", "chart_figure", "explorer_section", "table", "theme_button"]
+__all__ = ["Cell", "Column", "badge", "bar", "chart_figure", "columns", "explorer_section", "table", "theme_button"]
 
 Cell: TypeAlias = "str | Markup"
 
@@ -37,6 +37,11 @@ class Column:
     head: str
     numeric: bool = False
     wide: bool = False
+
+
+def columns(*heads: str, numeric: Collection[int] = (), wide: Collection[int] = ()) -> list[Column]:
+    """Columns by their heads; ``numeric`` and ``wide``: indices of those that are."""
+    return [Column(head, i in numeric, i in wide) for i, head in enumerate(heads)]
 
 
 def table(columns: Sequence[Column], rows: Iterable[Sequence[Cell]], caption: Cell = "", chosen: Sequence[int] = ()) -> Markup:

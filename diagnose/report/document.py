@@ -1,7 +1,7 @@
 """A self-contained HTML page: theme, scripts and a content security policy that allows nothing else.
 
 The policy lists the SHA-256 of each inline style and script; no request leaves the page. ``document`` is all that a page of this
-project needs around its body: the diagnosis, the check of a log, the robot and the identification use it.
+project needs around its body.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def theme() -> str:
     return _resource("theme.css")
 
 
-def document(title: str, body: str, data: Mapping[str, Any] | None = None) -> str:
+def document(title: str, body: str, data: Mapping[str, Any] | None = None, style: str = "") -> str:
     """A page of ``body`` (HTML, escaped by whoever made it).
 
     ``data``: what `plots.page_data` returns, for a page whose plots are interactive; without it the page has no script but the
-    one that switches the theme. The same input gives the same bytes.
+    one that switches the theme. ``style``: rules of this page beside those of the theme. The same input gives the same bytes.
     """
     scripts = [_resource("theme.js")]
-    styles = [theme()]
+    styles = [theme() + style]
     plotly = ""
     payload = ""
     if data is not None:
@@ -66,7 +66,7 @@ def document(title: str, body: str, data: Mapping[str, Any] | None = None) -> st
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(title)}</title>\n<style>{theme()}</style>\n{plotly}<script>{first}</script>\n</head>\n<body>\n"
+        f"<title>{escape(title)}</title>\n<style>{styles[0]}</style>\n{plotly}<script>{first}</script>\n</head>\n<body>\n"
         '<a class="skip" href="#content">Skip to the content</a>\n'
         f"{body}\n{payload}" + "".join(f"<script>{text}</script>\n" for text in later) + "</body>\n</html>\n"
     )

@@ -23,7 +23,6 @@ from simgap.cli import COMMANDS, cli
 __all__ = ["Field", "Form", "Kind", "form_of", "forms"]
 
 LONGEST_TEXT = 1000  # characters of a field
-MOST_VALUES = 200  # of a field that takes several
 PATTERN = "recordings/*"  # what a pattern of paths means in a run
 FORMAT = "format"  # name of the field that chooses the ending of the file that is written
 _PRINTED = {"as_json", "quiet", "listing"}  # parameters that change what is printed, by their name
@@ -179,7 +178,7 @@ def form_of(name: str) -> Form | None:
                 fields.append(made)
             elif p.required or isinstance(p, click.Argument):
                 return None
-    if formats:
+    if len(formats) > 1:
         fields.append(
             Field(FORMAT, "", "format", "Of the file that is written.", Kind.CHOICE, default=formats[0], choices=formats)
         )

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +11,18 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from simgap.fleet.trends import AGAIN, Drift, drifts, outliers, to_record_again
+from diagnose.report.components import columns, theme_button
+from diagnose.report.components import table as cards
+from diagnose.report.document import document
+from diagnose.report.document import write_page as write_text
+from simgap.fleet.trends import AGAIN, Drift, Outlier, drifts, outliers, to_record_again
 
 __all__ = ["headline", "write_page"]
 
-
-@dataclass(frozen=True)
-class RobotRow:
-    """One line of the matrix: cells in the order of the effects; how many recordings lack nothing, how many gave no answer."""
-
-    name: str
-    logs: int
-    cells: tuple[str, ...]
-    fine: int
-    open: int
+_STYLE = """
+.spark { width: 9rem; height: 2.2rem; vertical-align: middle; } .spark circle { fill: var(--corrected); }
+.spark polyline { fill: none; stroke: var(--corrected); stroke-width: 1.5; }
+"""
 
 
 def headline(table: Sequence[Mapping[str, Any]]) -> str:
@@ -40,35 +36,59 @@ def headline(table: Sequence[Mapping[str, Any]]) -> str:
 
 
 def write_page(path: Path, table: Sequence[Mapping[str, Any]], model: str) -> None:
-    """Write the page, beside the final name first. Every text from a file is escaped."""
+    """Write the page in one move. Every text from a file is escaped."""
+    robots: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for r in table:
+        robots[r["robot"]].append(r)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    effects = sorted({_name(r) for r in table if r["effect"]})
-    text = environment.get_template("page.html.j2").render(
-        robots=_robots(table, effects), logs=len({r["key"] for r in table}), headline=headline(table), effects=effects,
-        drifts=drifts(table), outliers=outliers(table), again=to_record_again(table), model=model, spark=_spark,
+    logs = len({r["key"] for r in table})
+    body = environment.get_template("page.html.j2").render(
+        robots=robots, logs=logs, headline=headline(table), model=model, matrix=_matrix(robots),
+        drifts=_drifts(drifts(table)), outliers=_outliers(outliers(table)), again=_again(table), theme_button=theme_button,
     )  # fmt: skip
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_text(document(f"Fleet: {len(robots)} robots, {logs} recordings", body, style=_STYLE), path)
+
+
+def _matrix(robots: Mapping[str, Sequence[Mapping[str, Any]]]) -> Markup:
+    """Robots by effects."""
+    effects = sorted({_name(r) for rows in robots.values() for r in rows if r["effect"]})
+    heads = columns("Robot", "Recordings", *effects, "Nothing missing", "No answer", numeric=range(1, len(effects) + 4))
+    return cards(heads, [_row(name, rows, effects) for name, rows in sorted(robots.items())])
+
+
+def _drifts(found: Sequence[Drift]) -> Markup | None:
+    heads = columns("Robot", "Effect", "Parameter", "Change a day (95 %)", "Over time", numeric=(3,))
+    rows = [
+        (d.robot, _at(d.effect, d.joint), d.parameter, f"{d.per_day:.3g} {d.unit} ({d.low:.3g} to {d.high:.3g})", _spark(d))
+        for d in found
+    ]
+    return cards(heads, rows) if rows else None
+
+
+def _outliers(found: Sequence[Outlier]) -> Markup | None:
+    heads = columns("Robot", "Effect", "Parameter", "Value", "Median of the fleet", numeric=(3, 4))
+    rows = [(o.robot, _at(o.effect, o.joint), o.parameter, f"{o.value:.4g} {o.unit}", f"{o.median:.4g} {o.unit}") for o in found]
+    return cards(heads, rows) if rows else None
+
+
+def _again(table: Sequence[Mapping[str, Any]]) -> Markup | None:
+    heads = columns("Robot", "Recording", "Verdict", "What to do", wide=(1, 3))
+    rows = [(robot, log, verdict.replace("_", " "), todo or "") for robot, log, verdict, todo in to_record_again(table)]
+    return cards(heads, rows) if rows else None
+
+
+def _at(effect: str, joint: str | None) -> str:
+    return f"{effect} at {joint}" if joint else effect
 
 
 def _name(row: Mapping[str, Any]) -> str:
     return f"{row['effect']} at {row['joint']}" if row["joint"] else str(row["effect"])
 
 
-def _robots(table: Sequence[Mapping[str, Any]], effects: Sequence[str]) -> list[RobotRow]:
-    by: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-    for r in table:
-        by[r["robot"]].append(r)
-    return [_row(name, rows, effects) for name, rows in sorted(by.items())]
-
-
-def _row(name: str, rows: Sequence[Mapping[str, Any]], effects: Sequence[str]) -> RobotRow:
+def _row(name: str, rows: Sequence[Mapping[str, Any]], effects: Sequence[str]) -> list[str]:
+    """Recordings, share and median of each effect, and how many recordings lack nothing or gave no answer."""
     logs = {r["key"] for r in rows}
     cells = []
     for effect in effects:
@@ -79,7 +99,7 @@ def _row(name: str, rows: Sequence[Mapping[str, Any]], effects: Sequence[str]) -
         cells.append(f"{100 * share:.0f} %, {np.median(values):.3g} {own[0]['unit'] or ''}" if own else "")
     fine = {r["key"] for r in rows if r["verdict"] in ("no_mismatch", "parameters_only")}
     again = {r["key"] for r in rows if r["verdict"] in AGAIN}
-    return RobotRow(name, len(logs), tuple(cells), len(fine), len(again))
+    return [name, str(len(logs)), *cells, str(len(fine)), str(len(again))]
 
 
 def _spark(drift: Drift) -> Markup:
@@ -90,4 +110,6 @@ def _spark(drift: Drift) -> Markup:
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
     dots = "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2"/>' for a, b in zip(px, py, strict=True))
     label = f"{len(x)} values over {x[-1]:.3g} days, from {y[0]:.3g} to {y[-1]:.3g}"
-    return Markup(f'<svg viewBox="0 0 120 30" role="img" aria-label="{label}"><polyline points="{points}"/>{dots}</svg>')
+    return Markup(
+        f'<svg class="spark" viewBox="0 0 120 30" role="img" aria-label="{label}"><polyline points="{points}"/>{dots}</svg>'
+    )

@@ -220,9 +220,9 @@ def test_every_other_command(browser: Any, address: str, log: bytes, tmp_path: P
         page.set_viewport_size({"width": 1400, "height": 900})
         start(page, "render", source="pendulum", duration=0.4, size="320x240")
         assert page.evaluate("document.querySelector('video').readyState") >= 0
+        assert said == []
         start(page, "gate", fails=True, model="pendulum")
         assert "upload one in step 2" in page.inner_text("#problem")
-        assert said == []
 
 
 def test_from_an_upload_to_its_picture(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
