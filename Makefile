@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx2
+LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx httpx2
 
 .PHONY: demo test coverage proof lint docs lowest audit wheel clean
 demo: $(STAMP)

@@ -5,21 +5,28 @@ picture each, the keys of the JSON files, and the notebooks as pages.
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Iterator, Mapping
+import os
+import re
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 from mkdocs.structure.files import File, Files
 
+sys.path.insert(0, str(Path(__file__).parent))
+import notebook_pages
+
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.pages import Page
 
     from mjsim.axis import Axis
     from mjsim.effects import Effect
 
+LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]+)\]\((?P<to>\.\.?/[^)\s]+)\)")
 DT, SECONDS = 5e-4, 3.0
 DRIVE = {"robot_axis1": (1.0, 0.5, 30.0), "pendulum": (0.5, 0.3, 4.0)}  # amplitude and band of the chirp [N m | rad, Hz]
 
@@ -27,7 +34,8 @@ DRIVE = {"robot_axis1": (1.0, 0.5, 30.0), "pendulum": (0.5, 0.3, 4.0)}  # amplit
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is generated to the files of the site."""
     root = Path(config.docs_dir)
-    pages = {"reference/commands.md": commands(), "reference/json.md": json_keys(), **dict(notebooks(root / "notebooks"))}
+    pages: dict[str, str | bytes] = {"reference/commands.md": commands(), "reference/json.md": json_keys()}
+    pages |= dict(notebook_pages.pages(root / "notebooks", root.parent))
     pictures = dict(effect_pictures())
     pages["reference/effects.md"] = effects({name.partition("@")[0] for name in pictures})
     for name, text in pages.items():
@@ -35,6 +43,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, data in pictures.items():
         files.append(File.generated(config, f"reference/effects/{name.partition('@')[0]}.png", content=data))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """The page with links to files of the repository that are no part of the site as plain text."""
+    root = Path(config.docs_dir)
+    here = (root / page.file.src_uri).parent
+
+    def plain(link: re.Match[str]) -> str:
+        outside = not Path(os.path.normpath(here / link["to"].partition("#")[0])).is_relative_to(root)
+        return link["text"] if outside else link[0]
+
+    return LINK.sub(plain, markdown)
 
 
 def commands() -> str:
@@ -156,15 +176,3 @@ def json_keys() -> str:
         rows = [f"| `{k}` | {_cell(v)} |" for k, v in keys.items()]
         out += [f"## {name}", about, "", "| key | holds |", "|---|---|", *rows, ""]
     return "\n".join(out)
-
-
-def notebooks(folder: Path) -> Iterator[tuple[str, str]]:
-    """(page, Markdown) of each notebook: its text and its code."""
-    for path in sorted(folder.glob("*.ipynb")):
-        content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        parts = []
-        for cell in content["cells"]:
-            text = "".join(cell["source"])
-            parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
-        parts.append(f"[The notebook]({path.name})")
-        yield f"notebooks/{path.stem}.md", "\n\n".join(parts) + "\n"

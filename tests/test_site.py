@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import json
 import os
 import re
@@ -118,13 +119,34 @@ def test_there_are_three_notebooks_without_outputs():
         assert all(not c.get("outputs") for c in cells)
 
 
+def module_of(path):
+    """A module by its file, as MkDocs loads a hook."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_notebook_becomes_a_page_with_what_its_cells_show():
+    nbformat = pytest.importorskip("nbformat")
+    shown = module_of(DOCS / "notebook_pages.py").shown
+    v4 = nbformat.v4
+    outputs = [
+        v4.new_output("stream", name="stdout", text="a\n"),
+        v4.new_output("stream", name="stderr", text="progress\n"),
+        v4.new_output("execute_result", data={"text/plain": "3"}),
+        v4.new_output("execute_result", data={"text/plain": "<Figure>", "image/png": "AAAA"}),
+    ]
+    notebook = v4.new_notebook(cells=[v4.new_markdown_cell("# Title"), v4.new_code_cell("f(1)", outputs=outputs)])
+    text, pictures = shown(notebook, "own")
+    assert text.startswith("# Title\n\n```python\nf(1)\n```\n\n```text\na\n```\n\n```text\n3\n```\n\n![")
+    assert "progress" not in text
+    assert pictures == {"own_0.png": b"\0\0\0"}
+
+
 def test_the_reference_names_every_command_and_every_effect():
     pytest.importorskip("mkdocs")
-    sys.path.insert(0, str(DOCS))
-    try:
-        import hooks
-    finally:
-        sys.path.remove(str(DOCS))
+    hooks = module_of(DOCS / "hooks.py")
     from mjsim.effects import registered
     from simgap.cli import COMMANDS
 
@@ -150,6 +172,7 @@ def test_the_site_is_built(tmp_path):
     pytest.importorskip("mkdocs")
     pytest.importorskip("material")
     pytest.importorskip("mkdocstrings")
+    pytest.importorskip("nbclient")
     out = tmp_path / "site"
     ended = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(out)], cwd=ROOT, env=ENVIRONMENT,
@@ -160,3 +183,21 @@ def test_the_site_is_built(tmp_path):
     api = (out / "reference" / "api.html").read_text(encoding="utf-8")
     assert "corrected_model" in api
     assert "https://fonts" not in api
+    for name in NOTEBOOKS:
+        page = (out / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
+        assert "coulomb" in page or "cubic drag" in page
+        assert "removing" in page or "Missing:" in page  # what a cell printed
+    assert (out / "notebooks" / "own_robot_0.png").is_file()
+    headings = re.findall(r'<h2 id="([\w-]+)"', (out / "reference" / "effects.html").read_text(encoding="utf-8"))
+    assert [h for h in headings if not (out / "reference" / "effects" / f"{h}.png").is_file()] == []
+    assert broken_links(out) == []
+
+
+def broken_links(site):
+    """(page, link) of links to files that the site does not have."""
+    return [
+        (page.relative_to(site).as_posix(), link)
+        for page in site.rglob("*.html")
+        for link in re.findall(r'(?:href|src)="([^"#]+)', page.read_text(encoding="utf-8"))
+        if not re.match(r"[a-z]+:|/", link) and not (page.parent / link).exists()
+    ]

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import io
+from typing import final
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from diagnose.result import Diagnosis
 from diagnose.robot.result import RobotDiagnosis
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["of_axis", "of_robot"]
+__all__ = ["NotebookFigure", "of_axis", "of_robot"]
 
 MEASURED, NOMINAL, CORRECTED = "#222222", "#c44e52", "#2a7ab9"
 MOST = 2000  # points of a curve: more than a screen has
+
+
+@final
+class NotebookFigure(Figure):
+    """A figure that a notebook shows where it is the value of a cell; plain figures are shown with pyplot only."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png")
+        return buffer.getvalue()
 
 
 def _thin(count: int) -> slice:
@@ -24,9 +33,7 @@ def _thin(count: int) -> slice:
 
 def of_axis(result: Diagnosis) -> Figure:
     """The first recording: measured and predicted above, errors below; an empty figure where nothing was searched."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 5), layout="constrained")
+    figure = NotebookFigure(figsize=(9, 5), layout="constrained")
     if not result.traces:
         figure.text(0.5, 0.5, result.summary, ha="center", wrap=True)
         return figure
@@ -47,9 +54,7 @@ def of_axis(result: Diagnosis) -> Figure:
 
 def of_robot(result: RobotDiagnosis) -> Figure:
     """Torque of each joint in its first recording: measured, by the model as given, and corrected."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 1.8 * max(2, len(result.joints))), layout="constrained")
+    figure = NotebookFigure(figsize=(9, 1.8 * max(2, len(result.joints))), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(result.joints), 1, sharex=True))
     for place, (name, joint) in zip(axes, result.joints.items(), strict=True):
         trace = joint.traces[0]
