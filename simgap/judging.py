@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding, Verdict
+from diagnose.thresholds import ALPHA
 from diagnose.verdict import numerics
 from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, figures, judged
 from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator, uncertainties
@@ -273,7 +274,7 @@ def _soft_or_not(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> t
         lacks = write(better.axis, trial)
         after = bench.run(trial)
         gain, p = numerics.gain_of(cases, runs, after)
-        if not (gain > 0 and p < numerics.SURE):
+        if not (gain > 0 and p < ALPHA):
             return form, runs
         trial.replace(out)
         return Faithful(AUTHOR, math.nan, lacks, write), after
@@ -303,7 +304,7 @@ def _mended_alone(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Seque
         return None
     runs = bench.run(out)
     gain, p = numerics.gain_of(nominal.cases, nominal.runs, runs)
-    if not (gain > 0 and p < numerics.SURE and at_noise(nominal.cases, runs)):
+    if not (gain > 0 and p < ALPHA and at_noise(nominal.cases, runs)):
         return None
     before, after = (figures(nominal.cases, r).held_out_rms for r in (nominal.runs, runs))
     form = Faithful(f"{cause.setting.id.replace('_', ' ')} mended", math.nan, lacks, write)
@@ -325,7 +326,7 @@ def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, S
             adjust(trial, change[1])
             better = bench.run(trial)
         gain, p = numerics.gain_of(nominal.cases, runs, better)
-        if not (gain > 0 and p < numerics.SURE) or _misses(result, nominal.cases, better, MISSES):
+        if not (gain > 0 and p < ALPHA) or _misses(result, nominal.cases, better, MISSES):
             return form, runs, ()
         trial.replace(out)
         before, after = (figures(nominal.cases, r).held_out_rms for r in (runs, better))

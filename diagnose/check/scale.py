@@ -20,7 +20,9 @@ __all__ = ["Evidence", "Hypothesis", "Scale", "find_scale", "gather", "hypothese
 SPREAD = math.log(1.5)  # standard deviation of the logarithm of a parameter over its nominal value: most are within 50 %
 CLOSE = 9.0  # difference of cost (3 standard deviations) within which hypotheses are equivalent
 WORST = 1e3  # cost of a contradiction, as a negative inertia
-UNEXPLAINED = 30.0  # cost of a torque of which nothing is explained; ten per cent of it is one hypothesis' standard deviation
+NOTHING_EXPLAINED = (
+    30.0  # cost of a torque of which nothing is explained; ten per cent of it is one hypothesis' standard deviation
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class Evidence:
         """Minus twice the log of the plausibility of the ratios, up to a constant."""
         total = 0.0
         for fit in self.fits:
-            total += _distance(fit.inertia, SPREAD) + UNEXPLAINED * max(0.0, 1 - fit.explained)
+            total += _distance(fit.inertia, SPREAD) + NOTHING_EXPLAINED * max(0.0, 1 - fit.explained)
             total += _distance(fit.gravity, SPREAD) if fit.gravity is not None else 0.0
             total += min(_distance(fit.loss, 2 * SPREAD), CLOSE) if fit.loss is not None else 0.0
         if self.pair is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from diagnose.check.content import content_end
 from diagnose.data.experiment import plain_step
 from diagnose.data.noise import white_noise_level
-from diagnose.thresholds import AS_FLAT, FACTORS, FAR, FEWEST_LEFT, MATERIAL
+from diagnose.thresholds import FAR, FEWEST, MATERIAL
 from mjsim.recording import ARRAYS, Recording
 
 __all__ = ["at_content_rate", "decimated"]
@@ -63,16 +63,18 @@ def _factor(recording: Recording) -> int:
 
     Below the end of a filter's band the level of the noise hardly depends on the rate at which it is sampled. Beyond that what is
     taken for noise is motion, and so it is at every rate where there is no noise: a simulation's log stays as it is.
+    The level of white noise does not grow with the interval, that of motion with its square or faster: below the first power
+    it is noise.
     """
     x = recording.angle if recording.velocity is None else recording.velocity
     if x is None or plain_step(x) > 0 or content_end(x, recording.dt) is None:
         return 1
-    factors = [k for k in FACTORS if k * FEWEST_LEFT <= len(x)]
+    factors = np.unique(np.round(np.geomspace(1, max(len(x) // FEWEST, 1), 24)).astype(int))
     levels = np.array([np.mean([white_noise_level(x[at::k]) for at in range(min(k, 4))]) for k in factors])
     growth = np.diff(np.log(levels)) / np.diff(np.log(factors))
     shown = (levels > FAR * levels[0]) & (levels < MATERIAL * float(np.std(x)))
-    at = np.flatnonzero(shown[:-1] & (growth < AS_FLAT))
-    return factors[at[0]] if len(at) else 1
+    at = np.flatnonzero(shown[:-1] & (growth < 1.0))
+    return int(factors[at[0]]) if len(at) else 1
 
 
 def _ordinal(k: int) -> str:

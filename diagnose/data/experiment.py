@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.data.noise import coloured_noise_level, white_noise_level
-from diagnose.thresholds import FAR, NO_SENSOR, SMALL
+from diagnose.thresholds import FAR, FEWEST, NO_SENSOR, SMALL
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.signals import limits
@@ -50,7 +50,7 @@ class Experiment:
 
     def first(self, share: float) -> Experiment:
         """The first part of it."""
-        n = max(200, math.ceil(share * len(self.recording)))
+        n = max(FEWEST, math.ceil(share * len(self.recording)))
         correction = None if self.correction is None else self.correction[:n]
         return dataclasses.replace(self, recording=self.recording.slice(0, n), counts=self.counts[:n], correction=correction)
 
@@ -152,7 +152,7 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
     return held & moves[np.cumsum(~held) - 1]
 
 
-def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = 200) -> Experiment:
+def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = FEWEST) -> Experiment:
     """Check a recording and make it an experiment; rows that were held and not measured do not count.
 
     Raises InputError when it is too short, does not move, or is clipped flat for much of its length.

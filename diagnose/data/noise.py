@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from diagnose.thresholds import BANDS, FASTEST, FEW_TAPS, FEWEST_SEGMENTS, LARGE, MOST, NOISE_STANDS_OUT, SEGMENT, TAPS
+from diagnose.thresholds import BANDS, FASTEST, FEW_TAPS, LARGE, MOST, SEGMENT, SIGMAS, TAPS
 from mjsim.signals import transforms
 
 __all__ = ["coloured_noise_level", "white_noise_level"]
@@ -53,7 +53,7 @@ def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, 
     level, in bands up to half the Nyquist frequency, is added: no more than there is, and nothing where noise is white. Source of
     the partial spectrum: J. S. Bendat, A. G. Piersol, Random Data (2010), ch. 7.
     """
-    length = min(SEGMENT, 2 ** int(np.log2(max(2 * len(v) // (FEWEST_SEGMENTS + 1), 2))))
+    length = min(SEGMENT, 2 ** int(np.log2(max(2 * len(v) // (BANDS + 1), 2))))
     if length < 8 * BANDS or white <= 0.0:
         return white
     rate = np.diff(q)[1:-1] / dt
@@ -73,9 +73,7 @@ def coloured_noise_level(v: np.ndarray, q: np.ndarray, dt: float, white: float, 
     more = 0.0
     edges = np.unique(np.round(np.geomspace(2, length // 4, BANDS + 1)).astype(int))
     for a, b in pairwise(edges):
-        doubt = NOISE_STANDS_OUT / np.sqrt(
-            0.5 * count * max(1.0, 0.67 * (b - a))
-        )  # overlapping segments and lines tell that much apiece
+        doubt = SIGMAS / np.sqrt(0.5 * count * max(1.0, 0.67 * (b - a)))  # overlapping segments and lines tell that much apiece
         found, angle, rates = (float(np.mean(x[a:b])) for x in (left, of_angle, of_rate))
         angle = min(angle, abs(rates - angle) + doubt * rates)
         if found > (level + angle) * (1 + doubt) and found - angle > LARGE * level:

@@ -22,7 +22,7 @@ import numpy as np
 
 from diagnose.data.experiment import measured_angle, measured_velocity, prepare
 from diagnose.data.noise import white_noise_level
-from diagnose.thresholds import STRETCH_BLOCKS, STRETCH_COUNT, STRETCH_FRESH, STRETCH_SAMPLES
+from diagnose.thresholds import LONGEST, MOST, SIGMAS, STRETCH_COUNT
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 
@@ -76,7 +76,7 @@ class Stretches:
         )
 
 
-def information(recording: Recording, blocks: int = STRETCH_BLOCKS) -> np.ndarray | None:
+def information(recording: Recording, blocks: int = 512) -> np.ndarray | None:
     """The Gram matrix (8, 8) of the features of a window; None where the axis does not move or the input is constant."""
     v, q = measured_velocity(recording), measured_angle(recording)
     noise = white_noise_level(v)
@@ -88,7 +88,7 @@ def information(recording: Recording, blocks: int = STRETCH_BLOCKS) -> np.ndarra
     means = [x[:cut].reshape(count, width).mean(axis=1) for x in (v, q)]
     fast = np.sqrt(np.mean(np.diff(v, prepend=v[0])[:cut].reshape(count, width) ** 2, axis=1))
     speed, angle = means
-    moves = np.abs(speed) > 4.0 * noise / np.sqrt(width)
+    moves = np.abs(speed) > SIGMAS * noise / np.sqrt(width)
     rate = np.gradient(speed, width * recording.dt)
     table = np.column_stack([rate, speed, np.sign(speed) * moves, speed * np.abs(speed), np.ones(count), angle, angle**2, fast])
     return np.asarray(table.T @ table / count)
@@ -98,7 +98,7 @@ def informative(grams: Sequence[np.ndarray | None], count: int) -> list[tuple[in
     """(window, what it adds to log det) of ``count`` windows, in the order of choice.
 
     Of the windows of a part of the recording (``count`` parts of equal length) from which none is chosen yet the best one is
-    taken, when it adds at least `STRETCH_FRESH` of what the best of all windows adds.
+    taken, when it adds at least `MOST` of what the best of all windows adds.
     """
     usable = [i for i, g in enumerate(grams) if g is not None]
     if not usable:
@@ -117,7 +117,7 @@ def informative(grams: Sequence[np.ndarray | None], count: int) -> list[tuple[in
         gain[~free] = -np.inf
         best = int(np.argmax(gain))
         new = np.where(fresh[part], gain, -np.inf)
-        if np.max(new) >= STRETCH_FRESH * gain[best]:
+        if np.max(new) >= MOST * gain[best]:
             best = int(np.argmax(new))
         chosen.append((usable[best], float(gain[best])))
         total = total + stack[best]
@@ -134,7 +134,7 @@ def choose(
     whether the recording as a whole is; else every third of the windows, in the order of choice. Raises InputError where none
     can be used.
     """
-    rows = STRETCH_SAMPLES // STRETCH_COUNT
+    rows = LONGEST // 2 // STRETCH_COUNT
     grams = [None if r is None or len(r) < rows else information(r) for _, r in windows(rows)]
     ranked = informative(grams, STRETCH_COUNT)
     order = {index: place for place, (index, _) in enumerate(ranked)}

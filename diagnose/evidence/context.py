@@ -23,7 +23,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.validation import in_blocks
 from diagnose.fit.whiten import effective_share_of_errors, lags_of, whitening_filter
 from diagnose.problem.noise_model import KnownNoise, Prices
-from diagnose.thresholds import CLEAR, GAIN_RATIO, LONG, MATERIAL, UNEXPLAINED
+from diagnose.thresholds import CLEAR, MATERIAL, UNEXPLAINED
 from mjsim.effects import effect_class
 
 __all__ = ["Context", "Memo"]
@@ -80,8 +80,7 @@ class Context:
         """What the held-out data add to the gain of C, where the error is the model's own: nothing was fitted to them.
 
         Such an error leaves few independent samples in any one recording. Nothing is added where the noise is known, nor for a
-        structure that has no more effects, or does not leave less of both recordings. What is there is there in both: no sample
-        counts for more than ``GAIN_RATIO`` times one of the estimation data, to which it was fitted.
+        structure that has no more effects, or does not leave less of both recordings.
         """
         more = len(richer.effects) > len(poorer.effects) and richer.chi2 < poorer.chi2
         if self.fitter.noise.absolute or self.share_between is None or not more:
@@ -90,8 +89,7 @@ class Context:
         if before is None or after is None or after.chi2 >= before.chi2:
             return 0.0
         n = len(after.errors) * effective_share_of_errors(before.errors - after.errors, after.errors, lags_of(self.fitter))
-        fitted, unseen = poorer.chi2 / max(richer.chi2, 1e-300), before.chi2 / max(after.chi2, 1e-300)
-        return n * min(math.log(unseen), GAIN_RATIO * math.log(fitted))
+        return n * math.log(before.chi2 / max(after.chi2, 1e-300))
 
     def held_out(self, f: Fitted) -> HeldOut | None:
         """Held-out error, computed once per structure."""
@@ -164,10 +162,6 @@ class Context:
         if not self.fitter.noise.within(self.fitter.misfit(f), UNEXPLAINED):
             return False
         return len(self.fitter.whitening) > 1 or whitening_filter(self.fitter, f, material=MATERIAL) is None
-
-    def slow(self, f: Fitted) -> bool:
-        """Whether a run of a structure takes so long that it is fitted no more often than it must."""
-        return self.fitter.length(f.hypothesis, f.fit.x) > LONG
 
 
 def _rank_of_places(f: Fitted) -> int:

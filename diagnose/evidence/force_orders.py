@@ -3,7 +3,7 @@
 What is left of a torque is coloured: slow errors of the friction law hold most of its energy and would be taken for an order of
 long period. What is fixed to a turning part is a line: it stands far above the orders beside it. So the residual is whitened, an
 order must stand out of its neighbours (F-test, over all orders looked at), and every recorded sample is used, since at speed a
-short period passes faster than decimated samples follow. Orders of fewer than ``FEW_PERIODS`` periods over the travel have no
+short period passes faster than decimated samples follow. Orders of fewer than `few_periods` periods over the travel have no
 neighbours to stand out of: they have more to show (`diagnose.evidence.rivals.few_periods`).
 
 With A the whitening filter and z = A' A d, the energy that sin(n q) and cos(n q) explain of A d is |sum z exp(i n q)|^2 over the
@@ -21,9 +21,9 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import levinson
 from diagnose.problem.view import ForceView
-from diagnose.thresholds import ALPHA, FEW_PERIODS, MOST_ORDERS, NEIGHBOURS, TAPS, UNSURE
+from diagnose.thresholds import ALPHA, LEADING, MOST_ORDERS, NEIGHBOURS, TAPS
 
-__all__ = ["force_orders", "line_energy", "stands_out"]
+__all__ = ["few_periods", "force_orders", "line_energy", "stands_out"]
 
 
 def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -61,14 +61,19 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[f
             near = np.linspace(grid[i - 1], grid[i + 1], 21)
             finer = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, near, r.dt)
             found.append((float(np.max(finer)), float(near[np.argmax(finer)])))
-        few += [(float(power[i]), float(grid[i])) for i in peak if grid[i] * travel < 2 * np.pi * FEW_PERIODS]
+        few += [(float(power[i]), float(grid[i])) for i in peak if grid[i] * travel < 2 * np.pi * few_periods()]
     found.sort(reverse=True)
     out: list[float] = []
     for _, n in found:
         if all(abs(n - m) > max(0.02 * m, 2 * np.pi / travel) for m in out):
             out.append(n)
     unsure = dict.fromkeys(n for _, n in sorted(few, reverse=True))  # a line may be one of both weights
-    return tuple(out[:most]), tuple(unsure)[:UNSURE]
+    return tuple(out[:most]), tuple(unsure)[:LEADING]
+
+
+def few_periods() -> float:
+    """Periods over the travel below which an order has no two neighbours: it cannot stand out of them."""
+    return 5 / (NEIGHBOURS - 1 / NEIGHBOURS)
 
 
 def stands_out(power: np.ndarray, grid: np.ndarray, i: int, width: float) -> float:

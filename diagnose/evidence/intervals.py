@@ -8,7 +8,7 @@ from typing import final
 
 from diagnose.fit.fitted import Fitted
 from diagnose.problem.noise_model import NoiseModel
-from diagnose.thresholds import AT_BOUND, TWO_SIDED
+from diagnose.thresholds import ROUNDING, TWO_SIDED
 from mjsim.effects import Effect
 
 __all__ = ["Open", "at_bounds", "open_sizes", "sizes_of"]
@@ -48,4 +48,4 @@ def at_bounds(best: Fitted) -> tuple[str, ...]:
     """Inertias and stiffnesses of the model that a fit has at a bound of what it may be."""
     low, high = best.hypothesis.bounds
     entries = zip(best.hypothesis.entries, best.fit.x, low, high, strict=True)
-    return tuple(e.name for e, x, a, b in entries if e.owner == "" and e.log and not a + AT_BOUND < x < b - AT_BOUND)
+    return tuple(e.name for e, x, a, b in entries if e.owner == "" and e.log and not a + ROUNDING < x < b - ROUNDING)

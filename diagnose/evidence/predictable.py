@@ -22,7 +22,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.problem import bounded
 from diagnose.problem.view import ForceView
-from diagnose.thresholds import INTERVALS, WINDOWS
+from diagnose.thresholds import INTERVALS, SIGMAS, WINDOWS
 from mjsim.axis import Axis
 from mjsim.quantity import Motion
 from mjsim.signals import lfilter
@@ -225,6 +225,6 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
     # the spread of the products is as large as they are where the motion is a short burst; that of independent noises alone is at
     # most half the root of E d^4 >= (E d^2)^2 >= 4 var(speed) var(angle)
     spread = min(float(np.std(p, ddof=1)), 0.5 * float(np.sqrt(np.mean(np.square(apart)))))
-    if np.mean(p) <= 4.0 * spread / np.sqrt(len(p)):
+    if np.mean(p) <= SIGMAS * spread / np.sqrt(len(p)):
         return 0.0
     return float(np.mean(p) / np.mean(noise))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnose.data.experiment import Experiment
-from diagnose.thresholds import OFFSET_BLOCKS
+from diagnose.thresholds import BLOCKS, SIGMAS
 from mjsim.effects import registered
 
 __all__ = ["excluded_by_angle"]
@@ -29,10 +29,10 @@ def excluded_by_angle(experiments: Sequence[Experiment]) -> dict[str, str]:
         if np.std(d) < 1e-9 * np.std(r.velocity):
             continue  # one channel was computed from the other
         # mean of v minus slope of q; its error from what blocks of the recording differ by, since noise may be coloured
-        blocks = [float(np.mean(b)) for b in np.array_split(d, OFFSET_BLOCKS)]
-        error = float(np.std(blocks, ddof=1)) / math.sqrt(OFFSET_BLOCKS) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
+        blocks = [float(np.mean(b)) for b in np.array_split(d, BLOCKS)]
+        error = float(np.std(blocks, ddof=1)) / math.sqrt(BLOCKS) + 1e-4 * float(np.std(r.velocity)) / math.sqrt(len(r))
         offset = float(np.mean(d))
-        verdicts.append(abs(offset) > 5 * error)
+        verdicts.append(abs(offset) > SIGMAS * error)
     known = registered()
     shown = [name for name, cls in known.items() if cls.shown_by_angle]
     if verdicts and all(verdicts):

@@ -19,7 +19,7 @@ from diagnose.data.noise import white_noise_level
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.thresholds import TWICE_NOISE
+from diagnose.thresholds import TWICE
 from mjsim.axis import Axis
 from mjsim.signals import lfilter
 
@@ -37,7 +37,7 @@ def of_torque_noise(axis: Axis, experiment: Experiment) -> float:
 def made_by_torque_noise(fitter: Fitter, fitted: Fitted) -> bool:
     """Whether the held-out error is no more than the noise of sensor and recorded torque make, and falls once that is smoothed.
 
-    `TWICE_NOISE**2` times the mean square that the torque's noise makes is allowed: it is that of few independent samples. False
+    `TWICE**2` times the mean square that the torque's noise makes is allowed: it is that of few independent samples. False
     where no velocity is judged.
     """
     if fitter.view.channel != "velocity" or not fitter.noise.absolute:
@@ -54,7 +54,7 @@ def made_by_torque_noise(fitter: Fitter, fitted: Fitted) -> bool:
         if errors[0] is None or errors[1] is None:
             return False
         plain, smoothed = (float(np.mean(e[counts] ** 2)) for e in errors if e is not None)
-        allowed = fitter.sigma(experiment) ** 2 + TWICE_NOISE**2 * of_torque_noise(own[0], experiment)
+        allowed = fitter.sigma(experiment) ** 2 + TWICE**2 * of_torque_noise(own[0], experiment)
         if smoothed >= plain or plain > allowed:
             return False
     return True

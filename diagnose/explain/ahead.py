@@ -20,18 +20,23 @@ from diagnose.explain.locate import played
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import levinson
-from diagnose.thresholds import AHEAD_ORDER, AHEAD_SECONDS
+from diagnose.thresholds import AHEAD_SECONDS
 from mjsim.signals import lfilter
 
 __all__ = ["k_step"]
 
 
-def k_step(fitter: Fitter, fitted: Fitted, horizons: tuple[float, ...] = AHEAD_SECONDS) -> tuple[tuple[float, float], ...]:
-    """(horizon [s], rms error that far ahead on the held-out samples in the view's unit), by the model's own noise model."""
+def k_step(
+    fitter: Fitter, fitted: Fitted, horizons: tuple[float, ...] = AHEAD_SECONDS, most: int = 300
+) -> tuple[tuple[float, float], ...]:
+    """(horizon [s], rms error that far ahead on the held-out samples in the view's unit), by the model's own noise model.
+
+    ``most``: lags of the autoregressive model at most; white noise hides a slow error from a short one.
+    """
     every = fitter.view.decimate
     runs = played(fitter, fitted)
     own = [r for r in runs if r.role == "estimation"]
-    order = min(AHEAD_ORDER, min(len(r.e) for r in own) // 10)
+    order = min(most, min(len(r.e) for r in own) // 10)
     total, n = np.zeros(order + 1), 0
     for r in own:
         keep = fitter.counted(r.experiment)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.fit.least_squares import orthonormal
-from diagnose.thresholds import FOLDS, MIMIC, RIDGE, ROUNDING
+from diagnose.thresholds import FOLDS, RIDGE, ROUNDING, SAME
 from mjsim.torque_map import TorqueMap
 
 __all__ = ["LAMBDAS", "Regression", "Solution", "roughness", "solve"]
@@ -63,7 +63,7 @@ def solve(p: Regression, without: float) -> Solution:
     low = np.linalg.cholesky(gram)
     inverse = np.linalg.inv(low)
     share, u = np.linalg.eigh(inverse @ rest @ inverse.T)
-    V = inverse.T @ u[:, share > MIMIC]
+    V = inverse.T @ u[:, share > SAME]
     k = p.J.shape[1]
     # along the axes of the roughness: what is smooth is then not lost beside a large penalty of the rest
     V = V / (np.linalg.norm(p.D @ V, axis=0) + 1e-300)

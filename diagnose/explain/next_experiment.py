@@ -7,11 +7,12 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from diagnose.check.relation import TOP
 from diagnose.data.experiment import measured_angle, start_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding
-from diagnose.thresholds import FURTHER, HIGHEST_TRIAL
+from diagnose.thresholds import FURTHER
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, simulate
 from mjsim.recording import Recording
@@ -59,7 +60,7 @@ def _trials(r: Recording, *, servo: bool) -> dict[str, tuple[np.ndarray, float]]
     drive = r.input
     first = float(drive[0]) if servo else 0.0
     level = float(np.sqrt(np.mean((drive - first) ** 2)))
-    top = min(HIGHEST_TRIAL, 0.1 / r.dt)
+    top = min(TOP, 0.1 / r.dt)
     chirp = np.sin(2 * np.pi * (0.3 * t + 0.5 * (top - 0.3) / max(r.duration, 1e-9) * t**2))
     triangle = (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.2 * t))
     trials = {

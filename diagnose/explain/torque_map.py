@@ -36,7 +36,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.problem import bounded
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
-from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEAST_SAMPLES, MAP_FAR, MAP_RUNS, MATERIAL, SMALL, STALLED, TRIED
+from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEADING, LEAST_SAMPLES, MAP_RUNS, MATERIAL, SAME, SMALL, TWO_SIDED
 from mjsim.axis import Axis
 from mjsim.quantity import Quantity
 from mjsim.signals import lfilter
@@ -91,8 +91,8 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
     tried: list[_Refined] = []
     began = fitter.runs
-    for candidate in ranked[:TRIED]:
-        if fitter.runs - began > MAP_RUNS or (tried and candidate.cost > MAP_FAR * min(t.cost for t in tried)):
+    for candidate in ranked[:LEADING]:
+        if fitter.runs - began > MAP_RUNS:
             break
         progress.stage("map", f"fitting one {words(candidate.shape)}")
         refined = _refine(fitter, candidate, began + MAP_RUNS)
@@ -244,7 +244,7 @@ def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) 
         after = solve(problem, best.chi2)
         at = Linearised.known(problem.r, problem.J)
         cost = float(problem.r @ problem.r)
-        fell = outcome is None or cost < (1 - STALLED) * outcome.fitted.chi2
+        fell = outcome is None or cost < (1 - SAME) * outcome.fitted.chi2
         own = Fit(x, cost, at, fit.status, fit.iterations, fit.predicted_gain)
         outcome = _Refined(Fitted(_with(h, shape), own, best.n), shape, after, problem, after.cost * best.chi2)
         if not fell or fitter.runs > until:
@@ -294,7 +294,7 @@ def _result(fitter: Fitter, refined: _Refined, before: HeldOut, after: HeldOut, 
     points = [a.points(count) for a in shape.axes]
     rows = shape.row(*(g.ravel() for g in np.meshgrid(*points, indexing="ij")))
     values = rows @ np.array(shape.coefficients)
-    half = 1.96 * np.sqrt(np.maximum(np.sum((rows @ W @ covariance) * (rows @ W), axis=1), 0.0))
+    half = TWO_SIDED * np.sqrt(np.maximum(np.sum((rows @ W @ covariance) * (rows @ W), axis=1), 0.0))
     motion = fitter.nominal.chain.motion
     form = (count,) * len(points)
     rms, seen = _visited(fitter, fitted, shape, points)

@@ -21,7 +21,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
 from diagnose.problem.problem import Problem, Residual, bounded
 from diagnose.problem.view import View
-from diagnose.thresholds import ANEW, ANEWS, FAR, RK4, ROUGHLY, SAME
+from diagnose.thresholds import ANEW, FAR, SAME
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.system import assemble
@@ -232,7 +232,7 @@ class Fitter:
 
         ``neighbour``: a fitted structure whose sensitivities are used for the shared parameters in the first iteration.
         ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
-        ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to ROUGHLY is
+        ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to SAME is
         enough, unless bodies stick or strike in it: a rough cost falls slowly. ``slow``: a cost, and the relative gain of an
         iteration that is enough above it.
         """
@@ -242,7 +242,7 @@ class Fitter:
         key = self._key(h, start, how, neighbour) if self.engine.ledger is not None else ""
         known = self.engine.ledger.recall(key) if self.engine.ledger is not None else None
         counted = Counted(self.engine.threads)
-        coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), ROUGHLY) if rival and not slow[1] else slow
+        coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), SAME) if rival and not slow[1] else slow
 
         def solve() -> Fit:
             lent = self._from_neighbour(h, start, neighbour, step, counted.run) if neighbour is not None else None
@@ -273,7 +273,7 @@ class Fitter:
     def by_secants(self, h: Hypothesis, x0: np.ndarray | None = None, *, slow: tuple[float, float] = (math.inf, 0.0)) -> Fitted:
         """Fit one hypothesis by secants, with a new Jacobian every few iterations: for a nonsmooth cost, in few runs."""
         best = self.fit(h, x0, iterations=ANEW, secant=True, slow=slow)
-        for _ in range(ANEWS):
+        for _ in range(ANEW):
             now = self.fit(h, best.fit.x, iterations=ANEW, secant=True, slow=slow)
             best, last = (now if now.chi2 < best.chi2 else best), best
             if not best.ok or best.chi2 > last.chi2 * (1.0 - SAME):
@@ -292,7 +292,7 @@ class Fitter:
             system = assemble(h.axis(x, 0))
         except (NotApplicableError, ValueError):
             return 1.0
-        return max(1.0, system.mean_steps(r.dt, measured_velocity(r)) / self.problem.steps) * (1.0 if system.affine else RK4)
+        return max(1.0, system.mean_steps(r.dt, measured_velocity(r)) / self.problem.steps) * (1.0 if system.affine else 4.0)
 
     def lengths(self, fits: Sequence[Fitted]) -> list[float]:
         """How long an iteration takes from each of some fits: by its numbers and the steps of a run."""

@@ -98,7 +98,7 @@ def over_horizons(fitter: Fitter, fitted: Fitted, linear: Mapping[str, float] | 
     is. Over a short stretch it is not yet off by a turn.
     """
     effects, own = fitted.effects, fitted.own
-    for share in HORIZONS:
+    for share in HORIZONS[:-1]:
         stretches = tuple(e.first(share) for e in fitter.experiments)
         part = fitter.related(fitter.problem.on(stretches, fitter.experiments))
         found = part.fit(part.hypothesis(effects, linear, own), iterations=iterations)

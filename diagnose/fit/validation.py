@@ -13,7 +13,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import over_horizons
 from diagnose.problem.view import MotionView, highest_observer_gain
-from diagnose.thresholds import FAR, MATERIAL, SAME, SMALL, STALLED, UNEXPLAINED
+from diagnose.thresholds import FAR, MATERIAL, SAME, SMALL, UNEXPLAINED
 from mjsim.axis import Axis
 
 __all__ = ["error_on", "in_blocks", "observed_error", "pooled", "predicted_samples"]
@@ -40,7 +40,7 @@ def _fit_pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
     # one that leaves much of both need not be known to the last digit
     much = fitter.noise.cost_at(FAR, sum(int(np.sum(fitter.counted(e))) for e in everything))
     h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
-    joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, STALLED))
+    joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, SAME))
     if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not fitter.spent:
         # a nonsmooth free run diverges on a recording that the parameters were not fitted to
         again = over_horizons(wider, joint, fitted.linear)

@@ -13,7 +13,7 @@ from diagnose.data.experiment import Experiment
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Status
-from diagnose.thresholds import GRID, GUIDE, PRIOR
+from diagnose.thresholds import MATERIAL
 from mjsim.signals import freqz
 
 __all__ = [
@@ -100,11 +100,11 @@ def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
 
 
 def tempered_prior_weight(fitter: Fitter, f: Fitted) -> float:
-    """Weight by which a prior of ``GUIDE`` on the nominal linear parameters counts beside what a structure leaves.
+    """Weight by which a prior on the nominal linear parameters counts beside what a structure leaves.
 
     Such an error is correlated: its effective sample size is small, and its variance is as large as the misfit.
     """
-    return f.chi2 / f.n / effective_share(fitter, f) * (PRIOR / GUIDE) ** 2
+    return f.chi2 / f.n / effective_share(fitter, f)
 
 
 def effective_share_between(fitter: Fitter, poorer: Fitted, richer: Fitted, span: float = 2.0) -> float:
@@ -143,7 +143,7 @@ def _correlation(e: np.ndarray, lags: int) -> np.ndarray:
     return r[1:] / r[0] if r[0] > 0 else np.zeros(lags)
 
 
-def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material: float = 0.02) -> np.ndarray | None:
+def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material: float = MATERIAL) -> np.ndarray | None:
     """The filter for the residual of a fitted model, or None when it is white to within ``material`` of its variance."""
     total = np.zeros((largest + 1, largest + 1))
     n = 0
@@ -203,7 +203,7 @@ def innovation(fitter: Fitter, fitted: Fitted, filter_: np.ndarray) -> float:
     return float(np.sqrt(total / count)) if total > 0 else 1.0
 
 
-def same_filter(a: np.ndarray, b: np.ndarray, tolerance: float = 0.02) -> bool:
+def same_filter(a: np.ndarray, b: np.ndarray, tolerance: float = MATERIAL) -> bool:
     """Whether two filters differ by less than ``tolerance`` in each coefficient."""
     width = max(len(a), len(b))
     return bool(np.max(np.abs(np.pad(a, (0, width - len(a))) - np.pad(b, (0, width - len(b))))) < tolerance)
@@ -242,9 +242,9 @@ def noise_psd(fitter: Fitter, experiment: Experiment, angles: np.ndarray) -> np.
     return np.asarray((fitter.sigma(experiment) / np.abs(freqz(fitter.whitening, np.ones(1), angles))) ** 2)
 
 
-def noise_rms(fitter: Fitter, experiment: Experiment) -> float:
+def noise_rms(fitter: Fitter, experiment: Experiment, grid: int = 2**14) -> float:
     """Rms of the noise in the judged channel: that of white noise is what errors are weighed by, of coloured noise it is more."""
     if len(fitter.whitening) == 1:
         return fitter.sigma(experiment)
-    angles = (np.arange(GRID) + 0.5) * np.pi / GRID  # which makes no difference between a pole and its image in the unit circle
+    angles = (np.arange(grid) + 0.5) * np.pi / grid  # which makes no difference between a pole and its image in the unit circle
     return float(np.sqrt(np.mean(noise_psd(fitter, experiment, angles))))

@@ -10,7 +10,7 @@ import numpy as np
 from diagnose.data.experiment import measured_velocity
 from diagnose.data.noise import white_noise_level
 from diagnose.problem.view import ForceView, MotionView, View
-from diagnose.thresholds import SENSOR_SHARE, SWING
+from diagnose.thresholds import SENSOR_SHARE, SMALL
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -30,7 +30,7 @@ def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axi
         return MotionView.of(nominal, recordings)
     judge = judge or recordings[0].judge
     growth = growth_when_held(nominal) if nominal is not None else -math.inf
-    swings_up = growth * max(r.duration for r in recordings) > SWING
+    swings_up = growth * max(r.duration for r in recordings) > -math.log(SMALL)
     if judge == "force" and swings_up:
         raise InputError(
             "judge", f"'force', and behind the driven body, once that is held, the nominal model swings up by {growth:.3g} 1/s",

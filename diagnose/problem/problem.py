@@ -23,7 +23,7 @@ from diagnose.data.scales import scales_by_place
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import KnownNoise, ModelError, NoiseModel
 from diagnose.problem.view import MotionView, View
-from diagnose.thresholds import PRIOR
+from diagnose.thresholds import TWICE
 from mjsim.axis import Axis
 from mjsim.effects import Effect, Scales
 from mjsim.signals import lfilter, weigh_into
@@ -269,17 +269,17 @@ class Problem:
         return None if s is None else s.rounding
 
     def prior(self, h: Hypothesis, x: np.ndarray) -> np.ndarray:
-        """What the nominal model itself says of its numbers: within a factor of about two (PRIOR), in residual units.
+        """What the nominal model itself says of its numbers: within a factor of about two, in residual units.
 
         It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
         a parameter that is wrong by half costs one unit of chi-square, times ``prior_weight``.
         """
         count, rows, at, nominal = h.prior_terms
         said = np.zeros(count)
-        said[rows] = math.sqrt(self.prior_weight) * ((x[at] - nominal) / PRIOR)
+        said[rows] = math.sqrt(self.prior_weight) * ((x[at] - nominal) * TWICE)
         return said
 
     def prior_slope(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray, float]:
         """Rows and columns of the prior's Jacobian that are not zero, and their value."""
         _, rows, at, _ = h.prior_terms
-        return rows, at, math.sqrt(self.prior_weight) / PRIOR
+        return rows, at, math.sqrt(self.prior_weight) * TWICE

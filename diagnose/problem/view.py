@@ -20,7 +20,7 @@ import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_velocity
 from diagnose.data.runs import free_run, with_known
-from diagnose.thresholds import DITHER, KEPT_TORQUES, LEAST_SAMPLES, MOST_SUBSTEPS, SMALL, STIFFER, TWICE_NOISE
+from diagnose.thresholds import DITHER, HALVINGS, LEAST_SAMPLES, MOST_SUBSTEPS, SMALL, TWICE
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
@@ -56,7 +56,7 @@ def highest_observer_gain(axis: Axis) -> float:
         lag = assemble(axis).output_lag
     except (NotApplicableError, ValueError):
         return 0.0
-    return TWICE_NOISE / lag if lag > 0 else math.inf
+    return TWICE / lag if lag > 0 else math.inf
 
 
 def _delivered(s: System, torque: np.ndarray, dt: float, before: float) -> np.ndarray:
@@ -147,7 +147,7 @@ class MotionView:
     @classmethod
     def of(cls, nominal: Axis, recordings: Sequence[Recording]) -> MotionView:
         """For recordings of an axis: slow ones need many steps a sample."""
-        steps = math.ceil(STIFFER * max(r.dt for r in recordings) * assemble(nominal).omega / STEP)
+        steps = math.ceil(TWICE * max(r.dt for r in recordings) * assemble(nominal).omega / STEP)
         servo = nominal.chain.servo is not None
         return cls(
             "angle" if servo else "velocity", most_substeps=MOST_STEPS if servo else max(MOST_SUBSTEPS, min(steps, MOST_STEPS))
@@ -212,7 +212,7 @@ class MotionView:
         if known is None:
             r = experiment.recording
             known = _delivered(system, r.input, r.dt, experiment.before), _ahead(system, measured_velocity(r), r.dt)
-            if len(experiment.kept) >= KEPT_TORQUES:
+            if len(experiment.kept) >= HALVINGS[0][0]:  # structures that are fitted at a time
                 experiment.kept.clear()
             experiment.kept[path] = known
         return known

@@ -14,13 +14,13 @@ from diagnose.report.figures import estimate, interval, number, percent, prose, 
 from diagnose.report.truth import truth_rows
 from diagnose.report.words import effect_name, linear_name, structure_name
 from diagnose.result import Diagnosis, Estimate, Finding, FitFigures, Refused, Rival
+from diagnose.thresholds import SHOWN
 
 __all__ = [
     "error_table", "linear_table", "parameter_table", "place_table", "recording_table", "refusal_table", "rival_tables",
     "truth_table", "unexcited",
 ]  # fmt: skip
 
-_SHOWN_RIVALS = 8
 _FILES = ("nominal", "corrected")  # whose errors are those of the files, as MuJoCo steps them
 _STATUS = {"budget": "stopped at its budget", "stalled": "stalled: rough cost", "failed": "could not be run"}
 _TESTS = {
@@ -179,7 +179,7 @@ def rival_tables(d: Diagnosis) -> tuple[Markup | None, Markup | None, int]:
     ordered = sorted(d.rivals, key=lambda r: r.criterion if math.isfinite(r.criterion) else math.inf)
     mine = next((r for r in ordered if set(r.effects) == chosen), None)
     reference = (mine if mine is not None and math.isfinite(mine.criterion) else ordered[0]).criterion
-    front = [i < _SHOWN_RIVALS or r is mine or not r.effects for i, r in enumerate(ordered)]
+    front = [i < SHOWN or r is mine or not r.effects for i, r in enumerate(ordered)]
     first = [r for r, leads in zip(ordered, front, strict=True) if leads]
     rest = [r for r, leads in zip(ordered, front, strict=True) if not leads]
     caption = "Rivals: every structure was fitted with all its numbers free; the criterion prices each number, less is better"

@@ -19,7 +19,7 @@ from diagnose.fit.least_squares import Fit, Linearised, Status, orthonormal
 from diagnose.problem.hypothesis import make
 from diagnose.structure.candidates import Candidate, can_replace, conflicts, inherit, related, replaced
 from diagnose.structure.score import QUARTERS, Screened, screen
-from diagnose.thresholds import LARGE, NEARLY, ORDERS_TRIED, OTHER_ORDER, RIVAL, SAME, SECANT_ERROR
+from diagnose.thresholds import CLEAR, EQUIVALENT, LARGE, LEADING, MATERIAL, RIVAL, SAME, TWICE
 from mjsim.effects import Effect, effect_class
 
 __all__ = [
@@ -89,7 +89,9 @@ def other_orders(fitter: Fitter, base: Fitted, effect: Effect, *, material: bool
         level = {name: effect.values[name] for name in cls.amplitudes}
         values = [{**v, **level} for v in ({**some, "cycles_per_rev": n} for n in dict.fromkeys((*known, own)))]
     else:
-        orders = [n for n in (*scales.orders[:ORDERS_TRIED], *scales.swung) if n in known and abs(n - own) > OTHER_ORDER * n]
+        orders = [
+            n for n in (*scales.orders[:LEADING], *scales.swung) if n in known and abs(n - own) * scales.travel > 2 * math.pi
+        ]
         values = [{**effect.values, "cycles_per_rev": n} for n in orders]
     starts = tuple(effect.with_values({**v, "phase_rad": phase}) for v in values for phase in QUARTERS)
     return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
@@ -144,7 +146,7 @@ def confounders(fitter: Fitter, best: Fitted, effect: Effect, offered: Sequence[
         and not (c.place == effect.place and effect.id in effect_class(c.id).refines)
     ]  # fmt: skip
     ranked = screen(fitter, Fitted(bare, fit, best.n), supposed)
-    return [(others, s) for s in ranked if s.gain > explained - max(SECANT_ERROR, 0.02 * explained)]
+    return [(others, s) for s in ranked if s.gain > explained - max(CLEAR * EQUIVALENT, MATERIAL * explained)]
 
 
 def merged(offered: Sequence[Candidate], effects: tuple[Effect, ...]) -> list[tuple[Effect, ...]]:
@@ -217,7 +219,7 @@ def simplest_form(f: Fitted, fits: Fits) -> Fitted:
         rest = [k for k in f.key if k != effect.key]
         for name in type(effect).refines:
             simple = fits.get(tuple(sorted([*rest, f"{name}@{effect.place}"])))
-            if simple is not None and simple.chi2 < NEARLY * f.chi2:
+            if simple is not None and simple.chi2 < TWICE * f.chi2:
                 return simplest_form(simple, fits)
     return f
 

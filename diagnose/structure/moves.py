@@ -13,7 +13,7 @@ from diagnose.structure.graph import Entrant
 from diagnose.structure.race import NONLINEAR, Race
 from diagnose.structure.score import Screened
 from diagnose.structure.state import State
-from diagnose.thresholds import EQUIVALENT, FEWER, HOPE, MOST, UNEXPLAINED
+from diagnose.thresholds import EQUIVALENT, MOST, TWICE, UNEXPLAINED
 from mjsim.effects import Effect, effect_class
 
 __all__ = ["Move", "Moves"]
@@ -53,7 +53,7 @@ class Moves:
         ranked = self.race.screening(base).screen(offered)
         state.tested += len(ranked)
         floor, visible = context.floor(base), context.visible(base)
-        tried = [s for s in ranked if s.gain > floor][: state.options.width if visible else FEWER]
+        tried = [s for s in ranked if s.gain > floor][: state.options.width]
         # a response that is not linear in the amplitude is tried while there is a residual, or a filter that may have taken it
         families = NONLINEAR if visible else NONLINEAR[:1] if len(state.fitter.whitening) > 1 else ()
         misjudged = [s for s in ranked if s not in tried and effect_class(s.candidate.id).family in families]
@@ -121,7 +121,7 @@ class Moves:
         return Move(name, base, tuple(entrants), bound, numbers * self.state.fitter.length(base.hypothesis, base.fit.x), floor)
 
     def _bound(self, base: Fitted, s: Screened) -> float:
-        """How far C may fall: ``HOPE`` times what the score test says, and to the noise where the response is not linear.
+        """How far C may fall: ``TWICE`` times what the score test says, and to the noise where the response is not linear.
 
         Where neither the score test nor the noise tells, half of the residual is supposed.
         """
@@ -133,8 +133,8 @@ class Moves:
         elif absolute:
             nonlinear = cls.multistart > 1 or cls.rough or cls.family in NONLINEAR
             least = min(base.n, base.chi2 - s.gain)  # nothing explains noise, unless the score test says so
-            left = least if nonlinear else max(base.chi2 - HOPE * s.gain, least)
+            left = least if nonlinear else max(base.chi2 - TWICE * s.gain, least)
         else:
-            left = base.chi2 - HOPE * s.gain
+            left = base.chi2 - TWICE * s.gain
         left = max(left, 1e-3 * base.chi2)
         return base.n * self.state.context.effective * math.log(base.chi2 / left)

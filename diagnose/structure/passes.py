@@ -37,7 +37,7 @@ from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
 from diagnose.structure.search import Search
-from diagnose.thresholds import FAR, MATERIAL, MOST_FILTERS, ORDERS_TRIED, SECOND_SPLIT, TWICE_NOISE
+from diagnose.thresholds import FAR, LEADING, MATERIAL, MOST_FILTERS, SECOND_SPLIT, TWICE
 from mjsim.errors import InputError
 
 __all__ = ["searched"]
@@ -63,7 +63,7 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[fl
     arm = len(fitter.nominal.chain.bodies) - 1
     ratio = fitter.nominal.chain.total_ratio(arm)
     b, a = torque_to_velocity(fitted.axis, r.dt, arm, middle(r))
-    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=ORDERS_TRIED, inertia=True)
+    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=LEADING, inertia=True)
 
 
 def _search(
@@ -184,7 +184,7 @@ def _leaves_coloured_noise(fitter: Fitter, f: Fitted, missed: float) -> bool:
     surely = _NoiseOnly(missed)
     if surely(fitter, pooled(fitter, f)):  # or the excitation leaves parameters open, which noise has settled
         return True
-    may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TWICE_NOISE**2
+    may_be_noise = not f.effects and fitted_to is not None and fitted_to <= TWICE**2
     return may_be_noise and _whitened_from_nominal(fitter, f, surely) is not None
 
 
@@ -213,7 +213,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         spent = fitter.spent
         if spent and (turn or not best.effects):  # a search that could not look would find nothing
             break
-        if known and innovation(fitter, best, np.ones(1)) < 1 / TWICE_NOISE:  # what is below the noise has no colour to be named
+        if known and innovation(fitter, best, np.ones(1)) < 1 / TWICE:  # what is below the noise has no colour to be named
             break
         filter_, own_filter = _whitening(fitter, search, best)
         if same_filter(filter_, fitter.whitening / fitter.whitening[0]) or (spent and own_filter):

@@ -12,7 +12,7 @@ from diagnose.fit.least_squares import Status
 from diagnose.structure import graph
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
-from diagnose.thresholds import EQUIVALENT, FORMS, SAME
+from diagnose.thresholds import EQUIVALENT, SAME
 from mjsim.effects import Effect
 
 __all__ = ["Pruning"]
@@ -45,7 +45,7 @@ class Pruning:
         if known is not None and not state.once("from", key, current.key, round(math.log(current.chi2), 2)):
             return known
         h = state.fitter.hypothesis(effects, current.linear, current.own)
-        f = state.fitter.fit(h, iterations=FORMS, rival=True)
+        f = state.fitter.fit(h, rival=True)
         state.keep(f)
         return state.fits.get(key, f)
 

@@ -15,7 +15,7 @@ from diagnose.structure.graph import Entrant
 from diagnose.structure.score import unexplained_squares
 from diagnose.structure.screening import Screening, screening_of
 from diagnose.structure.state import State
-from diagnose.thresholds import FAR, HALVINGS, HOPE, LARGE
+from diagnose.thresholds import FAR, HALVINGS, LARGE, TWICE
 from mjsim.effects import effect_class
 
 __all__ = ["NONLINEAR", "Race"]
@@ -88,7 +88,7 @@ class Race:
         further = partial(fitter.fit, iterations=iterations, rival=True)
         tasks = [
             partial(self._counted, partial(
-                further, f.hypothesis, f.fit.x, neighbour=f if lends and not f.rough else None, secant=state.context.slow(f)
+                further, f.hypothesis, f.fit.x, neighbour=f if lends and not f.rough else None
             ))
             for f in (running[k] for k in on)
         ]  # fmt: skip
@@ -113,12 +113,12 @@ class Race:
     def may_gain(self, base: Fitted, f: Fitted, floor: float) -> bool:
         """Whether a fit may come to gain ``floor`` in C over its base.
 
-        Its sensitivities predict how far chi-square can fall; the bound is ``HOPE`` times that. Always where the residual of the
+        Its sensitivities predict how far chi-square can fall; the bound is ``TWICE`` times that. Always where the residual of the
         base is large, since the prediction is a linear one.
         """
         if not self.state.fitter.noise.within(base.chi2 / base.n, LARGE) or not f.fit.J.any():
             return True
-        left = f.chi2 - HOPE * (f.chi2 - unexplained_squares(f.fit.residual, orthonormal(f.fit.J)))
+        left = f.chi2 - TWICE * (f.chi2 - unexplained_squares(f.fit.residual, orthonormal(f.fit.J)))
         return left <= 0.0 or self.state.context.gain(base, f) + f.n * math.log(f.chi2 / left) > floor
 
     def _counted(self, task: Callable[[], T]) -> T:

@@ -34,7 +34,7 @@ from diagnose.structure.race import Race
 from diagnose.structure.selection import Selection
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
-from diagnose.thresholds import FAR, NEARLY, ROUGHLY, UNEXPLAINED
+from diagnose.thresholds import FAR, SAME, TWICE, UNEXPLAINED
 
 __all__ = ["Search"]
 
@@ -131,7 +131,7 @@ class Search:
             self.progress.stage("search", f"{move.name} {' + '.join(move.base.key) or 'the nominal model'}")
             self.race.run(move.base, move.entrants, move.floor)
             best = self._relaxed(current, self.selection.best(current))
-            if best.key == current.key and best.chi2 > (1.0 - ROUGHLY) * current.chi2:
+            if best.key == current.key and best.chi2 > (1.0 - SAME) * current.chi2:
                 continue
             changed = best.key != current.key
             current = best
@@ -175,7 +175,7 @@ class Search:
         """
         if not self.fitter.noise.absolute or self.fitter.view.channel != "velocity":
             return best
-        near = [f for f in self.fits.values() if len(f.effects) == len(best.effects) and f.chi2 < NEARLY * best.chi2]
+        near = [f for f in self.fits.values() if len(f.effects) == len(best.effects) and f.chi2 < TWICE * best.chi2]
         near = [f for f in near if f.rough or self.fitter.above(f, FAR)]
         near = sorted(near, key=self.criterion)[: self.options.beam + 1]
         near = [f for f in near if self.state.once("relax", f.key, round(math.log(f.chi2), 1)) and not self.state.spent()]
@@ -197,7 +197,7 @@ class Search:
     def _rivals(self, current: Fitted) -> list[Fitted]:
         """Structures of the incumbent's size that are not far behind it and may have other neighbours."""
         alike = sorted((f for f in self.fits.values() if len(f.effects) == len(current.effects)), key=self.criterion)
-        near = [f for f in alike if f.key != current.key and f.chi2 < NEARLY * current.chi2]
+        near = [f for f in alike if f.key != current.key and f.chi2 < TWICE * current.chi2]
         near = [f for f in near if not refines(f, current) and not same_elsewhere(f, current)]
         return [simplest_form(f, self.fits) for f in near[: self.options.beam - 1]]
 
@@ -243,7 +243,7 @@ class Search:
             return fitted
         better = self.fitter.fit(
             fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-6 if fitted.rough else 1e-8,
-            slow=(self.fitter.noise.cost_at(FAR, fitted.n), ROUGHLY),
+            slow=(self.fitter.noise.cost_at(FAR, fitted.n), SAME),
         )  # fmt: skip
         if better.ok and better.chi2 <= fitted.chi2:
             self.keep(better)

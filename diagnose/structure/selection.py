@@ -8,7 +8,6 @@ from diagnose.fit.fitted import Fitted
 from diagnose.structure.graph import refines
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
-from diagnose.thresholds import SAME_SIZE
 
 __all__ = ["Selection"]
 
@@ -27,7 +26,7 @@ class Selection:
             current = fits.best(current)
             larger = self.larger(f, current)
             unseen = context.unseen_gain(current, f) if larger and f.key != current.key else 0.0
-            if f.key == current.key or context.ahead(f, current) + unseen < self.needed(f, current):
+            if f.key == current.key or context.ahead(f, current) + unseen <= self.needed(f, current):
                 continue
             attempt += larger
             if self._wins(f, current, attempt, larger=larger):
@@ -36,7 +35,7 @@ class Selection:
 
     def needed(self, f: Fitted, current: Fitted) -> float:
         """How far C of a structure must lie below that of the current one for the evidence to be asked."""
-        return self.state.context.prices.entry if self.larger(f, current) else SAME_SIZE
+        return self.state.context.prices.entry if self.larger(f, current) else 0.0
 
     def larger(self, f: Fitted, current: Fitted) -> bool:
         """Whether a structure says more than the current one: more effects, a refinement, or (by held-out data) more numbers."""

@@ -11,7 +11,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding, NominalEffect
 from diagnose.structure.graph import merged as compounds
 from diagnose.structure.search import Search
-from diagnose.thresholds import EQUIVALENT, FOLLOWS_WEIGHT, SOME_ANGLES
+from diagnose.thresholds import EQUIVALENT, NEARLY_ALL, SEGMENT
 from diagnose.verdict.decide import equivalents, estimates, p_values
 from mjsim.effects import Effect
 
@@ -69,9 +69,9 @@ def _by_weight(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
     if chain.couplings or r.angle is None:
         return ()
     others = [e for e in (*best.carried, *best.effects) if e.key != effect.key]
-    some = r.angle[:: max(1, len(r.angle) // SOME_ANGLES)]
+    some = r.angle[:: max(1, len(r.angle) // SEGMENT)]
     alike = follows_weight(effect, others, chain, some, fitter.scales["motor"].velocity)
-    return load_effects(effect) if alike > FOLLOWS_WEIGHT else ()
+    return load_effects(effect) if max(alike, 0.0) ** 2 > NEARLY_ALL else ()
 
 
 def nominal_effect(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:

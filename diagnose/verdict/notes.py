@@ -14,7 +14,7 @@ from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.result import Finding, Verdict
 from diagnose.structure.search import Search
-from diagnose.thresholds import TWICE_NOISE
+from diagnose.thresholds import TWICE
 from diagnose.verdict.refusals import refusals, refused_in_words
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.axis import Axis
@@ -119,7 +119,7 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
         )
     held = outcome.search.held_out(outcome.best)
     level = noise_rms(fitter, fitter.experiments[0])
-    far = held is not None and fitter.noise.absolute and held.rms**2 > TWICE_NOISE**2 * level**2
+    far = held is not None and fitter.noise.absolute and held.rms**2 > TWICE**2 * level**2
     if far and held is not None and outcome.verdict is Verdict.MISSING_PHYSICS and not remaining.diverges:
         yield (
             f"What is left on held-out data is {held.rms / level:.3g} times the noise: the effects named are most of the "

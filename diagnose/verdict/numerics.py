@@ -12,6 +12,7 @@ import numpy as np
 from diagnose.evidence.held_out import compare
 from diagnose.fit.fitted import HeldOut
 from diagnose.result import Finding
+from diagnose.thresholds import BLOCKS, HORIZONS, NEARLY_ALL
 from diagnose.verdict.reference import Case, Run, error, figures, judged
 from diagnose.verdict.reference_runs import run_watched, too_far
 from diagnose.verdict.reference_stage import APART, Nominal, apart
@@ -20,10 +21,7 @@ from mjsim.plant.settings import SETTINGS, Setting, mended
 __all__ = ["IDS", "Cause", "cause_of", "finding", "gain_of", "note"]
 
 IDS = tuple(s.id for s in SETTINGS)
-REMOVED = 1 / 3  # of a difference that is left at most, for a setting to be its cause: most of its power, eight parts of nine
-PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of the recordings, of which the first that shows a difference is enough
-BLOCKS = 25  # of the held-out samples of a recording, for the paired test
-SURE = 0.01  # p-value of the gain on held-out data, times the settings that were tried
+REMOVED = math.sqrt(1 - NEARLY_ALL)  # of a difference that is left at most, for a setting to be its cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +41,11 @@ def cause_of(nominal: Nominal, threads: int) -> Cause | None:
     """
     if nominal.apart <= APART:
         return None
-    for part in PARTS:
+    for part in HORIZONS:
         cases = [c.first(math.ceil(part * len(c.measured))) for c in nominal.cases]
         runs, engine = ([_first(r, c) for r, c in zip(rs, cases, strict=True)] for rs in (nominal.runs, nominal.engine))
         shown = apart(cases, runs, engine)
-        if min(nominal.apart, APART / REMOVED) <= shown < math.inf or part == PARTS[-1]:
+        if min(nominal.apart, APART / REMOVED) <= shown < math.inf or part == HORIZONS[-1]:
             break
     starts = [case.start() if run is None else run.start for case, run in zip(cases, runs, strict=True)]
     limit = max(APART, REMOVED * shown if math.isfinite(shown) else APART)

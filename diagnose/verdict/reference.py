@@ -16,6 +16,7 @@ import numpy as np
 from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare, without_derived_velocity
 from diagnose.data.noise import white_noise_level
 from diagnose.result import FitFigures
+from diagnose.thresholds import SIGMAS, SMALL
 from mjsim.plant import Hold, Start
 from mjsim.recording import Recording
 
@@ -32,8 +33,6 @@ __all__ = [
     "noise_level",
 ]
 
-KNOWN = 0.05  # relative error of a noise variance that is taken from the fastest part of a signal
-CLEAR = 3.0  # standard deviations of a mean square of white noise, which are sqrt(2 / n)
 FIRST = 0.005  # [s] over which the speed at the first sample is a straight line, at least two samples
 
 
@@ -147,7 +146,7 @@ def chi_square(cases: Sequence[Case], runs: Sequence[Run | None], part: str = "e
 
 def noise_level(n: int) -> float:
     """Largest chi-square of n samples of noise, as far as its variance is known."""
-    return n * (1.0 + KNOWN) + CLEAR * math.sqrt(2.0 * n)
+    return n * (1.0 + SMALL) + SIGMAS * math.sqrt(2.0 * n)
 
 
 def at_noise(cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
@@ -160,7 +159,7 @@ def beyond(cases: Sequence[Case], runs: Sequence[Run | None], goal: float, part:
     """Whether chi-square is to exceed ``goal`` even where the samples that runs do not have yet leave noise alone."""
     chi2, n = chi_square(cases, runs, part)
     rest = sum(int(getattr(c, part).sum()) for c in cases) - n
-    return chi2 + (1.0 - KNOWN) * rest - CLEAR * math.sqrt(2.0 * rest) > goal
+    return chi2 + (1.0 - SMALL) * rest - SIGMAS * math.sqrt(2.0 * rest) > goal
 
 
 def figures(cases: Sequence[Case], runs: Sequence[Run | None]) -> FitFigures:

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnose.thresholds import HORIZONS
 from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
-from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, work_of
+from diagnose.verdict.reference_runs import ENOUGH, run_files, run_surrogate, run_watched, work_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
@@ -31,8 +32,6 @@ DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in tur
 LARGEST = 0.3  # relative change of a number in a step
 MOST_WORK = 1e6  # of one run of all recordings (`work_of`), some .5 s: files that need more are not refitted
 MOST_SLOPES = 1e5  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
-ENOUGH = 1.0  # fall of chi-square, over chi-square per sample, below which a step is the last: that of a standard error
-HORIZONS = (1 / 16, 1 / 4, 1.0)  # of each recording, in turn
 
 Runs = Sequence[Run | None]
 Runner = Callable[[Axis, float], Runs | None]  # of an axis; may stop short of the end where chi-square exceeds the number
@@ -187,7 +186,7 @@ def refit_in_simulator(
         best: Refit | None = None
         whole, at = [c for c, _ in fitted], [s for _, s in fitted]
         metric = _metric(axis, whole, at)
-        for part in HORIZONS:
+        for part in HORIZONS[::2]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
             runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
             own = work_needed <= MOST_SLOPES and part == HORIZONS[-1]

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from diagnose.thresholds import SIGMAS, SMALL
 from diagnose.verdict.reference import Case, Run, judged, noise_level
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, simulate
@@ -23,9 +24,7 @@ from mjsim.system import assemble
 
 __all__ = ["run_file", "run_files", "run_surrogate", "run_watched", "starts_of", "too_far", "work_of"]
 
-FELT = 0.05  # of the noise, rms: least response to a start one standard deviation off, for the start to be refined
 ENOUGH = 1.0  # fall of chi-square, over chi-square per sample, that moves a start: one of its numbers by a standard error
-FARTHEST = 4.0  # standard deviations of a start, 6e-5 by chance: what asks for more is no error of the start
 OWN_STEP, OWN_ROUNDS, DAMPED = 0.1, 5, (1.0, 0.3)  # standard deviations of a difference, Gauss-Newton steps, parts of a step
 LOOKS = (1 / 64, 1 / 32, *(k / 16 for k in range(1, 17)))  # parts of a recording after which a watched run is looked at
 
@@ -50,7 +49,7 @@ class _Shift:
 
     def explains(self, e: np.ndarray) -> bool:
         """Whether a start as far off as one may be can make up what errors e (n,) over the noise have beyond noise."""
-        most = FARTHEST**2 * float(np.sum(self.responses**2))
+        most = SIGMAS**2 * float(np.sum(self.responses**2))
         return most >= float(e @ e) - len(e)
 
     def start(self, origin: Start, moved: np.ndarray) -> Start:
@@ -114,7 +113,7 @@ def _suited(axis: Axis | None, case: Case) -> tuple[Start, _Shift | None]:
         other = run_surrogate(axis, case, dataclasses.replace(start, **{name: getattr(start, name) + size}), locked=False)
         if other is not None:
             response = e - _errors(case, other)
-            if math.sqrt(float(np.mean(response**2))) > FELT:
+            if math.sqrt(float(np.mean(response**2))) > SMALL:
                 found.append((name, size, response))
     if not found:
         return start, None
@@ -122,7 +121,7 @@ def _suited(axis: Axis | None, case: Case) -> tuple[Start, _Shift | None]:
     shift = _Shift(names, sizes, np.column_stack(responses), np.zeros(len(found)))
     moved, _ = shift.best(e)
     after = run_surrogate(axis, case, shift.start(start, moved), locked=False)
-    if after is not None and np.max(np.abs(moved)) <= FARTHEST:
+    if after is not None and np.max(np.abs(moved)) <= SIGMAS:
         rest = _errors(case, after)
         if rest @ rest + moved @ moved < e @ e:
             shift = dataclasses.replace(shift, moved=moved)
@@ -170,7 +169,7 @@ def _tried(plant: MujocoPlant, case: Case, first: Run, shift: _Shift, parts: Seq
     if promised < ENOUGH * max(1.0, float(e @ e) / len(e)):
         return first, shift
     for part in parts:
-        moved = np.clip(shift.moved + part * change, -FARTHEST, FARTHEST)
+        moved = np.clip(shift.moved + part * change, -SIGMAS, SIGMAS)
         second = _run(plant, case, shift.start(case.start(), moved))
         rest = None if second is None else _errors(case, second)
         if second is not None and rest is not None and rest @ rest + moved @ moved < e @ e + shift.moved @ shift.moved:

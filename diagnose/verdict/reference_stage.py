@@ -23,6 +23,7 @@ import numpy as np
 
 from diagnose.data.servo import as_servo
 from diagnose.result import Diagnosis, Traces
+from diagnose.thresholds import UNEXPLAINED
 from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files, run_surrogate
@@ -33,7 +34,7 @@ from mjsim.recording import Recording
 
 __all__ = ["APART", "Nominal", "apart", "compare_nominal", "without_difference"]
 
-APART = 0.2  # of the noise rms: a difference that adds 4 % to the variance, four standard deviations of it in 20,000 samples
+APART = math.sqrt(UNEXPLAINED - 1)  # of the noise rms: a difference that adds so much to its variance
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Diagnosis, Finding, FitFigures, Verdict
 from diagnose.verdict.reference import Run, at_noise, chi_square, figures
 from diagnose.verdict.reference_stage import APART, Nominal
@@ -15,8 +16,6 @@ from diagnose.verdict.simulator_traces import with_runs
 __all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
 
 MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
-# twice the gain of log-likelihood for numbers to be changed at all, and for each of them (SearchOptions: entry, price / 2)
-ENTRY, PRICE = 25.0, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +89,7 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
         return False
     more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
     gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))
-    level = ENTRY + PRICE * more
+    level = KnownNoise.prices.entry + 0.5 * KnownNoise.prices.price * more
     held = sum(int(c.held_out.sum()) for c in nominal.cases)
     lost = held * 2.0 * math.log(max(given.held_out_rms, 1e-300) / max(best.held_out_rms, 1e-300)) if held else 0.0
     return gain <= level and lost <= level

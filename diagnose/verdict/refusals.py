@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from diagnose.fit.fitted import Fitted
 from diagnose.result import Refused
 from diagnose.structure.search import Search
-from diagnose.thresholds import SHOWN, TOLD
+from diagnose.thresholds import LEADING, SHOWN
 
 __all__ = ["refusals", "refused_in_words"]
 
@@ -36,7 +36,7 @@ def refusals(search: Search, best: Fitted) -> tuple[Refused, ...]:
 
 
 def refused_in_words(found: Sequence[Refused]) -> tuple[str, ...]:
-    """A sentence for each rival that a test refused although it may be ahead by the criterion, at most `TOLD`."""
+    """A sentence for each rival that a test refused although it may be ahead by the criterion, at most `LEADING`."""
     said = []
     for r in found:
         if r.test not in _TESTS:
@@ -46,7 +46,7 @@ def refused_in_words(found: Sequence[Refused]) -> tuple[str, ...]:
             n |= {"change": -n["relative_gain"], "least": -n["needed"]}
         name = " and ".join(key.partition("@")[0].replace("_", " ") + f" at the {key.partition('@')[2]}" for key in r.effects)
         said.append(f"{name[:1].upper()}{name[1:]} is refused: {_TESTS[r.test].format(**n)}.")
-    return tuple(said[:TOLD])
+    return tuple(said[:LEADING])
 
 
 def _refused(search: Search, best: Fitted, rival: Fitted) -> Refused:

@@ -28,7 +28,7 @@ from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.problem.view import ForceView
 from diagnose.structure.search import Search
-from diagnose.thresholds import CLEAR, MOST, OBSERVER_GAINS, SENSOR_SHARE, TWICE_NOISE
+from diagnose.thresholds import CLEAR, MOST, OBSERVER_GAINS, SENSOR_SHARE, TWICE
 
 __all__ = ["Remaining", "RepeatedRows", "closed", "remaining_error", "repeated_rows"]
 
@@ -159,7 +159,7 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
 
 
 def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: float | None) -> bool:
-    """Whether the error is more than noise of any colour: over `TWICE_NOISE**2` times the mean square that the recording shows.
+    """Whether the error is more than noise of any colour: over `TWICE**2` times the mean square that the recording shows.
 
     Asked where one channel alone shows the motion, so that no second one can tell noise from it (``missed`` is None).
     """
@@ -167,10 +167,10 @@ def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: 
         return False
     for i, experiment in enumerate(fitter.experiments):
         e, level = fitter.error_of(best, i), fitter.view.noise(experiment)
-        if e is not None and level and float(np.mean(e[fitter.counted(experiment)] ** 2)) > TWICE_NOISE**2 * level**2:
+        if e is not None and level and float(np.mean(e[fitter.counted(experiment)] ** 2)) > TWICE**2 * level**2:
             return True
     levels = [level for e in fitter.held_out if (level := fitter.view.noise(e))]
-    return held is not None and bool(levels) and held.rms**2 > TWICE_NOISE**2 * float(np.mean(np.square(levels)))
+    return held is not None and bool(levels) and held.rms**2 > TWICE**2 * float(np.mean(np.square(levels)))
 
 
 def _explains_most(before: HeldOut | None, after: HeldOut | None) -> bool:
@@ -182,7 +182,7 @@ def _beyond_sensors(fitter: Fitter, held: HeldOut | None) -> bool:
     """Whether the force that a model misses is more than sensors make of it.
 
     The band is such that the noise of the angle, differentiated twice, has `SENSOR_SHARE` of the torque's power; the torque's
-    is the white part of it in the same band. `TWICE_NOISE**2` times their sum is allowed.
+    is the white part of it in the same band. `TWICE**2` times their sum is allowed.
     """
     view = fitter.view
     if held is None or not isinstance(view, ForceView):
@@ -192,7 +192,7 @@ def _beyond_sensors(fitter: Fitter, held: HeldOut | None) -> bool:
         u, dt = e.recording.torque, e.recording.dt
         band = min(1.0, 2.0 * dt * (view.cutoff_hz or 0.1 / dt))
         sensors = max(sensors, SENSOR_SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
-    return held.nrmse**2 > TWICE_NOISE**2 * sensors
+    return held.nrmse**2 > TWICE**2 * sensors
 
 
 def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:

@@ -9,7 +9,7 @@ import pytest
 
 from diagnose.evidence.context import Context
 from diagnose.problem.noise_model import KnownNoise, ModelError
-from diagnose.thresholds import LONG, MATERIAL, UNEXPLAINED
+from diagnose.thresholds import MATERIAL, UNEXPLAINED
 from mjsim.effects import effect_class
 
 PRICE, ENTRY = KnownNoise.prices.price, KnownNoise.prices.entry
@@ -81,11 +81,6 @@ def test_what_leaves_less_than_noise_lacks_what_has_a_colour(monkeypatch, chi2, 
     for filter_, coloured in ((object(), True), (None, False)):
         monkeypatch.setattr("diagnose.evidence.context.whitening_filter", lambda *_, material, f=filter_: f)
         assert context().visible(structure(chi2=chi2)) is (low and coloured)
-
-
-@pytest.mark.parametrize(("seconds", "slow"), [(LONG, False), (1.01 * LONG, True)])
-def test_a_long_run_is_slow(seconds, slow):
-    assert context(length=seconds).slow(structure()) is slow
 
 
 @pytest.mark.parametrize("spread", [0.0, 400.0, 5000.0])

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnose.evidence.force_orders import few_periods
 from diagnose.evidence.held_out import Comparison
 from diagnose.evidence.outcome import PASS, Pair, Veto, first_veto
 from diagnose.evidence.rivals import servo
@@ -21,7 +22,7 @@ from diagnose.fit.fits import Fits
 from diagnose.problem.noise_model import KnownNoise, ModelError
 from diagnose.result import Refused
 from diagnose.structure.state import Refusal
-from diagnose.thresholds import FEW_PERIODS, MOST, TAKEN_BY_FEW_PERIODS
+from diagnose.thresholds import MOST, NEARLY_ALL
 from diagnose.verdict.refusals import refusals
 from mjsim.effects import effect_class
 
@@ -102,11 +103,11 @@ def test_an_effect_of_an_open_size_is_an_answer_of_a_servo_too(monkeypatch, is_o
 
 @pytest.mark.parametrize("travel", [1.0, 2.0])
 @pytest.mark.parametrize(("periods", "share", "passes"), [
-    (0.99, TAKEN_BY_FEW_PERIODS - 0.01, False), (0.99, TAKEN_BY_FEW_PERIODS + 0.01, True), (1.0, 0.0, True),
+    (0.99, NEARLY_ALL - 0.01, False), (0.99, NEARLY_ALL + 0.01, True), (1.0, 0.0, True),
 ])  # fmt: skip
 def test_a_few_periods_over_the_travel_must_take_most_of_the_error(periods, share, passes, travel):
     def ripple(times):
-        order = times * FEW_PERIODS * 2 * math.pi / travel
+        order = times * few_periods() * 2 * math.pi / travel
         return effect_class("torque_ripple")(amplitude_Nm=1.0, cycles_per_rev=order, phase_rad=0.0)
 
     pair = Pair(structure(chi2=1000.0), structure(ripple(periods), friction(), chi2=1000.0 * (1.0 - share)))
@@ -120,7 +121,7 @@ def test_a_few_periods_over_the_travel_must_take_most_of_the_error(periods, shar
 
 def test_what_takes_just_so_much_passes():
     few = effect_class("torque_ripple")(amplitude_Nm=1.0, cycles_per_rev=1.0, phase_rad=0.0)
-    for test, effect, level in ((no_slow_error, few, TAKEN_BY_FEW_PERIODS), (no_answer_of_a_servo, delay(), MOST)):
+    for test, effect, level in ((no_slow_error, few, NEARLY_ALL), (no_answer_of_a_servo, delay(), MOST)):
         pair = Pair(structure(chi2=1000.0), structure(effect, chi2=1.0))
         assert test(context(ModelError(), held=(level, 0.0)), pair) is PASS
         assert isinstance(test(context(ModelError(), held=(math.nextafter(level, 0.0), 0.0)), pair), Veto)

@@ -13,7 +13,7 @@ from diagnose.problem.noise_model import KnownNoise, ModelError
 from diagnose.structure.candidates import Candidate
 from diagnose.structure.moves import Moves
 from diagnose.structure.score import Screened
-from diagnose.thresholds import HOPE
+from diagnose.thresholds import TWICE
 
 N = 1000
 LINEAR = effect("coulomb_friction", torque_Nm=0.1)
@@ -28,7 +28,7 @@ def bound(noise, law, chi2, gain) -> float:
 
 
 @pytest.mark.parametrize(
-    ("chi2", "gain", "left"), [(4000.0, 500.0, 4000.0 - HOPE * 500.0), (4000.0, 2500.0, N), (900.0, 50.0, 850.0)]
+    ("chi2", "gain", "left"), [(4000.0, 500.0, 4000.0 - TWICE * 500.0), (4000.0, 2500.0, N), (900.0, 50.0, 850.0)]
 )
 def test_a_linear_response_is_bounded_by_its_score_test_and_the_noise(chi2, gain, left):
     assert bound(KnownNoise(), LINEAR, chi2, gain) == pytest.approx(N * math.log(chi2 / left))
@@ -39,7 +39,7 @@ def test_a_nonlinear_response_may_explain_all_above_the_noise(gain, left):
     assert bound(KnownNoise(), NONLINEAR, 4000.0, gain) == pytest.approx(N * math.log(4000.0 / left))
 
 
-@pytest.mark.parametrize(("gain", "left"), [(500.0, 4000.0 - HOPE * 500.0), (math.inf, 2000.0)])
+@pytest.mark.parametrize(("gain", "left"), [(500.0, 4000.0 - TWICE * 500.0), (math.inf, 2000.0)])
 def test_where_the_noise_is_not_known_the_score_test_stands(gain, left):
     assert bound(ModelError(), NONLINEAR, 4000.0, gain) == pytest.approx(N * math.log(4000.0 / left))
 

@@ -19,7 +19,7 @@ from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import Candidate, can_replace, inherit
 from diagnose.structure.graph import limits, named, refines, same_elsewhere, simplest_form
 from diagnose.structure.search import Search
-from diagnose.thresholds import FAR, PRIOR
+from diagnose.thresholds import FAR, TWICE
 from mjsim.effects import effect_class
 
 N, BLOCKS = 20_000, 40
@@ -36,7 +36,7 @@ def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, pair):
     np.testing.assert_allclose(fitter.problem.prior(h, h.start), 0.0, atol=1e-12)
     fitter = fitter.relax(prior_weight=4.0)
     off = fitter.hypothesis((), {"Jm": 2 * fitter.nominal.chain.bodies[0].inertia})
-    assert np.max(fitter.problem.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) / PRIOR)
+    assert np.max(fitter.problem.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) * TWICE)
 
 
 def test_what_a_prior_costs_is_no_misfit(fitter_of, pair):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from diagnose.evidence.sensor_offset import excluded_by_angle
-from diagnose.thresholds import OFFSET_BLOCKS
+from diagnose.thresholds import BLOCKS, SIGMAS
 from mjsim.recording import Recording
 
 DT = 1e-3
@@ -27,24 +27,24 @@ def experiment(apart, speed=None):
 
 def blocks(level, offset, length=40):
     """Blocks that lie ``level`` above and below an offset in turn."""
-    return offset + level * np.repeat((-1.0) ** np.arange(OFFSET_BLOCKS), length)
+    return offset + level * np.repeat((-1.0) ** np.arange(BLOCKS), length)
 
 
-@pytest.mark.parametrize(("times", "verdict"), [(4.99, SOUND), (5.01, OFFSET), (-4.99, SOUND), (-5.01, OFFSET)])
-def test_an_offset_stands_out_of_the_blocks_by_five_standard_errors(times, verdict):
+@pytest.mark.parametrize(("times", "verdict"), [(0.998, SOUND), (1.002, OFFSET), (-0.998, SOUND), (-1.002, OFFSET)])
+def test_an_offset_stands_out_of_the_blocks_by_standard_errors(times, verdict):
     level = 0.1
-    spread = level * math.sqrt(OFFSET_BLOCKS / (OFFSET_BLOCKS - 1))
-    at_least = 1e-4 * np.std(experiment(blocks(level, 0.0)).recording.velocity) / math.sqrt(40 * OFFSET_BLOCKS + 1)
-    offset = times * (spread / math.sqrt(OFFSET_BLOCKS) + at_least)
+    spread = level * math.sqrt(BLOCKS / (BLOCKS - 1))
+    at_least = 1e-4 * np.std(experiment(blocks(level, 0.0)).recording.velocity) / math.sqrt(40 * BLOCKS + 1)
+    offset = times * SIGMAS * (spread / math.sqrt(BLOCKS) + at_least)
     assert excluded_by_angle([experiment(blocks(level, offset))]) == verdict
 
 
-@pytest.mark.parametrize(("times", "verdict"), [(4.99, SOUND), (5.01, OFFSET)])
+@pytest.mark.parametrize(("times", "verdict"), [(0.998, SOUND), (1.002, OFFSET)])
 def test_blocks_that_are_alike_leave_a_ten_thousandth_of_the_speed(times, verdict):
     """Noise that cancels within every block: what rounding leaves is no error of the mean."""
-    noise = np.tile([1e-3, -1e-3], 20 * OFFSET_BLOCKS)
+    noise = np.tile([1e-3, -1e-3], 20 * BLOCKS)
     speed = experiment(noise).recording.velocity
-    offset = times * 1e-4 * float(np.std(speed)) / math.sqrt(len(speed))
+    offset = times * SIGMAS * 1e-4 * float(np.std(speed)) / math.sqrt(len(speed))
     assert excluded_by_angle([experiment(noise + offset)]) == verdict
 
 
@@ -55,7 +55,7 @@ def test_a_hundred_samples_are_asked_for(n, told):
 
 @pytest.mark.parametrize(("spread", "told"), [(0.5e-9, False), (2e-9, True)])
 def test_a_channel_that_was_computed_from_the_other_tells_nothing(spread, told):
-    n = 40 * OFFSET_BLOCKS
+    n = 40 * BLOCKS
     found = experiment(np.zeros(n))
     v = found.recording.velocity
     apart = spread * np.std(v) * np.resize([1.0, -1.0], n)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diagnose.data.stretches import choose, information, informative
-from diagnose.thresholds import STRETCH_COUNT, STRETCH_SAMPLES
+from diagnose.thresholds import LONGEST, STRETCH_COUNT
 from mjsim.errors import InputError
 from mjsim.models import shipped_model
 from mjsim.readers.stream import row_count, windows
@@ -16,7 +16,7 @@ from mjsim.recording import Recording
 from simgap.long_logs import load_all
 
 MODEL = shipped_model("robot_axis1")
-ROWS = STRETCH_SAMPLES // STRETCH_COUNT
+ROWS = LONGEST // 2 // STRETCH_COUNT
 
 
 def table(count: int, dt: float = 1e-3, active=lambda t: np.ones_like(t)) -> dict[str, np.ndarray]:

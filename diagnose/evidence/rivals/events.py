@@ -40,7 +40,7 @@ def _gain_under_observer(context: Context, before: Fitted, after: Fitted) -> flo
     asked = next((a for a in memo if _alike(a, before, after)), (before.key, before.chi2, after.key, after.chi2))
     if asked not in memo:
         gain = OBSERVER_GAINS[0]
-        richer, own = (observed(fitter, f, gain, 15, spread=0 if context.slow(f) else 8, keep=2) for f in (after, before))
+        richer, own = (observed(fitter, f, gain, 15, spread=8, keep=2) for f in (after, before))
         started = _warm_started(fitter, after, before.key)
         poorer = [f for f in (own, observed(fitter, started, gain, 15) if started.ok else None) if f is not None]
         if richer is None or not poorer:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 from diagnose.evidence.context import Context
+from diagnose.evidence.force_orders import few_periods
 from diagnose.evidence.outcome import PASS, Outcome, Pair, Veto
-from diagnose.thresholds import FEW_PERIODS, TAKEN_BY_FEW_PERIODS
+from diagnose.thresholds import NEARLY_ALL
 
 __all__ = ["no_slow_error"]
 
@@ -22,7 +23,7 @@ def no_slow_error(context: Context, pair: Pair) -> Outcome:
     before, after = pair.before, pair.after
     orders = {e: e.values["cycles_per_rev"] for e in after.effects if e.key not in before.key and "cycles_per_rev" in e.values}
     scales = context.fitter.scales
-    if not any(n * scales[type(e).angle_of or e.place].travel < 2 * math.pi * FEW_PERIODS for e, n in orders.items()):
+    if not any(n * scales[type(e).angle_of or e.place].travel < 2 * math.pi * few_periods() for e, n in orders.items()):
         return PASS
     share = min(1.0 - after.chi2 / before.chi2, context.compared(before, after).relative_gain)
-    return Veto("few_periods", {"share": share, "needed": TAKEN_BY_FEW_PERIODS}) if share < TAKEN_BY_FEW_PERIODS else PASS
+    return Veto("few_periods", {"share": share, "needed": NEARLY_ALL}) if share < NEARLY_ALL else PASS
