@@ -68,7 +68,6 @@ SAME = _number(
     "0.1 % of an error: one minimum, one direction, the end of a fit that leaves more than noise",
     "search",
 )
-RIVAL = _number("RIVAL", LEVEL, 0.1, "log chi2", "confounders beside a simpler structure", "graph")
 EQUIVALENT = _number("EQUIVALENT", LEVEL, 10.0, "C", "a likelihood ratio of 150", "search")
 MATERIAL = _number(
     "MATERIAL", LEVEL, 0.02, "of a squared error", "a smaller change matters to no prediction: 1 % of an rms error", "search"
@@ -112,7 +111,8 @@ HALVINGS = _number(
 )
 MOST_FILTERS = _number("MOST_FILTERS", COST, 2, "searches", "on whitened errors", "passes")
 MAP_RUNS = _number("MAP_RUNS", COST, 1500, "runs", "after which no further map is tried", "torque_map")
-LEADING = _number("LEADING", COST, 3, "of a ranking", "maps and orders that are tried, refusals that are told", "graph")
+ABOUT = _number("ABOUT", COST, 0.25, "log of a ratio", "spread of further starts of the nominal structure", "horizons")
+LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals that are told", "graph")
 SECOND_SPLIT = _number(
     "SECOND_SPLIT",
     COST,

@@ -94,10 +94,6 @@ class Problem:
         scales = scales_by_place(self.nominal, self.experiments[0], orders, swung, turning=turning)
         return dataclasses.replace(self, scales=scales, orders=orders, swung=swung)
 
-    def with_sigma(self, experiment: Experiment, sigma: float) -> Problem:
-        """The same with another weight of a recording."""
-        return dataclasses.replace(self, sigmas={**self.sigmas, id(experiment): sigma})
-
     def on(
         self,
         experiments: tuple[Experiment, ...],

@@ -24,7 +24,6 @@ __all__ = ["base_parameters", "changes", "estimates", "figures", "findings", "no
 
 UNITS = dict(zip(NAMES, ("kg", *["kg m"] * 3, *["kg m^2"] * 6), strict=True))
 KINDS = dict(zip(JOINT_PARAMETERS, (Quantity.INERTIA, Quantity.DAMPING, Quantity.TORQUE, Quantity.STIFFNESS), strict=True))
-DETERMINED = 0.5  # of its prior standard deviation: a parameter with a wider interval is told by the prior, not by the data
 RANK = 0.1  # of the prior: a direction whose posterior standard deviation is below it is determined by the motion
 
 

@@ -12,15 +12,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diagnose.evidence.held_out import compare
-from diagnose.fit.fitted import HeldOut
+from diagnose.robot.black_box import predictable, ridge
 from diagnose.robot.laws import Row
 from diagnose.robot.problem import Problem
 from diagnose.robot.solve import Solution, held_out
 
 __all__ = ["black_box"]
-
-RIDGE = 1e-2  # of the sum of squares of a column
 
 
 def _dictionary(row: Row) -> np.ndarray:
@@ -51,12 +48,5 @@ def black_box(
     D, E = np.concatenate(fitted), np.concatenate(held)
     if len(E) < 10:
         return 0.0, 1.0
-    norm = np.sqrt(np.sum(D**2, axis=0)) + 1e-300
-    D, E = D / norm, E / norm
-    c = np.linalg.solve(D.T @ D + RIDGE * np.eye(D.shape[1]), D.T @ s.fitted[joint])
-    before = held_out(problem, s, weights, joint)
-    left = (s.held[joint] - E @ c) * weights[joint]
-    edges = np.cumsum(before.n)[:-1]
-    after = HeldOut(left, np.array([float(p @ p) for p in np.split(left, edges)]), before.n, 0.0, 0.0)
-    test = compare(before, after)
-    return test.relative_gain, test.p_value
+    left = (s.held[joint] - E @ ridge(D, s.fitted[joint])) * weights[joint]
+    return predictable(held_out(problem, s, weights, joint), left)

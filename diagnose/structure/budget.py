@@ -16,7 +16,7 @@ class SearchOptions:
 
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
     held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
-    depth: most effects; width: rivals fitted in full at each move; beam: structures from which effects are added;
+    depth: most effects; width: rivals fitted in full at each move;
     seconds: elapsed time after which no further structure is tried.
     """
 
@@ -26,7 +26,6 @@ class SearchOptions:
     p_enter: float = KnownNoise.prices.p_enter
     depth: int = 3
     width: int = 10
-    beam: int = 2
     only: tuple[str, ...] = ()
     seconds: float = math.inf
 

@@ -1,7 +1,7 @@
 """Neighbours of a structure in the graph of structures, derived from what effects declare.
 
 `add`: an effect more. `refine`: an effect by one that refines it, or at another spatial order. `vary`: an effect by another law
-of the same name (`form_of`). `exchange`: an effect by a confounder of it. `drop`, `simplify`: an effect less, or a reduced form
+of the same name (`form_of`). `drop`, `simplify`: an effect less, or a reduced form
 of one. `split`: a compound effect by its parts, the first refined; `merge`: the reverse. `limits`: an effect by its limit.
 """
 
@@ -19,22 +19,19 @@ from diagnose.fit.least_squares import Fit, Linearised, Status, orthonormal
 from diagnose.problem.hypothesis import make
 from diagnose.structure.candidates import Candidate, can_replace, conflicts, inherit, related, replaced
 from diagnose.structure.score import QUARTERS, Screened, screen
-from diagnose.thresholds import CLEAR, EQUIVALENT, LARGE, LEADING, MATERIAL, RIVAL, SAME, TWICE
+from diagnose.thresholds import CLEAR, EQUIVALENT, LEADING, MATERIAL
 from mjsim.effects import Effect, effect_class
 
 __all__ = [
     "Entrant",
     "additions",
     "confounders",
-    "exchanges",
     "limits",
     "merged",
     "named",
     "other_orders",
     "refines",
     "replacements",
-    "same_elsewhere",
-    "simplest_form",
     "simplified",
     "split",
     "without",
@@ -95,28 +92,6 @@ def other_orders(fitter: Fitter, base: Fitted, effect: Effect, *, material: bool
         values = [{**effect.values, "cycles_per_rev": n} for n in orders]
     starts = tuple(effect.with_values({**v, "phase_rad": phase}) for v in values for phase in QUARTERS)
     return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
-
-
-def exchanges(fits: Fits, offered: Sequence[Candidate], base: Fitted) -> list[Entrant]:
-    """For each effect of a structure its confounders: effects that gain as much in its place beside a simpler structure.
-
-    They start from the parameters that they have there. Two delays are confounded while friction is missing; which of them
-    entered first is chance until it is there.
-    """
-    keys, out = {c.key for c in offered}, []
-    for effect in base.effects:
-        others = without(base.effects, effect)
-        seen: set[str] = set()
-        for f in sorted((f for f in fits.values() if effect.key not in f.key), key=lambda f: f.chi2):
-            for rival in (e for e in f.effects if e.key not in base.key and e.key in keys and e.key not in seen):
-                if rival.place == effect.place and rival.id in type(effect).refines:
-                    continue  # a reduced form
-                beside = fits.get(tuple(sorted([effect.key, *(k for k in f.key if k != rival.key)])))
-                c = Candidate(rival.id, rival.place)
-                if beside is not None and abs(math.log(f.chi2 / beside.chi2)) < RIVAL and not conflicts(c, others):
-                    seen.add(rival.key)
-                    out.append((others, Screened(c, rival, math.inf, (rival,))))
-    return out
 
 
 def confounders(fitter: Fitter, best: Fitted, effect: Effect, offered: Sequence[Candidate]) -> list[Entrant]:
@@ -208,32 +183,10 @@ def simplified(fitter: Fitter, f: Fitted, effect: Effect) -> list[tuple[Effect, 
     return out
 
 
-def simplest_form(f: Fitted, fits: Fits) -> Fitted:
-    """A structure with its effects in the reduced forms that explain nearly as much.
-
-    A refinement may stand in for an effect that is missing: effects are added to the reduced form, and refined again after that.
-    """
-    if f.chi2 < LARGE * f.n:
-        return f
-    for effect in f.effects:
-        rest = [k for k in f.key if k != effect.key]
-        for name in type(effect).refines:
-            simple = fits.get(tuple(sorted([*rest, f"{name}@{effect.place}"])))
-            if simple is not None and simple.chi2 < TWICE * f.chi2:
-                return simplest_form(simple, fits)
-    return f
-
-
 def refines(f: Fitted, current: Fitted) -> bool:
     """Whether a structure has a refinement of an effect of the other one."""
     gone = [e for e in current.effects if e.key not in f.key]
     return any(old.id in type(e).refines and can_replace(Candidate(e.id, e.place), old) for e in f.effects for old in gone)
-
-
-def same_elsewhere(f: Fitted, current: Fitted) -> bool:
-    """Whether a structure has the same effects at other places and the same error: its neighbours have the same error too."""
-    same = sorted(e.id for e in f.effects) == sorted(e.id for e in current.effects)
-    return same and f.key != current.key and abs(math.log(f.chi2 / current.chi2)) < SAME
 
 
 def named(f: Fitted) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ class Moves:
         return self._move("add to", base, [(base.effects, s) for s in (*tried, *misjudged)], floor)
 
     def replace(self, base: Fitted) -> list[Move | None]:
-        """Put a refinement, another law or a confounder in the place of an effect of a structure."""
+        """Put a refinement, another law or its parts in the place of an effect of a structure."""
         if not base.effects or not self._new("replace", base):
             return []
         material = self.state.fitter.above(base, UNEXPLAINED)
@@ -75,11 +75,10 @@ class Moves:
             refined += self._screened(base, effect, laws=False)
             refined += graph.other_orders(self.state.fitter, base, effect, material=material)
         laws = self._laws(base) if material else []
-        exchanged = graph.exchanges(self.state.fits, self.state.candidates, base) if material else []
-        exchanged += graph.split(self.state.fitter, self.state.candidates, base) if material else []
-        exchanged = [(others, s) for others, s in exchanged if self._untried(base, others, s)]
+        parts = graph.split(self.state.fitter, self.state.candidates, base) if material else []
+        parts = [(others, s) for others, s in parts if self._untried(base, others, s)]
         limited = graph.limits(self.state.candidates, base)
-        named = (("refine", refined), ("vary the law in", laws), ("exchange in", exchanged), ("take the limit in", limited))
+        named = (("refine", refined), ("vary the law in", laws), ("split in", parts), ("take the limit in", limited))
         return [self._move(name, base, entrants, -EQUIVALENT) for name, entrants in named]
 
     def _laws(self, base: Fitted) -> list[Entrant]:

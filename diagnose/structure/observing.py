@@ -19,7 +19,7 @@ from diagnose.problem.view import highest_observer_gain
 from diagnose.structure.candidates import Candidate
 from diagnose.structure.graph import additions
 from diagnose.structure.state import State
-from diagnose.thresholds import OBSERVER_GAINS
+from diagnose.thresholds import LEADING, OBSERVER_GAINS
 from mjsim.effects import effect_class
 
 __all__ = ["Observing"]
@@ -42,7 +42,7 @@ class Observing:
         self.state.tested += len(offered)
         ranked = [f for f in fitter.map([partial(_observed, fitter, base, c, gains[-1]) for c in offered]) if f is not None]
         ranked.sort(key=self.state.context.criterion)
-        out = fitter.map([partial(_freed, fitter, f, gains[::-1]) for f in ranked[: 2 * self.state.options.beam]])
+        out = fitter.map([partial(_freed, fitter, f, gains[::-1]) for f in ranked[:LEADING]])
         for f in out:
             self.state.keep(f)
         return out

@@ -4,7 +4,7 @@
     while queue and budget:
         move = queue.pop(max(bound / cost))
         fit its neighbours by successive halving
-        incumbent = best by the evidence; if it is new: queue += moves(incumbent) + moves(its rivals)
+        incumbent = best by the evidence; if it is new: queue += moves(incumbent)
     prune(incumbent)
 
 `diagnose.structure.graph` gives the neighbours, `diagnose.structure.significance` the evidence.
@@ -26,7 +26,6 @@ from diagnose.fit.starts import about_nominal
 from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
-from diagnose.structure.graph import refines, same_elsewhere, simplest_form
 from diagnose.structure.moves import Move, Moves
 from diagnose.structure.observing import Observing
 from diagnose.structure.pruning import Pruning
@@ -34,7 +33,7 @@ from diagnose.structure.race import Race
 from diagnose.structure.selection import Selection
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
-from diagnose.thresholds import FAR, SAME, TWICE, UNEXPLAINED
+from diagnose.thresholds import FAR, LEADING, SAME, TWICE, UNEXPLAINED
 
 __all__ = ["Search"]
 
@@ -123,7 +122,7 @@ class Search:
         current = self._observed(self._with_confirmed_offset(current))
         queue = self._moves(current)
         while not self.state.spent():
-            queue = [m for m in queue if self._potential(m, current) > self.context.floor(current)] or self._last_moves(current)
+            queue = [m for m in queue if self._potential(m, current) > self.context.floor(current)]
             if not queue:
                 break
             move = max(queue, key=lambda m: self._potential(m, current) / m.cost)
@@ -151,22 +150,16 @@ class Search:
     def _potential(self, move: Move, current: Fitted) -> float:
         """How far C may fall below that of the incumbent by a move: its bound less what its base is behind.
 
-        None where the incumbent leaves noise alone, but for its own moves.
+        Nothing where the incumbent leaves noise alone, but for its own moves.
         """
         if move.base.key == current.key:
             return move.bound
         return 0.0 if self.context.leaves_noise(current) else move.bound - self.context.ahead(current, move.base)
 
     def _moves(self, current: Fitted) -> list[Move]:
-        """The moves from the incumbent, and additions to its simplest form and to its rivals."""
-        bases = [current] if self.context.leaves_noise(current) else [simplest_form(current, self.fits), *self._rivals(current)]
-        grown = [self.moves.add(f) for f in {f.key: f for f in bases}.values() if len(f.effects) < self.options.depth]
-        return [m for m in (*grown, *self.moves.replace(current)) if m is not None]
-
-    def _last_moves(self, current: Fitted) -> list[Move]:
-        """Additions to the incumbent itself, where those to its simplest form lead nowhere."""
-        move = self.moves.add(current) if len(current.effects) < self.options.depth else None
-        return [] if move is None or move.bound <= self.context.floor(current) else [move]
+        """The moves from the incumbent."""
+        grown = self.moves.add(current) if len(current.effects) < self.options.depth else None
+        return [m for m in (grown, *self.moves.replace(current)) if m is not None]
 
     def _relaxed(self, current: Fitted, best: Fitted) -> Fitted:
         """The best structure once those near it were fitted along falling observer gains, where they are nonsmooth or leave much.
@@ -177,7 +170,7 @@ class Search:
             return best
         near = [f for f in self.fits.values() if len(f.effects) == len(best.effects) and f.chi2 < TWICE * best.chi2]
         near = [f for f in near if f.rough or self.fitter.above(f, FAR)]
-        near = sorted(near, key=self.criterion)[: self.options.beam + 1]
+        near = sorted(near, key=self.criterion)[:LEADING]
         near = [f for f in near if self.state.once("relax", f.key, round(math.log(f.chi2), 1)) and not self.state.spent()]
         for f in self.fitter.map([partial(relaxed, self.fitter, f) for f in near]):
             self.state.keep(f)
@@ -193,13 +186,6 @@ class Search:
                 break
             current = best
         return self.fits.best(current)
-
-    def _rivals(self, current: Fitted) -> list[Fitted]:
-        """Structures of the incumbent's size that are not far behind it and may have other neighbours."""
-        alike = sorted((f for f in self.fits.values() if len(f.effects) == len(current.effects)), key=self.criterion)
-        near = [f for f in alike if f.key != current.key and f.chi2 < TWICE * current.chi2]
-        near = [f for f in near if not refines(f, current) and not same_elsewhere(f, current)]
-        return [simplest_form(f, self.fits) for f in near[: self.options.beam - 1]]
 
     def _advance(self, current: Fitted) -> None:
         """Take the effective share of the samples and the spatial orders from the residual of a new incumbent."""

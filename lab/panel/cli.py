@@ -149,7 +149,7 @@ def ablate_(
 ) -> None:  # fmt: skip
     """Switch rules off, one at a time, and say what each changes.
 
-    Example: python -m lab.panel ablate exchange decimation --quick
+    Example: python -m lab.panel ablate model_variants decimation --quick
     """
     if show:
         for rule in RULES.values():

@@ -48,12 +48,8 @@ _ALL = (
     _returns("race_bound", "a fit leaves a race when its sensitivities predict too little gain", True,
              "diagnose.structure.race.Race.may_gain"),
     # neighbours in the graph of structures
-    _returns("exchange", "an effect is exchanged for a confounder", [], f"{GRAPH}.exchanges"),
-    _passes("simplest_form", "effects are added beside the simplest form of a structure", 0,
-            "diagnose.structure.search.simplest_form"),
     _returns("model_variants", "other laws of an effect are tried in its place", [], "diagnose.structure.moves.Moves._laws"),
     _returns("other_orders", "a position-locked effect is tried at the orders that stand out now", [], f"{GRAPH}.other_orders"),
-    _returns("rivals", "effects are added to rivals of the incumbent as well", [], "diagnose.structure.search.Search._rivals"),
     _returns("confounders", "confounders of each finding are fitted before it is reported", None,
              "diagnose.structure.pruning.Pruning.fit_confounders"),
     _passes("growing_horizon", "nonsmooth structures are fitted to all recordings over growing horizons", 1,

@@ -190,8 +190,6 @@ def test_a_problem_is_frozen_and_relaxed_problems_leave_it_as_it_is(fitter_of, p
     observed = problem.under_observer(100.0)
     assert observed.view.observer_gain == 100.0
     assert problem.view.observer_gain == 0.0
-    (experiment,) = problem.experiments
-    assert problem.with_sigma(experiment, 7.0).sigma(experiment) == 7.0 != problem.sigma(experiment)
 
 
 def test_leading_rivals_are_told_with_the_test_that_refused_them():

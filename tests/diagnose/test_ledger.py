@@ -137,7 +137,7 @@ def test_other_samples_of_a_recording_are_another_fit(whole, robot, tmp_path):
     half = dataclasses.replace(whole_of_it, counts=whole_of_it.counts & (np.arange(len(estimation)) % 2 == 0))
     for experiment in (whole_of_it, half):
         fitter = Fitter(robot, MotionView(), (experiment,), (prepare(held_out),), 1, ledger=ledger)
-        fitter = Fitter.of(fitter.problem.with_sigma(experiment, 1.0), fitter.engine)
+        fitter = Fitter.of(dataclasses.replace(fitter.problem, sigmas={id(experiment): 1.0}), fitter.engine)
         fitter.fit(fitter.hypothesis(()), iterations=1)
     assert ledger.size == 2
 

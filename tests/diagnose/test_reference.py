@@ -13,6 +13,7 @@ import pytest
 
 from diagnose.options import Options
 from diagnose.result import FitFigures, Verdict
+from diagnose.thresholds import SIGMAS
 from diagnose.verdict import numerics
 from diagnose.verdict.reference import Run, beyond, cases_of, chi_square, figures, noise_level
 from diagnose.verdict.reference_fit import refit_in_simulator, uncertainties
@@ -207,7 +208,7 @@ def test_chi_square_to_come_is_that_of_noise():
     n = len(case.measured)
     so_far = Run(case.measured[: n // 4], np.zeros(n // 4), case.start())  # no error in a quarter
     rest = 0.75 * n
-    least = 0.95 * rest - 3.0 * math.sqrt(2.0 * rest)
+    least = 0.95 * rest - SIGMAS * math.sqrt(2.0 * rest)
     nothing = Run(np.empty(0), np.empty(0), other.start())
     assert beyond([case, other], [so_far, nothing], least - 1.0)
     assert not beyond([case, other], [so_far, nothing], least + 1.0)

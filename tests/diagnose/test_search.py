@@ -17,7 +17,7 @@ from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import Candidate, can_replace, inherit
-from diagnose.structure.graph import limits, named, refines, same_elsewhere, simplest_form
+from diagnose.structure.graph import limits, named, refines
 from diagnose.structure.search import Search
 from diagnose.thresholds import FAR, TWICE
 from mjsim.effects import effect_class
@@ -95,19 +95,6 @@ def test_a_structure_without_an_effect_is_fitted_once(fitter_of, pair):
     runs = fitter.runs
     assert search.pruning.without(best, best.effects[0]) is first
     assert fitter.runs == runs
-
-
-def test_effects_are_added_to_the_simplest_form_of_a_structure(fitter_of, pair):
-    fitter = fitter_of(pair(coulomb()))
-    search = Search(fitter, SearchOptions())
-    simple = fitter.fit(fitter.hypothesis([coulomb(0.02)]), iterations=1)
-    finer = fitter.fit(fitter.hypothesis([effect_class("asymmetric_friction")(torque_Nm=0.02, asymmetry_Nm=0.001)]), iterations=1)
-    assert simplest_form(finer, search.fits) is finer, "the simpler form is not known yet"
-    search.keep(simple)
-    assert finer.chi2 > 1.5 * finer.n
-    assert simplest_form(finer, search.fits) is simple
-    done = fitter.fit(fitter.hypothesis([effect_class("asymmetric_friction")(torque_Nm=0.1, asymmetry_Nm=0.001)]))
-    assert simplest_form(done, search.fits) is done, "nothing is missing beside it"
 
 
 def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair):
@@ -351,12 +338,3 @@ def test_a_position_locked_effect_is_refined_again_at_the_order_that_stands_out(
     assert found.chi2 < 1.1 * found.n < base.chi2
     assert found.effects[0].cycles_per_rev == pytest.approx(6.0, abs=0.01)
     assert replaced(search, base) == [], "once by these orders"
-
-
-def test_the_same_effect_at_another_place_with_the_same_error_is_no_other_base(fitter_of, pair):
-    fitter = fitter_of(pair(effect("time_delay", place="sensor", delay_s=2e-3)))
-    ends = [fitter.fit(fitter.hypothesis([effect("time_delay", place=p, delay_s=1.9e-3)])) for p in ("actuator", "sensor")]
-    lag = fitter.fit(fitter.hypothesis([effect("sensor_lag", place="sensor", time_constant_s=2e-3)]))
-    assert same_elsewhere(*ends)
-    assert not same_elsewhere(ends[0], ends[0])
-    assert not same_elsewhere(lag, ends[0])

@@ -11,7 +11,6 @@ __all__ = ["Relation", "correlations", "relate"]
 
 WINDOW = 0.5  # [s]: largest delay that is tried; a servo's own lag is below it
 SHARE = 0.1  # of the duration: the largest delay of a short log
-INDEPENDENT = 3.0  # standard errors of a correlation by its independent samples, below which two signals are unrelated
 
 
 @dataclass(frozen=True)

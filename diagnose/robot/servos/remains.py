@@ -7,19 +7,15 @@ itself, so that what it predicts is structure that the model lacks.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from diagnose.evidence.held_out import compare
-from diagnose.fit.fitted import HeldOut
+from diagnose.robot.black_box import predictable, ridge
 from diagnose.robot.servos.fit import Fit
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.state import held_out
 
 __all__ = ["black_box"]
 
-RIDGE = 1e-2  # of the sum of squares of a column
 LAGS = (0.0, 0.1, 0.25, 0.6)  # [s]
 
 
@@ -53,15 +49,7 @@ def black_box(problem: JointProblem, fit: Fit) -> tuple[float, float]:
         return 0.0, 1.0
     D = _dictionary(problem, fit)
     each = np.repeat(fit.weights, np.diff(problem.starts))
-    A = D[problem.fitted] * each[problem.fitted, None]
-    norm = np.sqrt(np.sum(A**2, axis=0)) + 1e-300
-    A = A / norm
-    c = np.linalg.solve(A.T @ A + RIDGE * np.eye(A.shape[1]), A.T @ (each * fit.error)[problem.fitted])
-    predicted = D @ (c / norm)
-    before = held_out(problem, fit.error, fit.weights)
-    left_over, runs = fit.error - predicted, [(problem.part(k), w) for k, w in enumerate(fit.weights)]
+    c = ridge(D[problem.fitted] * each[problem.fitted, None], (each * fit.error)[problem.fitted])
+    left_over, runs = fit.error - D @ c, [(problem.part(k), w) for k, w in enumerate(fit.weights)]
     left = np.concatenate([left_over[part][problem.held[part]] * w for part, w in runs])
-    edges = np.cumsum(before.n)[:-1]
-    after = HeldOut(left, np.array([float(p @ p) for p in np.split(left, edges)]), before.n, 0.0, 0.0)
-    test = compare(before, after)
-    return (test.relative_gain if math.isfinite(test.relative_gain) else 0.0), test.p_value
+    return predictable(held_out(problem, fit.error, fit.weights), left)
