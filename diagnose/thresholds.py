@@ -110,7 +110,6 @@ HALVINGS = _number(
     "search",
 )
 MOST_FILTERS = _number("MOST_FILTERS", COST, 2, "searches", "on whitened errors", "passes")
-MAP_RUNS = _number("MAP_RUNS", COST, 1500, "runs", "after which no further map is tried", "torque_map")
 ABOUT = _number("ABOUT", COST, 0.25, "log of a ratio", "spread of further starts of the nominal structure", "horizons")
 LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals that are told", "graph")
 SECOND_SPLIT = _number(

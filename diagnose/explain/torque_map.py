@@ -36,7 +36,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.problem import bounded
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
-from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEADING, LEAST_SAMPLES, MAP_RUNS, MATERIAL, SAME, SMALL, TWO_SIDED
+from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEADING, LEAST_SAMPLES, MATERIAL, SAME, SMALL, TWO_SIDED
 from mjsim.axis import Axis
 from mjsim.quantity import Quantity
 from mjsim.signals import lfilter
@@ -90,12 +90,12 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     progress.stage("map", "what is left, over each state variable")
     ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
     tried: list[_Refined] = []
-    began = fitter.runs
+    until = fitter.runs + 0.1 * fitter.most_runs  # a small part of what the search may take
     for candidate in ranked[:LEADING]:
-        if fitter.runs - began > MAP_RUNS:
+        if fitter.runs > until:
             break
         progress.stage("map", f"fitting one {words(candidate.shape)}")
-        refined = _refine(fitter, candidate, began + MAP_RUNS)
+        refined = _refine(fitter, candidate, until)
         if refined is not None:
             tried.append(refined)
     for t in sorted(tried, key=lambda t: t.cost):
@@ -197,7 +197,7 @@ def _with(h: Hypothesis, shape: TorqueMap) -> Hypothesis:
     return dataclasses.replace(h, nominal=dataclasses.replace(nominal, effects=(*nominal.effects, shape)))
 
 
-def _refine(fitter: Fitter, candidate: _Candidate, until: int, rounds: int = 6) -> _Refined | None:
+def _refine(fitter: Fitter, candidate: _Candidate, until: float, rounds: int = 6) -> _Refined | None:
     """Gauss-Newton in the model over its numbers and the coefficients, the penalty chosen anew at each linearisation.
 
     ``until``: what the fitter may have simulated when another one is begun.

@@ -125,7 +125,7 @@ def test_two_effects_are_told_apart(pair, robot):
     assert found["time_delay"].parameters["delay_s"].value == pytest.approx(2e-3, rel=0.03)
 
 
-@pytest.mark.parametrize("torque", [0.05, 0.3])
+@pytest.mark.parametrize("torque", [pytest.param(0.05, marks=pytest.mark.slow), 0.3])
 def test_what_no_candidate_explains_is_said_to_be_unexplained(pair, robot, torque):
     """Friction is concealed and no friction may be named: structure remains, and is said to."""
     estimation, held_out = pair(effect("coulomb_friction", torque_Nm=torque), seconds=4.0)
@@ -310,7 +310,7 @@ def test_files_in_a_folder_with_the_contracts_json_out(pair, tmp_path):
 
 def test_a_command_loads_neither_scipy_signal_nor_scipy_stats(pair, tmp_path):
     """They take half a second to load, and a second core is of no help."""
-    one, two = (write(tmp_path / f"{name}.csv", r) for name, r in zip("ab", pair(COULOMB, seconds=2.0), strict=True))
+    one, two = (write(tmp_path / f"{name}.csv", r) for name, r in zip("ab", pair(COULOMB, seconds=1.0), strict=True))
     files = [one, "--held-out", two, "--model", shipped_model("robot_axis1"), "--out", tmp_path / "out"]
     call = ["diagnose", *files, "--effects", "coulomb_friction", "--jobs", "2", "--json", "--quiet"]
     code = (

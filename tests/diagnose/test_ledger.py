@@ -231,9 +231,11 @@ def command(files, out, *more):
     ]  # fmt: skip
 
 
-def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(files, tmp_path, monkeypatch):
+def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(pair, tmp_path, monkeypatch):
     out, straight = tmp_path / "report", tmp_path / "straight"
-    fewer = ("--effects", "coulomb_friction")
+    recordings = pair(effect("torque_offset", torque_Nm=0.05), seconds=1.0)
+    files = [write(tmp_path / name, r) for name, r in zip(("log.csv", "other.csv"), recordings, strict=True)]
+    fewer = ("--effects", "torque_offset")
     assert CliRunner().invoke(cli, command(files, straight, *fewer)).exit_code == 0
     Broken.left = 6
     with monkeypatch.context() as m:

@@ -58,7 +58,7 @@ def told(seed, **how):
     return diagnose(NOMINAL, [fitted], [held], Options())
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(0, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 def test_the_answer_to_unknown_torques_is_named_nothing(seed):
     result = told(seed, unknown=0.4)
     assert not result.findings
@@ -76,7 +76,7 @@ def test_a_small_error_of_force_is_an_all_clear():
 
 def test_without_that_rule_it_would_be(monkeypatch):
     monkeypatch.setattr(servo, "IMITATED", set())
-    assert any(told(seed, unknown=0.4).findings for seed in (0, 1, 2))
+    assert told(1, unknown=0.4).findings
 
 
 @pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), (0.05, 1.0)])

@@ -81,6 +81,6 @@ def test_every_rule_fits_the_code(name):
 
 
 def test_rules_are_named_by_the_table():
-    assert [r.name for r in rules_of(("exchange", "decimation"))] == ["exchange", "decimation"]
+    assert [r.name for r in rules_of(("confounders", "decimation"))] == ["confounders", "decimation"]
     with pytest.raises(InputError, match="decimation"):
         rules_of(("no_such_rule",))

@@ -186,7 +186,7 @@ def test_a_motor_that_sticks_is_void() -> None:
 
 
 def test_engines_agree_and_scaling_is_exact() -> None:
-    e = Experiment(duration=3.0, noise=0.0)
+    e = Experiment(duration=1.0, noise=0.0)
     ode = log(PLANTS["gap_5"], e)[1]
     accurate = log(PLANTS["gap_5"], dataclasses.replace(e, engine="accurate"))[1]
     assert np.sqrt(np.mean((ode - accurate) ** 2) / np.mean(ode**2)) < 1e-5
