@@ -147,7 +147,14 @@ MOST_SUBSTEPS = _number(
 )
 ENGINE = _number("ENGINE", NUMERIC, 0.007, "of the noise rms", "error of the fitting engine, or of the plant's own", "search")
 ANEW = _number("ANEW", NUMERIC, 5, "iterations", "by secants before the Jacobian is computed anew", "search")
-HORIZONS = _number("HORIZONS", NUMERIC, (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "of a recording", "each twice the last", "horizons")
+HORIZONS = _number(
+    "HORIZONS",
+    NUMERIC,
+    (0.04, 0.06, 0.1, 0.16, 0.25, 0.4, 0.63, 1.0),
+    "of a recording",
+    "each about 1.6 times the last",
+    "horizons",
+)
 ORDERS_BESIDE = _number("ORDERS_BESIDE", NUMERIC, 12, "orders", "each side, a quarter of a line's width apart", "encoder")
 MOST_ORDERS = _number("MOST_ORDERS", NUMERIC, 2000, "orders", "looked at", "force_orders")
 NEIGHBOURS = _number("NEIGHBOURS", NUMERIC, 1.5, "ratio of orders", "within which orders are neighbours", "force_orders")

@@ -41,7 +41,7 @@ def cause_of(nominal: Nominal, threads: int) -> Cause | None:
     """
     if nominal.apart <= APART:
         return None
-    for part in HORIZONS:
+    for part in HORIZONS[1::2]:
         cases = [c.first(math.ceil(part * len(c.measured))) for c in nominal.cases]
         runs, engine = ([_first(r, c) for r, c in zip(rs, cases, strict=True)] for rs in (nominal.runs, nominal.engine))
         shown = apart(cases, runs, engine)

@@ -186,7 +186,7 @@ def refit_in_simulator(
         best: Refit | None = None
         whole, at = [c for c, _ in fitted], [s for _, s in fitted]
         metric = _metric(axis, whole, at)
-        for part in HORIZONS[::2]:
+        for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
             runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
             own = work_needed <= MOST_SLOPES and part == HORIZONS[-1]
