@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,13 +41,7 @@ of {{ dt }} s</p>
 src="data:image/png;base64,{{ bode }}">
 <figcaption>Where the coherence is near one, the output follows the input linearly; where it falls, noise, a nonlinearity or
 another input decides, and no linear model of any order describes it.</figcaption></figure>
-{% if extrema %}<table><caption>Peaks and notches</caption>
-<thead><tr><th scope="col">Kind</th><th scope="col" class="n">Frequency [Hz]</th><th scope="col" class="n">Magnitude [dB]</th>
-<th scope="col">Note</th></tr></thead>
-{% for e in extrema %}<tr><th scope="row">{{ e.kind }}</th><td class="n">{{ "%.2f"|format(e.frequency_hz) }}</td>
-<td class="n">{{ "%.1f"|format(e.magnitude_db) }}</td>
-<td>{{ "" if band[0] <= e.frequency_hz <= band[1] else "extrapolated" }}</td></tr>
-{% endfor %}</table>{% endif %}</section>
+{{ extrema }}</section>
 <section id="residuals"><h2>Residuals</h2>
 <figure class="photo"><img alt="Correlation of the residuals with themselves and with the input"
 src="data:image/png;base64,{{ residuals }}"></figure></section>
@@ -55,25 +50,14 @@ src="data:image/png;base64,{{ residuals }}"></figure></section>
 </section>
 <section id="roots"><h2>Poles and zeros</h2>
 <figure class="photo"><img alt="Pole-zero map with 95 % regions" src="data:image/png;base64,{{ polezero }}"></figure>
-<div class="scroll" tabindex="0"><table><caption>Natural frequency and damping by s = ln(z) / dt, with standard errors</caption>
-<thead><tr><th scope="col">Kind</th><th scope="col" class="n">z</th><th scope="col" class="n">Frequency [Hz]</th>
-<th scope="col" class="n">Damping ratio</th><th scope="col">Note</th></tr></thead>
-{% for r in roots %}<tr><th scope="row">{{ r.kind }}</th><td class="n">{{ r.z }}</td><td class="n">{{ r.frequency }}</td>
-<td class="n">{{ r.damping }}</td><td>{{ r.note }}</td></tr>{% endfor %}</table></div></section>
+{{ roots }}</section>
 {% if orders %}<section id="orders"><h2>Orders</h2>
 <figure class="photo"><img alt="Criteria of every order that was tried"
 src="data:image/png;base64,{{ orders }}"></figure></section>
 {% endif %}<section id="numbers"><h2>Numbers</h2>
-<div class="scroll" tabindex="0"><table><caption>Coefficients with standard errors, rising powers of q<sup>-1</sup></caption>
-{% for row in coefficients %}<tr><th scope="row">{{ row.name }}</th>
-{% for c in row.cells %}<td class="n">{{ c }}</td>{% endfor %}</tr>
-{% endfor %}</table></div>
-<table>{% for name, value in figures %}<tr><th scope="row">{{ name }}</th><td class="n">{{ value }}</td></tr>{% endfor %}</table>
-<div class="scroll" tabindex="0"><table><caption>Starts of the search</caption><thead><tr><th scope="col">Route</th>
-<th scope="col" class="n">Loss before</th><th scope="col" class="n">Loss after</th>
-<th scope="col" class="n">Iterations</th></tr></thead>
-{% for s in starts %}<tr><th scope="row">{{ s.route.replace("_", " ") }}</th><td class="n">{{ "%.6g"|format(s.loss_before) }}</td>
-<td class="n">{{ "%.9g"|format(s.loss_after) }}</td><td class="n">{{ s.iterations }}</td></tr>{% endfor %}</table></div>
+{{ coefficients }}
+{{ figures }}
+{{ starts }}
 <p>Preprocessing: {{ preprocessing }}.</p></section>
 </main>
 <footer><p>Written by <code>simgap identify</code>. All numbers: <code>identification.json</code>.</p></footer>
@@ -91,18 +75,13 @@ def _with_error(value: float, error: float, form: str) -> str:
     return f"{value:{form}}" + (f" ± {error:.1g}" if np.isfinite(error) and error > 0 else "")
 
 
-def _root_row(kind: str, r: Root) -> dict[str, str]:
+def _root_row(kind: str, r: Root) -> tuple[str, ...]:
     z = f"{r.z.real:.4f}" if abs(r.z.imag) < 1e-12 else f"{r.z.real:.4f} ± {abs(r.z.imag):.4f}i"
     note = "outside the unit circle" if abs(r.z) > 1.0 else ""
     if note and kind == "zero":
         note = "non-minimum phase"
-    return {
-        "kind": kind,
-        "z": z,
-        "frequency": _with_error(r.frequency_hz, r.frequency_std_hz, ".4g"),
-        "damping": _with_error(r.damping, r.damping_std, ".4f"),
-        "note": note,
-    }
+    frequency, damping = _with_error(r.frequency_hz, r.frequency_std_hz, ".4g"), _with_error(r.damping, r.damping_std, ".4f")
+    return kind, z, frequency, damping, note
 
 
 def _channel(name: str, unit: str) -> str:
@@ -118,12 +97,13 @@ def render_page(
     comparison: Comparison,
     images: dict[str, bytes],
     preprocessing: str,
+    table: Callable[..., str],
     switch: str = "",
 ) -> str:
     """What stands in the body of the page.
 
-    ``images`` holds bode, residuals, comparison, polezero and, if orders were tried, orders as PNG bytes. ``switch``: markup of
-    the control that switches the colours.
+    ``images`` holds bode, residuals, comparison, polezero and, if orders were tried, orders as PNG bytes. ``table``: HTML of
+    a table by heads, rows, indices of numeric columns and a caption; ``switch``: markup of the control that switches the colours.
     """
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
@@ -137,7 +117,9 @@ def render_page(
             cells = [
                 f"{v:.5g}" + (f" ± {e:.2g}" if np.isfinite(e) and e > 0 else "") for v, e in zip(values, std[name], strict=True)
             ]
-            rows.append({"name": f"{name} (from q^-{model.structure.nk})" if name == "B" else name, "cells": cells})
+            rows.append([f"{name} (from q^-{model.structure.nk})" if name == "B" else name, *cells])
+    longest = max(map(len, rows))
+    powers = [f"term {i}" for i in range(1, longest)]
     numbers = [
         ("simulation fit", f"{figures.simulation_percent:.2f} %"),
         ("one-step prediction fit", f"{figures.fit_percent:.2f} %"),
@@ -151,9 +133,18 @@ def render_page(
     ]
     if comparison.data is not data:
         numbers.insert(0, (f"simulation fit on {comparison.data.source}", f"{comparison.fit_percent[0]:.2f} %"))
-    pairs = [_root_row("pole", r) for r in roots.poles if r.z.imag >= 0] + [
-        _root_row("zero", r) for r in roots.zeros if r.z.imag >= 0
+    pairs = [_root_row("pole", r) for r in roots.poles if r.z.imag >= 0]
+    pairs += [_root_row("zero", r) for r in roots.zeros if r.z.imag >= 0]
+    band = excited_band(estimate)
+    extrema = [
+        (e.kind, f"{e.frequency_hz:.2f}", f"{e.magnitude_db:.1f}", "" if band[0] <= e.frequency_hz <= band[1] else "extrapolated")
+        for e in response.extrema()
     ]
+    starts = [
+        (s.route.replace("_", " "), f"{s.loss_before:.6g}", f"{s.loss_after:.9g}", str(s.iterations)) for s in estimate.starts
+    ]
+    told = "Natural frequency and damping by s = ln(z) / dt, with standard errors"
+    heads = ("Kind", "z", "Frequency [Hz]", "Damping ratio", "Note")
     template = Environment(autoescape=True, undefined=StrictUndefined).from_string(_TEMPLATE)
     return template.render(
         source=data.source,
@@ -166,12 +157,20 @@ def render_page(
         colour=_COLOURS.get(verdict.grade, "warn"),
         switch=Markup(switch),
         verdict=verdict.sentences,
-        extrema=response.extrema(),
-        band=excited_band(estimate),
-        roots=pairs,
-        coefficients=rows,
-        figures=numbers,
-        starts=estimate.starts,
+        extrema=table(("Kind", "Frequency [Hz]", "Magnitude [dB]", "Note"), extrema, numeric=(1, 2), caption="Peaks and notches")
+        if extrema
+        else "",
+        roots=table(heads, pairs, numeric=(1, 2, 3), caption=told),
+        coefficients=table(
+            ("Polynomial", *powers),
+            [[*r, *[""] * (longest - len(r))] for r in rows],
+            numeric=range(1, longest),
+            caption="Coefficients with standard errors, rising powers of 1/q",
+        ),
+        figures=table(("Figure", "Value"), numbers, numeric=(1,)),
+        starts=table(
+            ("Route", "Loss before", "Loss after", "Iterations"), starts, numeric=(1, 2, 3), caption="Starts of the search"
+        ),
         preprocessing=preprocessing,
         **{"orders": ""} | {name: base64.b64encode(data_).decode() for name, data_ in images.items()},
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 # one thread for the linear algebra: threads of its own would fight those of the search
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -102,3 +103,12 @@ def local_copy() -> Callable[..., Path]:
         pytest.skip(f"no local copy of {folder}/{file}: set SIMGAP_DATA to the folder that holds it")
 
     return find
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """One headless Chromium for all tests of pages."""
+    from browser import started
+
+    with started() as found:
+        yield found

@@ -25,7 +25,7 @@ from markupsafe import Markup
 from diagnose.report.plots import Chart, Explorer
 from diagnose.report.static import draw
 
-__all__ = ["Cell", "Column", "badge", "bar", "chart_figure", "columns", "explorer_section", "table", "theme_button"]
+__all__ = ["Cell", "Column", "badge", "bar", "chart_figure", "data_table", "explorer_section", "table", "theme_button"]
 
 Cell: TypeAlias = "str | Markup"
 
@@ -39,9 +39,13 @@ class Column:
     wide: bool = False
 
 
-def columns(*heads: str, numeric: Collection[int] = (), wide: Collection[int] = ()) -> list[Column]:
-    """Columns by their heads; ``numeric`` and ``wide``: indices of those that are."""
-    return [Column(head, i in numeric, i in wide) for i, head in enumerate(heads)]
+def data_table(
+    heads: Sequence[str], rows: Iterable[Sequence[Cell]], *, numeric: Collection[int] = (), wide: Collection[int] = (),
+    chosen: Sequence[int] = (), caption: Cell = "",
+) -> Markup:  # fmt: skip
+    """A `table` by the heads of its columns; ``numeric`` and ``wide``: indices of the columns that are."""
+    columns = [Column(head, i in numeric, i in wide) for i, head in enumerate(heads)]
+    return table(columns, rows, caption, chosen)
 
 
 def table(columns: Sequence[Column], rows: Iterable[Sequence[Cell]], caption: Cell = "", chosen: Sequence[int] = ()) -> Markup:

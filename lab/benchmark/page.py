@@ -30,13 +30,32 @@ LEVEL_NAMES = {
 
 @dataclass(frozen=True)
 class Manner:
-    """How the project writes its pages: the style sheet, numbers, shares, names of effects. Handed in, since this package
-    knows nothing of the diagnosis."""
+    """How the project writes its pages: numbers, shares, names of effects, tables, the switch of colours, the document.
 
-    css: str
+    Handed in, since this package knows nothing of the diagnosis. table(heads, rows, numeric, wide, chosen): HTML;
+    document(title, body, style): the page.
+    """
+
     number: Callable[..., str]
     percent: Callable[..., str]
     effect: Callable[[str], str]
+    table: Callable[..., str]
+    theme_button: str
+    document: Callable[..., str]
+
+
+STYLE = """
+:root { --equal: light-dark(#5aa2e0, #3f78ad); --extra: light-dark(#b9d7f2, #274c70); --part: light-dark(#e3b15f, #a87b2e); }
+.picture svg { max-width: 60rem; }
+@media (max-width: 44rem) { .picture svg { min-width: 38rem; } }
+.confusion { font-size: .8rem; } .confusion td, .confusion thead th { padding: .15rem 0; text-align: center; min-width: 1.5rem; }
+.confusion thead th { height: 11.5rem; vertical-align: bottom; }
+.confusion thead th span { writing-mode: vertical-rl; transform: rotate(180deg); white-space: nowrap; }
+.confusion tbody th { white-space: nowrap; padding: .15rem .6rem .15rem 0; }
+.confusion td.same { background: var(--info-bg); color: var(--info); font-weight: 650; }
+.confusion td.off { background: var(--alarm-bg); color: var(--alarm); }
+.confusion td.quiet { background: var(--panel); color: var(--muted); }
+"""
 
 
 def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[str, str]]:
@@ -55,7 +74,9 @@ def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[s
         curved = {effect: c for effect, c in power["by_effect"].items() if any(c["detected"]["at50_ci95"])}
         if curved:
             drawn["power_by_effect"] = pictures.power_grid(curved, manner.effect)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, extensions=["jinja2.ext.do"]
+    )
     environment.filters |= {
         "number": manner.number,
         "percent": manner.percent,
@@ -64,9 +85,11 @@ def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[s
         "level": level,
     }
     text = (files("lab.benchmark") / "page.html.j2").read_text(encoding="utf-8")
-    page = environment.from_string(text).render(
+    body = environment.from_string(text).render(
         s=summary,
-        css=manner.css,
+        table=manner.table,
+        theme_button=Markup(manner.theme_button),
+        own=lambda arms: [i for i, a in enumerate(arms) if a["id"] == "simgap"],
         drawn={k: Markup(v) for k, v in drawn.items()},
         holds=sum(b["status"] == "holds" for b in summary["bars"]),
         fails=sum(b["status"] == "fails" for b in summary["bars"]),
@@ -75,6 +98,7 @@ def render_page(summary: Mapping[str, Any], manner: Manner) -> tuple[str, dict[s
         outside={e.effect for e in OUTSIDE},
         wrong=[c for c in summary["cases"] if not c["good"] and (c["level"] != "faint" or c["verdict"] == "missing_physics")],
     )
+    page = manner.document(f"Benchmark: {summary['n']} concealed cases", body, style=STYLE)
     return page, {name: pictures.standalone(svg) for name, svg in drawn.items()}
 
 

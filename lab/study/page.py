@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from diagnose.report.components import data_table, theme_button
+from diagnose.report.document import document
 from lab.study.claims import AGREED, THRESHOLDS, Verdict, physical_features
 from lab.study.ledger import FAMILIES, say
 from lab.study.plants import FEATURE_NAMES, PLANTS
@@ -16,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["page_html", "page_markdown"]
 
+_STYLE = ".marks { font-family: ui-monospace, Consolas, monospace; letter-spacing: .06em; overflow-wrap: anywhere; }\n"
+
 
 @cache
 def _environment() -> Any:
@@ -23,7 +29,7 @@ def _environment() -> Any:
 
     environment = Environment(
         loader=PackageLoader("lab.study", "."), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        autoescape=lambda name: bool(name and ".html" in name),
+        autoescape=lambda name: bool(name and ".html" in name), extensions=["jinja2.ext.do"],
     )  # fmt: skip
     environment.filters["hz"] = _median
     return environment
@@ -147,6 +153,10 @@ def page_markdown(study: Study, pictures: str = "") -> str:
     return str(_environment().get_template("page.md.j2").render(_context(study, pictures)))
 
 
-def page_html(study: Study) -> str:
-    """The ledger as a page beside its figures."""
-    return str(_environment().get_template("page.html.j2").render(_context(study, "")))
+def page_html(study: Study, images: Mapping[str, bytes]) -> str:
+    """The ledger as one page; ``images``: the figures by name, as PNG."""
+    shown = {name: base64.b64encode(png).decode("ascii") for name, png in images.items()}
+    context = _context(study, "")
+    context |= {"cases": context["rows"], "images": shown, "table": data_table, "theme_button": theme_button}
+    body = str(_environment().get_template("page.html.j2").render(context))
+    return document("simgap study: claims ledger", body, style=_STYLE)

@@ -223,9 +223,10 @@ def _write(study: Study, out: Path) -> None:
         contents |= fig.files(picture, out)
     if study.robot.truth:
         contents[out / "figure4_truth.json"] = json.dumps(study.robot.truth, indent=1) + "\n"
+    images = {p.stem: c for p, c in contents.items() if p.suffix == ".png" and isinstance(c, bytes)}
     contents |= {
         out / "study.md": page_markdown(study),
-        out / "study.html": page_html(study),
+        out / "study.html": page_html(study, images),
         out / "claims.json": json.dumps(study.claims, indent=1) + "\n",
     }
     try:

@@ -180,14 +180,14 @@ class Identification:
         return images
 
     def _page(self, images: dict[str, bytes]) -> str:
-        from diagnose.report.components import theme_button
+        from diagnose.report.components import data_table, theme_button
         from diagnose.report.document import document
         from ident.page import render_page
         from ident.polezero import pole_zero
 
         body = render_page(
             self.estimate, self.verdict, self.response, pole_zero(self.model), self.quality, self.comparison, images,
-            "; ".join(self.preprocessing), theme_button(),
+            "; ".join(self.preprocessing), data_table, theme_button(),
         )  # fmt: skip
         return document(f"Identification of {self.estimate.data.source}", body)
 

@@ -271,15 +271,15 @@ def run_arms(out: Path, arms: Sequence[Arm], names: Sequence[str], results: dict
 
 def _page(out: Path, summary: dict[str, Any]) -> None:
     """The page and its pictures, in the manner of the diagnosis report."""
-    from importlib.resources import files
-
+    from diagnose.report.components import data_table, theme_button
+    from diagnose.report.document import document
     from diagnose.report.figures import number, percent
     from diagnose.report.words import effect_name
     from ident.serial import write_atomic
     from lab.benchmark.page import Manner, render_page
 
-    css = (files("diagnose.report") / "theme.css").read_text(encoding="utf-8")
-    page, pictures = render_page(summary, Manner(css, number, percent, effect_name))
+    manner = Manner(number, percent, effect_name, data_table, theme_button(), document)
+    page, pictures = render_page(summary, manner)
     for name, picture in pictures.items():
         write_atomic(out / "pictures" / f"{name}.svg", picture)
     write_atomic(out / "benchmark.html", page)

@@ -11,10 +11,11 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from diagnose.report.components import columns, theme_button
-from diagnose.report.components import table as cards
+from diagnose.report.components import data_table, theme_button
 from diagnose.report.document import document
 from diagnose.report.document import write_page as write_text
+from diagnose.report.figures import unit
+from diagnose.report.words import effect_name
 from simgap.fleet.trends import AGAIN, Drift, Outlier, drifts, outliers, to_record_again
 
 __all__ = ["headline", "write_page"]
@@ -54,37 +55,42 @@ def write_page(path: Path, table: Sequence[Mapping[str, Any]], model: str) -> No
 def _matrix(robots: Mapping[str, Sequence[Mapping[str, Any]]]) -> Markup:
     """Robots by effects."""
     effects = sorted({_name(r) for rows in robots.values() for r in rows if r["effect"]})
-    heads = columns("Robot", "Recordings", *effects, "Nothing missing", "No answer", numeric=range(1, len(effects) + 4))
-    return cards(heads, [_row(name, rows, effects) for name, rows in sorted(robots.items())])
+    heads = ("Robot", "Recordings", *effects, "Nothing missing", "No answer")
+    return data_table(
+        heads, [_row(name, rows, effects) for name, rows in sorted(robots.items())], numeric=range(1, len(effects) + 4)
+    )
 
 
 def _drifts(found: Sequence[Drift]) -> Markup | None:
-    heads = columns("Robot", "Effect", "Parameter", "Change a day (95 %)", "Over time", numeric=(3,))
+    heads = ("Robot", "Effect", "Parameter", "Change a day (95 %)", "Over time")
     rows = [
-        (d.robot, _at(d.effect, d.joint), d.parameter, f"{d.per_day:.3g} {d.unit} ({d.low:.3g} to {d.high:.3g})", _spark(d))
+        (d.robot, _at(d.effect, d.joint), d.parameter, f"{d.per_day:.3g} {unit(d.unit)} ({d.low:.3g} to {d.high:.3g})", _spark(d))
         for d in found
     ]
-    return cards(heads, rows) if rows else None
+    return data_table(heads, rows, numeric=(3,)) if rows else None
 
 
 def _outliers(found: Sequence[Outlier]) -> Markup | None:
-    heads = columns("Robot", "Effect", "Parameter", "Value", "Median of the fleet", numeric=(3, 4))
-    rows = [(o.robot, _at(o.effect, o.joint), o.parameter, f"{o.value:.4g} {o.unit}", f"{o.median:.4g} {o.unit}") for o in found]
-    return cards(heads, rows) if rows else None
+    heads = ("Robot", "Effect", "Parameter", "Value", "Median of the fleet")
+    rows = [
+        (o.robot, _at(o.effect, o.joint), o.parameter, f"{o.value:.4g} {unit(o.unit)}", f"{o.median:.4g} {unit(o.unit)}")
+        for o in found
+    ]
+    return data_table(heads, rows, numeric=(3, 4)) if rows else None
 
 
 def _again(table: Sequence[Mapping[str, Any]]) -> Markup | None:
-    heads = columns("Robot", "Recording", "Verdict", "What to do", wide=(1, 3))
+    heads = ("Robot", "Recording", "Verdict", "What to do")
     rows = [(robot, log, verdict.replace("_", " "), todo or "") for robot, log, verdict, todo in to_record_again(table)]
-    return cards(heads, rows) if rows else None
+    return data_table(heads, rows, wide=(1, 3)) if rows else None
 
 
 def _at(effect: str, joint: str | None) -> str:
-    return f"{effect} at {joint}" if joint else effect
+    return f"{effect_name(effect)} at {joint}" if joint else effect_name(effect)
 
 
 def _name(row: Mapping[str, Any]) -> str:
-    return f"{row['effect']} at {row['joint']}" if row["joint"] else str(row["effect"])
+    return _at(str(row["effect"]), row["joint"])
 
 
 def _row(name: str, rows: Sequence[Mapping[str, Any]], effects: Sequence[str]) -> list[str]:
@@ -96,7 +102,7 @@ def _row(name: str, rows: Sequence[Mapping[str, Any]], effects: Sequence[str]) -
         first = own[0]["parameter"] if own else ""
         values = [r["value"] for r in own if r["parameter"] == first]
         share = len({r["key"] for r in own}) / len(logs)
-        cells.append(f"{100 * share:.0f} %, {np.median(values):.3g} {own[0]['unit'] or ''}" if own else "")
+        cells.append(f"{100 * share:.0f} %, {np.median(values):.3g} {unit(own[0]['unit'] or '')}" if own else "")
     fine = {r["key"] for r in rows if r["verdict"] in ("no_mismatch", "parameters_only")}
     again = {r["key"] for r in rows if r["verdict"] in AGAIN}
     return [name, str(len(logs)), *cells, str(len(fine)), str(len(again))]

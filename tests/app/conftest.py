@@ -1,21 +1,11 @@
-"""A recording and a browser for the tests of the app."""
+"""A recording for the tests of the app."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 import pytest
-from browser import started
 
 import simgap
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 @pytest.fixture(scope="session")

@@ -223,6 +223,8 @@ def test_the_command_runs_arms_and_goes_on_where_it_stopped(tmp_path: Path) -> N
 
 
 def test_the_page_and_the_terminal_show_the_rivals(capsys: pytest.CaptureFixture[str]) -> None:
+    from diagnose.report.components import data_table, theme_button
+    from diagnose.report.document import document
     from diagnose.report.figures import number, percent
     from lab.benchmark.page import Manner, render_page
     from lab.benchmark.resume import plain as to_json
@@ -242,7 +244,7 @@ def test_the_page_and_the_terminal_show_the_rivals(capsys: pytest.CaptureFixture
     rivals = {**score_rivals(truths, results, list(truths), ran), "cases_a_level": 2}
     about = {"grade": "quick", "seed": 1, "counts": {}, "envelope_sha256": "0" * 64, "versions": {}, "budget_s": None}
     summary = to_json({**about, **summarise(truths, results), "rivals": rivals, "arms_missing": ["Another arm"]})
-    page, _ = render_page(summary, Manner("", number, percent, str))
+    page, _ = render_page(summary, Manner(number, percent, str, data_table, theme_button(), document))
     for text in ("The BIC arm", "skipped: pysindy not installed", "--arms bic,gone --arm-cases 2", "Another arm", "failed in 1"):
         assert text in page
     _show(summary, Path("out"))

@@ -5,11 +5,15 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser import looks_right
 
+from diagnose.report.components import data_table, theme_button
+from diagnose.report.document import document
 from lab.benchmark.cases import LEVELS
 from lab.benchmark.grade import GRADES, Status, bars, fraction, parse_levels
 from lab.benchmark.laws import Laws
@@ -325,7 +329,10 @@ def test_arms() -> None:
 
 
 def _manner() -> Manner:
-    return Manner(":root{}", lambda x, *_: "–" if x is None else f"{x:g}", lambda x, *_: "–" if x is None else f"{x:g}", str)
+    def plain(x: float | None, *_: int) -> str:
+        return "–" if x is None else f"{x:g}"
+
+    return Manner(plain, plain, str, data_table, theme_button(), document)
 
 
 def test_the_figures_are_json_and_the_page_stands_alone() -> None:
@@ -353,9 +360,19 @@ def test_the_figures_are_json_and_the_page_stands_alone() -> None:
     assert ("power_by_effect" in pictures) != ("curve of its own" in page)
     assert all(p.startswith("<?xml") for p in pictures.values())
     assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org/2000/svg", "")
-    assert "<script" not in page
+    assert page.count("<script>") == 1  # the switch of colours
+    assert "unsafe-inline" not in page
+    assert " style=" not in page
     for anchor in ("bars", "levels", "power", "nulls", "numbers", "confusion", "arms", "wrong", "how"):
         assert f'id="{anchor}"' in page
+
+
+def test_the_page_in_a_browser(browser: Any, tmp_path: Path) -> None:
+    summary = summarise({f"{i:03d}": t for i, (t, _, _) in enumerate(ENDS)}, {f"{i:03d}": r for i, (_, r, _) in enumerate(ENDS)})
+    about = {"grade": "quick", "seed": 1, "counts": {}, "envelope_sha256": "0" * 64, "versions": {}, "budget_s": None}
+    page, _ = render_page(json.loads(json.dumps({**about, **summary}).replace("NaN", "null")), _manner())
+    (tmp_path / "benchmark.html").write_text(page, encoding="utf-8")
+    looks_right(browser, tmp_path / "benchmark.html")
 
 
 def test_a_page_of_nulls_alone() -> None:

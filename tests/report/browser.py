@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+PICTURES = os.environ.get("SIMGAP_PICTURES")  # a folder for screenshots
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
@@ -86,3 +88,24 @@ def opened(
         watched.prepared = prepare(page) if prepare else None
         page.goto(file.as_uri())
         yield watched
+
+
+WIDTHS = (390, 768, 1400)  # of a phone, a tablet and a desktop [px]
+CUT_OFF = """() => [...document.querySelectorAll('td, th, .tiles *, button, select, h1, h2, p, figcaption')].filter((e) =>
+    e.offsetParent !== null && !e.closest('.scroll') && e.getBoundingClientRect().right > innerWidth + 1)
+    .map((e) => e.textContent)"""
+
+
+def looks_right(browser: Any, file: Path, plots: int = 0) -> None:
+    """Hold that a page opens from disk at each width in both colours: nothing reported, requested, or out of sight."""
+    for width in WIDTHS:
+        for scheme in ("light", "dark"):
+            with opened(browser, file, width, color_scheme=scheme) as w:
+                w.see_all()
+                w.until(f"document.querySelectorAll('.plot.on').length >= {plots}")
+                assert w.page.evaluate("document.documentElement.scrollWidth") <= width
+                assert w.page.evaluate(CUT_OFF) == []
+                w.page.click("#theme")
+                w.clean()
+                if PICTURES:
+                    w.page.screenshot(path=f"{PICTURES}/{file.stem}-{width}-{scheme}.png", full_page=True)
