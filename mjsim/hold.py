@@ -11,9 +11,11 @@ P. Colella, P. R. Woodward, J. Comput. Phys. 54 (1984) 174 (reconstruction from 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-__all__ = ["HOLDS", "between", "slewed"]
+__all__ = ["HOLDS", "between", "delayed", "slewed"]
 
 HOLDS = ("held", "linear", "mean")
 
@@ -31,6 +33,18 @@ def between(u: np.ndarray, dt: float, hold: str) -> tuple[np.ndarray, np.ndarray
         slope = np.gradient(u, dt) if len(u) > 1 else np.zeros_like(u)
         return u - 0.5 * dt * slope, slope
     raise ValueError(f"hold {hold!r}; choose from {', '.join(HOLDS)}")
+
+
+def delayed(x: np.ndarray, samples: float) -> np.ndarray:
+    """A signal (N,) later by a number of samples (earlier by a negative one), its ends held.
+
+    Between samples it is the cubic through four neighbours (Lagrange), of fourth order in the sample time.
+    """
+    whole = math.floor(samples)
+    f = samples - whole
+    weights = (-f * (f - 1) * (f - 2) / 6, (f + 1) * (f - 1) * (f - 2) / 2, -(f + 1) * f * (f - 2) / 2, (f + 1) * f * (f - 1) / 6)
+    at = np.arange(len(x)) - whole
+    return np.asarray(sum(w * x[np.clip(at - i, 0, len(x) - 1)] for w, i in zip(weights, (-1, 0, 1, 2), strict=True)))
 
 
 def slewed(u: np.ndarray, dt: float, limit: float, hold: str) -> tuple[np.ndarray, np.ndarray]:

@@ -81,6 +81,7 @@ def _joint_values(robot: Robot, s: JointSearch) -> tuple[dict[str, float], list[
         parameters = {k: v[0] for k, v in law.values(named).items()} | {k: named[slot] for k, slot in law.kept}
         carried.append(
             {"effect": law.id, "form": law.form, "joint": s.problem.name, "place": law.place, "parameters": parameters}
+            | ({"from": law.source} if law.source else {})
         )
     if own_friction:
         values["frictionloss"] = float(p[SLOT["friction"]])

@@ -17,16 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.robot.result import RobotDiagnosis
+from diagnose.robot.result import RobotDiagnosis, RobotFinding
 from lab.real_use.score import Count
 from lab.robot.cases import draw
 from lab.robot.measure import one as one_by_force
-from lab.robot.servo_cases import ServoCase, draw_servo, write_servo_case
+from lab.robot.servo_cases import LATE, ServoCase, draw_servo, write_servo_case
 
 __all__ = ["PLAN", "Item", "markdown", "plan", "run", "score_servo"]
 
 PLAN: Mapping[tuple[str, str], int] = {  # cases of each kind on each of the two arms
     ("servo", "nothing"): 18, ("servo", "parameters"): 12, ("servo", "single"): 18, ("servo", "pair"): 9, ("servo", "skew"): 6,
+    ("servo", "coupled"): 6,
     ("torque", "nothing"): 12, ("torque", "parameters"): 6, ("torque", "single"): 6, ("torque", "pair"): 6,
 }  # fmt: skip
 ARMS = (3, 6)
@@ -53,19 +54,30 @@ def plan(seed: int) -> list[Item]:
     return [items[i] for i in np.random.default_rng(seed).permutation(len(items))]
 
 
+def _name(f: RobotFinding) -> str:
+    """The effect, or that the positions of the joint are logged late."""
+    return LATE if f.effect == "time_delay" and f.place == "sensor" else f.effect
+
+
+def _equivalents(f: RobotFinding) -> set[str]:
+    """Names that a finding cannot be told from; a delay that is an equivalent of a delay is one of the log, or of the servo."""
+    other = {LATE, "time_delay"} if f.effect == "time_delay" and "time_delay" in f.equivalents else set()
+    return (set(f.equivalents) | other) - {_name(f)}
+
+
 def score_servo(case: ServoCase, d: RobotDiagnosis) -> dict[str, Any]:
     """Names, verdict, relative errors of the values, intervals that hold the truth, and the part of the held-out closed-loop
     error at the joints with an effect that corrected.xml takes away.
     """
     expected = case.expected
-    found = {(f.effect, f.joint): f for f in d.findings}
+    found = {(_name(f), f.joint): f for f in d.findings}
     errors, held = [], []
-    for key, values in case.effects.items():
+    for key, values in case.truth.items():
         for name, value in values.items() if key in found else ():
             e = found[key].parameters[name]
             errors.append(abs(e.value - value) / abs(value))
             held.append(e.ci95[0] <= value <= e.ci95[1])
-    alike = all(k in found or any(f.joint == k[1] and k[0] in f.equivalents for f in d.findings) for k in expected)
+    alike = all(k in found or any(f.joint == k[1] and k[0] in _equivalents(f) for f in d.findings) for k in expected)
     fits = [d.joints[j].fit for _, j in expected if j in d.joints]
     return {
         "truth": sorted(f"{e}@{j}" for e, j in expected), "parameters": list(case.parameters),
@@ -143,7 +155,7 @@ def markdown(found: Sequence[Mapping[str, Any]]) -> str:
     for (plant, kind), count in PLAN.items():
         own = [r for r in found if (r["plant"], r["kind"]) == (plant, kind)]
         good = [r for r in own if "error" not in r]
-        alike = sum(_right(r) or (kind in ("single", "pair", "skew") and r["right_or_equivalent"]) for r in good)
+        alike = sum(_right(r) or (kind in ("single", "pair", "skew", "coupled") and r["right_or_equivalent"]) for r in good)
         cells = (sum(map(_right, good)), alike, sum(r["false_names"] > 0 for r in good))
         texts = [f"{n} ({_interval(n, len(own))})" for n in cells]
         lines.append(f"| {plant} | {kind} | {len(own)} of {count * len(ARMS)} | {' | '.join(texts)} |")

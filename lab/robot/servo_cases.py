@@ -12,11 +12,12 @@ import numpy as np
 from lab.robot.arm import six_axes, three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, write_servo_log
 
-__all__ = ["EFFECTS", "KINDS", "ServoCase", "draw_servo", "write_servo_case"]
+__all__ = ["EFFECTS", "KINDS", "LATE", "ServoCase", "draw_servo", "write_servo_case"]
 
 RATE, SECONDS, BASE = 100.0, 10.0, 0.1
 STEP = 2 * np.pi / 16384  # of the encoder [rad]
-KINDS = ("nothing", "parameters", "single", "pair", "skew")
+LATE = "late_position"  # the name of a delay of the log, which a diagnosis calls a time_delay of the sensor
+KINDS = ("nothing", "parameters", "single", "pair", "skew", "coupled")
 EFFECTS = (
     "coulomb_friction", "stribeck_friction", "load_dependent_friction", "torque_ripple", "servo_deadband", "velocity_limit",
     "time_delay", "sublinear_viscous_friction", "cable_torque",
@@ -39,9 +40,14 @@ class ServoCase:
     late: Mapping[int, int]
 
     @property
+    def truth(self) -> Mapping[tuple[str, str], Mapping[str, float]]:
+        """Effects and late positions (`LATE`) with their values by (name, joint)."""
+        return dict(self.effects) | {(LATE, f"joint{j + 1}"): {"delay_s": n / RATE} for j, n in self.late.items()}
+
+    @property
     def expected(self) -> set[tuple[str, str]]:
-        """The right answer; a position that is late is a delay at its joint, since the log shows no more."""
-        return set(self.effects) | {("time_delay", f"joint{j + 1}") for j in self.late}
+        """The right names, with their joints."""
+        return set(self.truth)
 
 
 def nominal_robot(axes: int) -> ServoRobot:
@@ -131,6 +137,12 @@ def draw_servo(seed: int, kind: str, axes: int, effect: str = "") -> ServoCase:
         changes, values = draw_effect(rng, id_, float(torque[j]), float(load[j]), float(speed[j]))
         true = true.with_servo(j, **changes)
         effects[id_, f"joint{j + 1}"] = values
+    if kind == "coupled":
+        j, other = (int(x) for x in rng.choice(axes, 2, replace=False))
+        ratio = float(torque[j] / torque[other] * rng.uniform(0.06, 0.25))
+        true = true.with_servo(j, source=other, couple=ratio)
+        effects["coupled_transmission", f"joint{j + 1}"] = {"ratio": ratio}
+        words.append(f"from joint{other + 1}")
     return ServoCase(kind, seed, nominal, true, effects, tuple(words), late)
 
 

@@ -34,7 +34,8 @@ class ServoJoint:
     Stribeck; dead_band
     [rad]; slew [rad/s]; delay [s]; stall [N m], no_load [rad/s]: limit of torque and speed; ripple [N m], order [1/rad]:
     torque over the angle; offset [N m]; sublinear, exponent: friction sublinear |v|^exponent; cable [N m]: a hose that
-    stiffens to one side, which opposes with cable (exp(`HOSE` q) - 1).
+    stiffens to one side, which opposes with cable (exp(`HOSE` q) - 1); source: index of a joint of which the part couple of the
+    servo's torque acts here, and drag [N m] opposes its motion.
     """
 
     kp: float
@@ -54,6 +55,9 @@ class ServoJoint:
     sublinear: float = 0.0
     exponent: float = 1.0
     cable: float = 0.0
+    source: int = 0
+    couple: float = 0.0
+    drag: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -169,7 +173,8 @@ def _run(place, axis, mass, centre, inertia, rotor, viscous, servos, lead, dt, e
             links = bias + M @ acceleration - rotor * acceleration  # torque that the links need
             for j in range(n):
                 kp, kv, friction, load, extra, speed, band, slew, delay, stall, no_load, ripple, order, offset = servos[j, :14]
-                sublinear, exponent, cable = servos[j, 14:]
+                sublinear, exponent, cable = servos[j, 14:17]
+                source, couple, drag = int(servos[j, 17]), servos[j, 18], servos[j, 19]
                 goal = lead[max(int(np.floor(k + (i + 0.5) / each - delay / dt)), 0), j]
                 if slew > 0:
                     target[j] += min(max(goal - target[j], -slew * h), slew * h)
@@ -189,6 +194,9 @@ def _run(place, axis, mass, centre, inertia, rotor, viscous, servos, lead, dt, e
                 # trapezoidal in the servo: half of its stiffness and damping at either end of the step
                 p[j] = impulse[j] + h * (constant - bias[j] + offset - ripple * np.sin(order * q[j]))
                 p[j] -= h * cable * (np.exp(HOSE * q[j]) - 1.0)
+                if couple != 0.0 or drag != 0.0:
+                    other = servos[source, 0] * (target[source] - q[source]) - servos[source, 1] * v[source]
+                    p[j] += h * (couple * other - drag * np.sign(v[source]))
                 p[j] -= 0.5 * h * (damp + viscous[j]) * v[j]
                 A[j] = M[j]
                 A[j, j] += 0.5 * h * (damp + viscous[j]) + 0.5 * h * h * stiff

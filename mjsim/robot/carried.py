@@ -16,14 +16,17 @@ import numpy as np
 
 from mjsim.compiled import compiled
 from mjsim.quantity import Motion
-from mjsim.robot.joint_kernel import SLOT, body_torque, empty, friction_level
+from mjsim.robot.joint_kernel import SLOT, body_torque, coupled, empty, friction_level
 from mjsim.robot.model import Robot
 
 __all__ = ["act", "effect_slots", "slots_by_joint"]
 
-LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING = (
-    SLOT[x] for x in ("limit", "lag", "dead_band", "slew", "stall", "no_load", "asymmetry", "quadratic", "bristle", "spring")
-)
+LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING, FROM = (
+    SLOT[x]
+    for x in (
+        "limit", "lag", "dead_band", "slew", "stall", "no_load", "asymmetry", "quadratic", "bristle", "spring", "couple_from",
+    )
+)  # fmt: skip
 _SIMPLE: dict[str, dict[str, str]] = {
     "coulomb_friction": {"friction": "torque_Nm"},
     "asymmetric_friction": {"friction": "torque_Nm", "asymmetry": "asymmetry_Nm"},
@@ -41,10 +44,14 @@ _SIMPLE: dict[str, dict[str, str]] = {
 
 
 def effect_slots(effect: Mapping[str, Any], robot: Robot) -> dict[str, float] | None:
-    """Slot values of a carried effect; None for one that acts on more than its own joint, or on the recorded torque."""
+    """Slot values of a carried effect; None for one that acts on the recorded torque."""
     id_, given = effect["effect"], effect["parameters"]
-    if effect.get("from"):
-        return None
+    if id_ == "coupled_transmission":
+        source = {"couple_from": 1.0 + robot.joints.index(effect["from"])}
+        names = (("couple_torque", "ratio"), ("couple_sign", "torque_Nm"), ("couple_speed", "viscous"))
+        return source | {slot: float(given[name]) for slot, name in names if name in given}
+    if id_ == "time_delay" and effect.get("place") == "sensor":
+        return {"late": float(given["delay_s"])}
     if id_ in _SIMPLE:
         return {slot: float(given[name]) for slot, name in _SIMPLE[id_].items()}
     j = robot.joints.index(effect["joint"])
@@ -103,12 +110,13 @@ def slots_by_joint(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[
 
 
 @compiled(error_model="numpy")
-def act(p, native, zero, target, q, v, load, t, h, state, out):
+def act(p, native, zero, target, q, v, load, drive, t, h, state, out):
     """What carried laws do at one instant.
 
     p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target (m,): of the
     servos, after
-    their delay; q, v, load (m,); t [s]; h: step [s]; state (m, 4): lagged target, slewed target, bristle, and whether it has
+    their delay; q, v, load, drive (m,): motion, torque
+    of the links and of the drives; t [s]; h: step [s]; state (m, 4): lagged target, slewed target, bristle, and whether it has
     begun; out
     (m, 5): dry friction, torque, target, least and largest force at the joint.
     """
@@ -129,6 +137,9 @@ def act(p, native, zero, target, q, v, load, t, h, state, out):
         up, down = up + c[ASYMMETRY], down - c[ASYMMETRY]
         level, offset = 0.5 * (up + down), 0.5 * (up - down)
         torque = -body_torque(c, q[j]) - c[SPRING] * q[j] - c[QUADRATIC] * v[j] * abs(v[j]) - offset
+        if c[FROM] > 0.0:  # another joint
+            k = int(c[FROM]) - 1
+            torque -= coupled(c, drive[k], np.sign(v[k]), v[k])
         if c[BRISTLE] > 0.0:  # bristle: exact along the way of one step
             way = v[j] * h
             s = 1.0 if way > 0.0 else -1.0

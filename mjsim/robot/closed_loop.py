@@ -18,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjsim.hold import between
+from mjsim.hold import between, delayed
 from mjsim.robot.carried import act, slots_by_joint
 from mjsim.robot.drives import joint_drives
 from mjsim.robot.joint_kernel import SLOT
@@ -50,7 +50,9 @@ class ClosedLoop:
 
 
 def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -> np.ndarray:
-    """Commands of servos and torques of other actuators (S, m) at times (S,) [s], each later by its delay (m,) [s]."""
+    """Commands of servos and torques of other actuators (S, m), each later by its delay (m,) [s]: means over steps about times (S,) [s].
+    """
+    h = float(t[1] - t[0]) if len(t) > 1 else r.dt
     drives = joint_drives(robot)
     out = np.zeros((len(t), len(robot.joints)))
     for j, name in enumerate(robot.joints):
@@ -58,10 +60,18 @@ def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -
         if not r.has(channel, name):
             continue
         first, slope = between(getattr(r, channel)[:, r.joints.index(name)], r.dt, r.hold)
-        x = np.clip((t - delay[j]) / r.dt, 0.0, len(first) - 1)
-        k = x.astype(int)
-        out[:, j] = first[k] + slope[k] * (x - k) * r.dt
+        ends = t[0] - 0.5 * h - delay[j] + h * np.arange(len(t) + 1)
+        out[:, j] = np.diff(_integral(first, slope, r.dt, ends)) / h
     return out
+
+
+def _integral(first: np.ndarray, slope: np.ndarray, dt: float, t: np.ndarray) -> np.ndarray:
+    """Integral from 0 to t (S,) of an input by its values at the samples and slopes over them (N,); held beyond its ends."""
+    each = first * dt + 0.5 * slope * dt**2
+    sums = np.concatenate([[0.0], np.cumsum(each)])
+    k = np.clip(np.floor(t / dt), 0, len(first) - 1).astype(int)
+    into = t - k * dt
+    return np.asarray(sums[k] + first[k] * into + 0.5 * np.where((into < 0) | (into > dt), 0.0, slope[k]) * into**2)
 
 
 def closed_loop(
@@ -83,6 +93,9 @@ def closed_loop(
     slots, lacking = slots_by_joint(effects, robot)
     run = _Run(robot, model, data, r, slots, n, each)
     z, dz, tracking = run.plain() if run.native_only else run.stepped()
+    for j, late in enumerate(slots[:, SLOT["late"]]):  # the log's clock, no matter of the motion
+        if late > 0.0:
+            z[:, j], dz[:, j] = delayed(z[:, j], late / r.dt), delayed(dz[:, j], late / r.dt)
     gone = np.flatnonzero(~np.isfinite(z).all(axis=1) | (np.max(np.abs(dz), axis=1) > FASTEST))
     if len(gone):
         z[gone[0] :] = np.nan
@@ -161,7 +174,9 @@ class _Run:
                 applied = loop
             inputs = u[i]
             if self.carried:
-                act(self.slots, self.native, self.zero, inputs * self.factor, q, v, self._load(), self.t[i], self.h, state, out)
+                drive = (d.qfrc_actuator @ self.robot.tie) + loop
+                goal = inputs * self.factor
+                act(self.slots, self.native, self.zero, goal, q, v, self._load(), drive, self.t[i], self.h, state, out)
                 model.dof_frictionloss[lead] = out[:, 0]
                 applied = loop + out[:, 1]
                 inputs = np.where(self.torque, inputs, out[:, 2] / self.factor)

@@ -8,7 +8,8 @@ proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact a
 between
 events.
 
-A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out.
+A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of the
+joint that acts on this one. "late" is of the log, and not used here: see `diagnose.robot.servos.motion.JointProblem.run`.
 """
 
 from __future__ import annotations
@@ -19,19 +20,21 @@ import numpy as np
 
 from mjsim.compiled import compiled
 
-__all__ = ["SLOT", "SLOTS", "body_torque", "empty", "friction_level", "run_joint"]
+__all__ = ["SLOT", "SLOTS", "body_torque", "coupled", "empty", "friction_level", "run_joint"]
 
 SLOTS = (
     "kp", "kv", "damping", "armature", "zero", "limit", "delay", "lag", "dead_band", "slew", "stall", "no_load",
     "friction", "asymmetry", "extra", "stribeck", "load", "load_back", "quadratic", "sublinear", "exponent", "bristle",
     "ripple_sin", "ripple_cos", "order", "rub_sin", "rub_cos", "rub_order", "weight_sin", "weight_cos", "spring", "preload",
     "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
+    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late",
 )  # fmt: skip
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 (KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD,
 LOAD_BACK,
  QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
- DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE) = range(len(SLOTS))  # fmt: skip
+ DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE, COUPLE_FROM,
+ COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE) = range(len(SLOTS))  # fmt: skip
 
 
 def empty() -> np.ndarray:
@@ -76,6 +79,12 @@ def body_torque(p, q):
 
 
 @compiled(error_model="numpy", inline="always")
+def coupled(p, torque, sign, speed):
+    """Torque against motion that comes from another joint: its drive's torque, sign of motion, and velocity."""
+    return p[COUPLE_SIGN] * sign + p[COUPLE_SPEED] * speed - p[COUPLE_TORQUE] * torque
+
+
+@compiled(error_model="numpy", inline="always")
 def _drive(p, velocity, r, q, v):
     """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state."""
     if velocity:
@@ -113,12 +122,13 @@ def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):
 
     p: slots (K,); velocity: whether the command is one; starts (R + 1,): where each recording begins; first, slope (N,):
     command at the
-    start of each sample and its slope over it; series (N, 10): inertia, b, db/dq, db/dq', |load| as a signed torque, recorded
-    position and
-    velocity, and inertia, torque and its db/dq of a unit payload; dt [s]; each: steps per sample.
+    start of each sample and its slope over it; series (N, 10 + 3 m): inertia, b, db/dq, db/dq', |load| as a signed torque,
+    recorded position and velocity, inertia, torque and its db/dq of a unit payload, then of each joint of the robot the torque of its
+    drive, the sign of its motion and its velocity; dt [s]; each: steps per sample.
     """
     h = dt / each
     late = p[DELAY] / dt
+    source = 10 + 3 * (int(p[COUPLE_FROM]) - 1) if p[COUPLE_FROM] > 0.0 else -1
     forget = 1.0 - math.exp(-h / p[LAG]) if p[LAG] > 0.0 else 1.0
     for run in range(len(starts) - 1):
         a, b = starts[run], starts[run + 1]
@@ -174,6 +184,9 @@ def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):
                 bq, bv, bias, load = g * bq0 + f * bq1, g * bv0 + f * bv1, g * b0 + f * b1, g * load0 + f * load1
                 constant, stiff, damp = _drive(p, velocity, goal, x, w)
                 F = constant - bias - body_torque(p, x)
+                if source >= 0:
+                    F -= g * coupled(p, series[k, source], series[k, source + 1], series[k, source + 2])
+                    F -= f * coupled(p, series[k + 1, source], series[k + 1, source + 1], series[k + 1, source + 2])
                 K = stiff + bq + p[SPRING]
                 D = damp + bv + p[DAMPING] + p[QUADRATIC] * abs(w)
                 up, down = friction_level(p, x, w, load, t)

@@ -12,15 +12,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.robot.servos.fit import Number
-from diagnose.robot.servos.motion import JointProblem
+from diagnose.robot.servos.motion import OWN, JointProblem
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["PAYLOAD", "PLAIN", "ServoLaw", "identifiers", "servo_laws"]
+__all__ = ["LOGGED", "PAYLOAD", "PLAIN", "ServoLaw", "identifiers", "servo_laws"]
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
 PAYLOAD = "payload"
+LOGGED = "position_late"  # form of a delay that is of the log
 PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
 MOST_PERIODS = 40.0  # over the travel
@@ -34,7 +35,8 @@ class ServoLaw:
     numbers: what is free; starts: slot values from which a fit may start; values: contract parameters from slots; fixed: slots that a start
     sets and a fit keeps; holds: laws that it contains and takes the place of; dry: is dry friction; native: attributes of MJCF that
     hold all of it, by the slot that they take; kept: fixed slots that a file carries beside the parameters, by name;
-    number: a number of the robot's own, and no physics.
+    number: a number of the robot's own, and no physics; source: the joint that a coupling comes from; linear: slots in
+    which its torque is linear, and which the screening sets.
     """
 
     id: str
@@ -52,11 +54,13 @@ class ServoLaw:
     kept: tuple[tuple[str, str], ...] = ()
     sane: Callable[[Slots], bool] = lambda s: True
     number: bool = False
+    source: str = ""
+    linear: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
-        """``id`` and ``id/form``."""
-        return self.id + (f"/{self.form}" if self.form else "")
+        """``id``, ``id/form`` and ``id<source``."""
+        return self.id + (f"/{self.form}" if self.form else "") + (f"<{self.source}" if self.source else "")
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -98,11 +102,11 @@ def scales_of(problem: JointProblem, p: np.ndarray) -> Scales:
 def servo_laws(problem: JointProblem, p: np.ndarray, only: Sequence[str] = ()) -> tuple[ServoLaw, ...]:
     """All laws of a joint, their starts from the sizes of its motion under slots (K,) of a fit without effects."""
     s, motion = scales_of(problem, p), _motion(problem)
-    laws = [*_friction(s), *_drive(s, problem.drive.velocity), *_position(s, motion), *_links(problem)]
+    laws = [*_friction(s), *_drive(s, problem.drive.velocity), *_position(s, motion), *_links(problem), *_coupled(s, problem)]
     if problem.nominal[SLOT["friction"]] > 0.0:  # the file has dry friction: its size is one of its own numbers
         laws = [law for law in laws if law.id != PLAIN]
     if problem.nominal[SLOT["delay"]] > 0.0:
-        laws = [law for law in laws if law.id != "time_delay"]
+        laws = [law for law in laws if law.id != "time_delay" or law.form == LOGGED]
     return tuple(law for law in laws if not only or law.id in only or law.number)
 
 
@@ -117,6 +121,28 @@ def _links(problem: JointProblem) -> list[ServoLaw]:
                      "A mass at the centre of the last link.", number=True)]  # fmt: skip
 
 
+def _coupled(s: Scales, problem: JointProblem) -> list[ServoLaw]:
+    """Torque and friction that come from another joint that moves."""
+    T, D = Quantity.TORQUE, Quantity.DAMPING
+    out, size, fixed = [], 0.1 * s.drive + 1e-12, ("couple_from",)
+    for k, name in enumerate(problem.joints):
+        torque, _, speed = (float(np.sqrt(np.mean(problem.series[:, OWN + 3 * k + i] ** 2))) for i in range(3))
+        if name == problem.name or not (torque > 0 and speed > 0):
+            continue
+        source = {"couple_from": k + 1.0}
+        ratio, viscous = size / torque, size / speed
+        out += [
+            ServoLaw("coupled_transmission", "actuator", (Number("couple_torque", False, ratio),), ({"couple_torque": ratio} | source,),
+                     lambda x: {"ratio": (x["couple_torque"], Quantity.RATIO)}, f"A part of the torque of {name} acts here (coupled gears).",
+                     fixed=fixed, source=name),
+            ServoLaw("coupled_transmission", "actuator", (Number("couple_sign", False, size), Number("couple_speed", False, viscous)),
+                     ({"couple_sign": size} | source, {"couple_speed": viscous} | source),
+                     lambda x: {"torque_Nm": (x["couple_sign"], T), "viscous": (x["couple_speed"], D)},
+                     f"Friction that goes with the motion of {name} (coupled gears).", form="friction", fixed=fixed, source=name),
+        ]  # fmt: skip
+    return out
+
+
 def _motion(problem: JointProblem) -> Motion:
     return Motion.SLIDE if problem.slide else Motion.HINGE
 
@@ -125,7 +151,7 @@ def identifiers() -> tuple[str, ...]:
     """Identifiers of all laws of servo joints."""
     s = Scales(2.0, -1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1.0, 10.0, 0.01, 1.0)
     laws = [*_friction(s), *_drive(s, False), *_position(s, Motion.HINGE)]
-    return tuple(dict.fromkeys(law.id for law in laws))
+    return (*dict.fromkeys(law.id for law in laws), "coupled_transmission")
 
 
 def _friction(s: Scales) -> list[ServoLaw]:
@@ -163,7 +189,7 @@ def _friction(s: Scales) -> list[ServoLaw]:
         ServoLaw("sublinear_viscous_friction", "motor", (Number("sublinear"), Number("exponent", lower=0.1, upper=0.9)),
                  tuple({"sublinear": 0.3 * s.drive / v**e, "exponent": e} for e in (0.3, 0.6)),
                  lambda x: {"coefficient": (x["sublinear"], Quantity.DAMPING), "exponent": (x["exponent"], R)},
-                 "Friction that grows less than in proportion to the speed.", sane=lambda x: 0.11 < x["exponent"] < 0.89),
+                 "Friction that grows less than in proportion to the speed.", linear=("sublinear",), sane=lambda x: 0.11 < x["exponent"] < 0.89),
         ServoLaw("quadratic_friction", "motor", (Number("quadratic"),), ({"quadratic": 0.2 * s.drive / v**2},),
                  lambda x: {"coefficient_Nm_s2_rad2": (x["quadratic"], Quantity.QUADRATIC_DAMPING)},
                  "Friction that grows with the square of the speed.", native={"quadratic": "quadratic"}),
@@ -180,6 +206,9 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
     laws = [
         ServoLaw("time_delay", "actuator", (Number("delay", lower=1e-4 * s.dt, upper=0.5),), tuple({"delay": c * s.dt} for c in (0.5, 1.5, 4.0)),
                  lambda x: {"delay_s": (x["delay"], Quantity.TIME)}, "The command acts later than it is logged."),
+        ServoLaw("time_delay", "sensor", (Number("late", lower=1e-4 * s.dt, upper=0.5),), tuple({"late": c * s.dt} for c in (0.5, 1.5, 4.0)),
+                 lambda x: {"delay_s": (x["late"], Quantity.TIME)},
+                 "The position is logged later than the command: a fault of the log or a slow encoder, not of the servo.", form=LOGGED),
         ServoLaw("actuator_lag", "actuator", (Number("lag", lower=0.01 * s.dt, upper=1.0),), tuple({"lag": c * s.dt} for c in (0.7, 3.0)),
                  lambda x: {"time_constant_s": (x["lag"], Quantity.TIME)}, "The servo's target follows the command with a lag."),
         ServoLaw("actuator_saturation", "actuator", (Number("limit"),), tuple({"limit": c * s.drive} for c in (3.0, 1.5)),

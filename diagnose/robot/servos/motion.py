@@ -6,31 +6,35 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from diagnose.data.noise import white_noise_level
 from diagnose.robot.motion import BLOCKS, EVERY, LEAST_MOVED, derivative
 from mjsim.errors import InputError
-from mjsim.hold import between
+from mjsim.hold import between, delayed
 from mjsim.quantity import Motion as Kind
 from mjsim.robot.along import Along, along
 from mjsim.robot.drives import JointDrive, joint_drives, need_command
 from mjsim.robot.inertia import moved, point_mass
-from mjsim.robot.joint_kernel import run_joint
+from mjsim.robot.joint_kernel import SLOT, run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 
-__all__ = ["JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution", "unit_payload"]
+__all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution", "unit_payload"]
 
 DIVERGED = 1e3  # times the travel: the largest error of a run, whose square stays a number
+OWN = 10  # columns of a series that are of the joint itself; three of each joint follow
 ORDER = 4  # of the low-pass, run both ways
 FASTEST = 0.2  # of the sampling rate: the highest cutoff, where an eighth-order difference errs by 1e-3
 STANDS_OUT = 4.0  # power of the position over that of its noise, up to which it is kept
 STEP = 5e-3  # [s]: longest step of the kernel, a twentieth of the period of a servo of 10 Hz
 FEWEST_STEPS = 4  # per sample, of the kernel
+EDGE = 0.1  # [s]: before the end of a series that is moved in time, what its low-pass reaches; not counted
+RESTS = 0.01  # of the rms speed: the speed over which the sign of a motion turns
 WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what of each is not counted
 
 
@@ -38,7 +42,8 @@ WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what
 class Motion:
     """One recording: what each joint carries, smooth positions and velocities (N, m), and its role.
 
-    payload: what each joint carries more with a unit mass at the centre of the last link.
+    payload: what each joint carries more with a unit mass at the centre of the last link; drive (N, m): torque of each joint's
+    drive by the file, of links, armature and damping; late: seconds by which positions of joints are taken to be logged late.
     """
 
     recording: RobotRecording
@@ -47,6 +52,8 @@ class Motion:
     dz: np.ndarray
     series: Along
     payload: Along
+    drive: np.ndarray
+    late: Mapping[str, float]
 
 
 def resolution(q: np.ndarray) -> float:
@@ -77,12 +84,15 @@ def moves(q: np.ndarray) -> bool:
     return bool(np.ptp(q) > LEAST_MOVED * resolution(q))
 
 
-def smoothed(robot: Robot, r: RobotRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the
-    noise."""
+def smoothed(robot: Robot, r: RobotRecording, late: Mapping[str, float] = MappingProxyType({})) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the noise;
+    those of joints in ``late`` are moved earlier by so many seconds."""
     from scipy.signal import butter, sosfiltfilt, welch
 
     raw = r.positions(robot)
+    for name, seconds in late.items():
+        j = robot.joints.index(name)
+        raw[:, j] = delayed(raw[:, j], -seconds / r.dt)
     cutoff = 0.0
     for name in r.joints:
         q = r.angle[:, r.joints.index(name)]
@@ -97,11 +107,13 @@ def smoothed(robot: Robot, r: RobotRecording) -> tuple[np.ndarray, np.ndarray, n
     return z, derivative(z, r.dt), derivative(z, r.dt, second=True)
 
 
-def prepare(robot: Robot, recording: RobotRecording, held: bool) -> Motion:
-    """The recording with what each joint carries along it."""
+def prepare(
+    robot: Robot, recording: RobotRecording, held: bool, late: Mapping[str, float] = MappingProxyType({})
+) -> Motion:
+    """The recording with what each joint carries along it; ``late``: seconds by which positions of joints are logged late."""
     if len(recording) < 100:
         raise InputError(recording.source, f"{len(recording)} samples", "at least 100", "record longer")
-    z, dz, ddz = smoothed(robot, recording)
+    z, dz, ddz = smoothed(robot, recording, late)
     links, known = robot.nominal - robot.fixed, recording.payload
     if known is not None:
         at, pos, quat = robot.link_of(known.body)
@@ -111,7 +123,11 @@ def prepare(robot: Robot, recording: RobotRecording, held: bool) -> Motion:
     more[-1] += unit_payload(robot)
     loaded = along(robot, z, dz, ddz, more)
     extra = Along(*(getattr(loaded, x.name) - getattr(series, x.name) for x in dataclasses.fields(Along)))
-    return Motion(recording, held, z, dz, series, extra)
+    drive = series.torque.copy()
+    for j, d in enumerate(joint_drives(robot)):
+        if d is not None:
+            drive[:, j] += d.slots[SLOT["armature"]] * ddz[:, j] + d.slots[SLOT["damping"]] * dz[:, j]
+    return Motion(recording, held, z, dz, series, extra, drive, dict(late))
 
 
 def unit_payload(robot: Robot) -> np.ndarray:
@@ -124,11 +140,11 @@ def unit_payload(robot: Robot) -> np.ndarray:
 class JointProblem:
     """One joint in all recordings, one after the other (N samples).
 
-    starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10): see
-    `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,):
+    starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10 + 3 m):
+    see `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,):
     the file's
     slots; sources: file and role of each recording; which (R,):
-    index of each among the recordings of the diagnosis; slide: whether it is no hinge.
+    index of each among the recordings of the diagnosis; slide: whether it is no hinge; joints (m): of the robot.
     """
 
     joint: int
@@ -147,6 +163,7 @@ class JointProblem:
     sources: tuple[tuple[str, str], ...]
     which: np.ndarray
     slide: bool = False
+    joints: tuple[str, ...] = ()
 
     @property
     def nominal(self) -> np.ndarray:
@@ -157,6 +174,11 @@ class JointProblem:
         """Position and velocity (N,) of the joint running free under these slots."""
         q, v = np.empty(len(self.angle)), np.empty(len(self.angle))
         run_joint(p, self.drive.velocity, self.starts, self.first, self.slope, self.series, self.dt, each or self.each, q, v)
+        late = float(p[SLOT["late"]]) / self.dt
+        if late > 0.0:  # as it is logged
+            for k in range(len(self.sources)):
+                part = self.part(k)
+                q[part], v[part] = delayed(q[part], late), delayed(v[part], late)
         return q, v
 
     def error(self, p: np.ndarray) -> np.ndarray:
@@ -232,6 +254,15 @@ class JointProblem:
         return np.concatenate([np.arange(self.starts[k], self.starts[k + 1]) for k in runs])
 
 
+def _others(m: Motion) -> list[np.ndarray]:
+    """Torque of the drive, sign of the motion and velocity (N,) of each joint."""
+    out = []
+    for j in range(m.z.shape[1]):
+        v = m.dz[:, j]
+        out += [m.drive[:, j], v / np.hypot(v, RESTS * float(np.sqrt(np.mean(v**2))) + 1e-12), v]
+    return out
+
+
 def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: bool) -> JointProblem:
     """The problem of one joint; ``split``: every third of ten blocks of each recording is held out."""
     j = robot.joints.index(name)
@@ -255,10 +286,12 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         load = m.series.torque[:, j]
         one = np.column_stack([
             m.series.inertia[:, j], m.series.bias[:, j], m.series.by_position[:, j], m.series.by_velocity[:, j], load, m.z[:, j],
-            m.dz[:, j], m.payload.inertia[:, j], m.payload.bias[:, j], m.payload.by_position[:, j],
+            m.dz[:, j], m.payload.inertia[:, j], m.payload.bias[:, j], m.payload.by_position[:, j], *_others(m),
         ])  # fmt: skip
         one[0, 5] = q[0]  # the run starts where the joint is measured
         counts = np.full(n, moves(q))
+        if m.late:
+            counts[n - math.ceil((max(m.late.values()) + EDGE) / r.dt) :] = False
         apart = (np.arange(n) * BLOCKS // n) % EVERY == EVERY - 1 if split else np.full(n, m.held)
         for group, values in (
             (firsts, first), (slopes, slope), (series, one), (angles, q), (fitted, counts & ~apart), (held, counts & apart),
@@ -271,5 +304,5 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         j, name, drive, dt, max(FEWEST_STEPS, math.ceil(dt / STEP)), np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         np.concatenate(firsts), np.concatenate(slopes), np.concatenate(series), q, np.concatenate(fitted), np.concatenate(held),
         float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(sources)),
-        robot.motions[j] is Kind.SLIDE,
+        robot.motions[j] is Kind.SLIDE, robot.joints,
     )  # fmt: skip

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -21,8 +22,9 @@ from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import ORDER, overall, summary
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of
+from diagnose.robot.servos.clocks import clocks
 from diagnose.robot.servos.fit import covariance
-from diagnose.robot.servos.library import PAYLOAD
+from diagnose.robot.servos.library import LOGGED, PAYLOAD
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
 from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
@@ -65,24 +67,61 @@ def diagnose_servos(
     check_rows(robot)
     everything = [*recordings, *held_out]
     names = _chosen(robot, everything, options)
-    motions = [prepare(robot, r, k >= len(recordings)) for k, r in enumerate(everything)]
-    problems = [joint_problem(robot, motions, n, not held_out) for n in names]
-    problems = [p for p in problems if _enough(p, len(names))]
+
+    def series(lates: Mapping[str, float]) -> list[JointProblem]:
+        motions = [prepare(robot, r, k >= len(recordings), lates) for k, r in enumerate(everything)]
+        problems = [joint_problem(robot, motions, n, not held_out) for n in names]
+        return [p for p in problems if _enough(p, len(names))]
+
+    problems = series({})
     say(f"{len(problems)} joints by command and position, {sum(len(r) for r in everything)} samples")
-
-    def one(p: JointProblem) -> JointSearch:
-        numbers = own_numbers(p)
-        s = search_joint(p, options, len(problems), numbers, start_fit(p, numbers))
-        say(f"{p.name}: {', '.join(x.key for x in s.now.laws) or 'no effect'}")
-        return s
-
-    with ThreadPoolExecutor(jobs) as pool:
-        searches = tuple(pool.map(one, problems))
+    searches = _searched(problems, options, jobs, say)
+    searches = _by_clock(searches, series, options, jobs, say)
     payload = pooled_payload(searches)
     scales = {s.problem.name: scale_of(s) for s in searches}
     borrowed = _borrow(searches, scales)
     diagnosis = _told(robot, searches, scales, borrowed, payload, recordings, held_out, begun)
     return ServoOutcome(diagnosis, searches, payload.value if payload is not None else 0.0)
+
+
+def _searched(
+    problems: Sequence[JointProblem], options: RobotOptions, jobs: int, say: Callable[[str], None],
+    without: Mapping[str, str] = MappingProxyType({}),
+) -> tuple[JointSearch, ...]:
+    """The searches at all joints; ``without``: by joint, the key of a law that is not tried."""
+
+    def one(p: JointProblem) -> JointSearch:
+        numbers = own_numbers(p)
+        s = search_joint(p, options, len(problems), numbers, start_fit(p, numbers), without.get(p.name, ""))
+        say(f"{p.name}: {', '.join(x.key for x in s.now.laws) or 'no effect'}")
+        return s
+
+    with ThreadPoolExecutor(jobs) as pool:
+        return tuple(pool.map(one, problems))
+
+
+def _by_clock(
+    searches: tuple[JointSearch, ...], series: Callable[[Mapping[str, float]], list[JointProblem]], options: RobotOptions, jobs: int,
+    say: Callable[[str], None],
+) -> tuple[JointSearch, ...]:  # fmt: skip
+    """The searches with each delay told as one of the servo or of the log (`diagnose.robot.servos.clocks`).
+
+    Where columns are late, all joints are searched again with what they carry computed from positions moved earlier.
+    """
+    found, lates = clocks(searches, series)
+    if not found:
+        return searches
+    for c in found:
+        say(f"{c.joint}: {c.sentence}")
+    own = {c.joint: c for c in found}
+    without = {c.joint: "time_delay" if c.log else f"time_delay/{LOGGED}" for c in found}
+    again = lates or any(law.form == LOGGED and not own[s.problem.name].log for s in searches for law in s.now.laws)
+    if again:
+        searches = _searched(series(lates), options, jobs, say, without)
+    for s in searches:
+        if s.problem.name in own:
+            s.note_clock(own[s.problem.name].sentence, own[s.problem.name].told)
+    return searches
 
 
 def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOptions) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -24,8 +24,10 @@ from mjsim.robot.joint_kernel import SLOT
 __all__ = ["ALIKE", "carry_payload", "refit_with", "search_joint"]
 
 ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart
+MERGING = 25  # iterations of a law that takes the place of several, which starts far from its optimum
 FINALISTS = 5  # laws that are fitted: those with the largest gain in the screening
 PROMISING = 0.25  # of what is needed to enter: a promise is that of one start alone
+SMALLEST = 0.02  # of the size of a start: the least that a screening makes of it
 ROUNDS = 12  # moves at most
 STAYS = 5.0  # times the level to enter, at which a law stays: what enters at 1 % may stay at 5 %
 REFITTED = 2  # finalists that are fitted to all samples
@@ -33,10 +35,10 @@ NOT_PHYSICAL = "its numbers are not physical"
 
 
 def search_joint(
-    problem: JointProblem, options: RobotOptions, joints: int, numbers: tuple[Number, ...], begun: Fit
+    problem: JointProblem, options: RobotOptions, joints: int, numbers: tuple[Number, ...], begun: Fit, without: str = ""
 ) -> JointSearch:
-    """Search for the effects of one joint; ``begun``: its fit without effects."""
-    laws = servo_laws(problem, begun.slots, options.effects)
+    """Search for the effects of one joint; ``begun``: its fit without effects; ``without``: the key of a law that is not tried."""
+    laws = tuple(x for x in servo_laws(problem, begun.slots, options.effects) if x.key != without)
     start = Structure((), begun)
     s = JointSearch(problem, options, numbers, start, start, laws, joints)
     for _ in range(ROUNDS):
@@ -46,6 +48,7 @@ def search_joint(
             or _enter(s, functools.partial(_eligible, s))
             or _enter(s, _any)
             or _exchange(s)
+            or _merge(s)
             or _remove(s)
             or _reduce(s)
         ):
@@ -58,21 +61,72 @@ def search_joint(
 def _rivals(s: JointSearch) -> None:
     """For each law that stands: the structure without it, and the laws that could stand in its place as well.
 
-    A rival is one that is physical and within `ALIKE` on fitted and held-out samples together.
+    A rival is one that is physical and within `ALIKE` on fitted and held-out samples together. One that takes the place of several laws
+    is a rival of each of them.
     """
     s.visited.clear()
+    found: dict[str, list[str]] = {law.key: [] for law in s.now.laws}
+    there = {law.key for law in s.now.laws}
     for law in s.now.laws:
         rest = tuple(x for x in s.now.laws if x is not law)
         s.without[law.key] = without = s.fitted(rest, s.cleared(rest)) if rest else s.refitted
-        others = [x for x in s.laws if x.id != law.id and law.id not in x.holds and x.key not in {y.key for y in s.now.laws}]
-        found = []
-        for other, begun in _finalists(s, without, others):
+        others = [x for x in s.laws if not _same(x, law) and law.id not in x.holds and x.key not in there]
+        for other, begun in _finalists(s, without, others, FINALISTS):
             if frozenset(x.key for x in begun.laws) == s.now.key or len(begun.laws) != len(s.now.laws):
                 continue
             trial = s.fitted(begun.laws, begun.fit.slots)
             if s.sane(trial) and s.step(s.now, trial).total > -ALIKE:
-                found.append(other.id)
-        s.alike[law.key] = tuple(dict.fromkeys(found))
+                found[law.key].append(other.id)
+    for other, taken, trial in _merged(s):
+        if s.step(s.now, trial).total > -ALIKE:
+            for law in taken:
+                found[law.key].append(other.id)
+    for law, parts, trial in _split(s):
+        if s.step(s.now, trial).total > -ALIKE:
+            found[law.key] += [x.id for x in parts]
+    s.alike |= {key: tuple(dict.fromkeys(names)) for key, names in found.items()}
+
+
+def _same(a: ServoLaw, b: ServoLaw) -> bool:
+    """Whether two laws are forms of one effect at one place."""
+    return a.id == b.id and a.place == b.place
+
+
+def _merged(s: JointSearch) -> Iterator[tuple[ServoLaw, tuple[ServoLaw, ...], Structure]]:
+    """Laws that take the place of several that stand: (law, those that it replaces, fitted structure)."""
+    for law in s.laws:
+        laws = replaced(s.now.laws, law)
+        taken = tuple(x for x in s.now.laws if x not in laws)
+        if law.id in {x.id for x in s.now.laws} or len(taken) < 2:
+            continue
+        slots = cleared(s.now.laws, laws, _with(s, law, dict(law.starts[0]), s.now.fit.slots), s.problem.nominal)
+        trial = s.fitted(laws, slots, MERGING)
+        if s.sane(trial):
+            yield law, taken, trial
+
+
+def _split(s: JointSearch) -> Iterator[tuple[ServoLaw, tuple[ServoLaw, ...], Structure]]:
+    """Laws that stand and contain several others: (law, those together in its place, fitted structure)."""
+    for law in s.now.laws:
+        parts = tuple(x for x in s.laws if x.id in law.holds and not x.form)
+        if len(parts) < 2 or any(x.dry for x in parts):
+            continue
+        laws = (*(x for x in s.now.laws if x is not law), *parts)
+        slots = cleared(s.now.laws, laws, s.now.fit.slots, s.problem.nominal)
+        for part in parts:
+            slots = _with(s, part, dict(part.starts[0]), slots)
+        trial = s.fitted(laws, slots, MERGING)
+        if s.sane(trial):
+            yield law, parts, trial
+
+
+def _merge(s: JointSearch) -> bool:
+    """Put one law in the place of several where it does as well: each law costs its entry (extended BIC)."""
+    for _, taken, trial in _merged(s):
+        if trial.key not in s.visited and s.step(s.now, trial).total + s.entry * (len(taken) - 1) > 0.0:
+            s.now = trial
+            return True
+    return False
 
 
 def _settle(s: JointSearch) -> None:
@@ -124,6 +178,8 @@ def _screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tu
             d = d - Q @ (Q.T @ d)
             size = float(d @ d)
             explained = float(d @ r0) ** 2 / size if size > 1e-12 * left else 0.0
+            for name in law.linear:  # the size that explains most along this direction
+                slots[SLOT[name]] *= min(max(-float(d @ r0) / (size + 1e-300), SMALLEST), 1.0 / SMALLEST)
             if float(d @ r0) > 0 and _one_sided(law):
                 explained = 0.0  # the error would grow with it
             if best is None or explained > best[0]:
@@ -178,8 +234,10 @@ def _enter(s: JointSearch, allowed: Callable[[ServoLaw], bool]) -> bool:
     return True
 
 
-def _finalists(s: JointSearch, base: Structure, candidates: Sequence[ServoLaw]) -> list[tuple[ServoLaw, Structure]]:
-    """The laws that promise most beside a structure, fitted to a part of the samples; the best `REFITTED` of them.
+def _finalists(
+    s: JointSearch, base: Structure, candidates: Sequence[ServoLaw], most: int = REFITTED
+) -> list[tuple[ServoLaw, Structure]]:
+    """The laws that promise most beside a structure, fitted to a part of the samples; the best ``most`` of them.
 
     Dry friction is always among them where there is none: it starts from a regression as well.
     """
@@ -194,13 +252,22 @@ def _finalists(s: JointSearch, base: Structure, candidates: Sequence[ServoLaw]) 
         laws = replaced(base.laws, law)
         if frozenset(x.key for x in laws) in s.visited:
             continue
-        starts = [cleared(base.laws, laws, slots, s.problem.nominal)]
+        starts = [cleared(base.laws, laws, x, s.problem.nominal) for x in (slots, _own_as_in_file(s, slots))]
         again = _regressed_beside(s, base) if dry else None
         starts += [again] if again is not None else []
         trial = min((s.fitted(laws, x, QUICK, part) for x in starts), key=lambda x: x.fit.sse)
         out.append((trial.fit.sse + s.price([law]), law, trial))
     out.sort(key=lambda x: x[0])
-    return [(law, trial) for k, (_, law, trial) in enumerate(out) if k < REFITTED or law.common]
+    return [(law, trial) for k, (_, law, trial) in enumerate(out) if k < most or law.common]
+
+
+def _own_as_in_file(s: JointSearch, slots: np.ndarray) -> np.ndarray:
+    """Slots with the joint's own numbers as in the file, where it has them: without a law they have taken its place."""
+    out = slots.copy()
+    for name in ("kp", "kv", "damping", "armature", "zero"):
+        given = float(s.problem.nominal[SLOT[name]])
+        out[SLOT[name]] = given if given > 0.0 or name == "zero" else out[SLOT[name]]
+    return out
 
 
 def _regressed_beside(s: JointSearch, base: Structure) -> np.ndarray | None:
@@ -215,19 +282,23 @@ def _regressed_beside(s: JointSearch, base: Structure) -> np.ndarray | None:
 
 
 def _exchange(s: JointSearch) -> bool:
-    """Put another law in the place of one, where that is clearly better or as good with fewer numbers."""
+    """Put another law in the place of one, where that is clearly better or as good with fewer numbers.
+
+    One with more numbers has to show it on held-out samples; their price is in the total.
+    """
     for law in s.now.laws:
         rest = tuple(x for x in s.now.laws if x is not law)
         base = s.fitted(rest, cleared(s.now.laws, rest, s.now.fit.slots, s.problem.nominal), QUICK, s.problem.windows(THIN))
-        others = [x for x in s.laws if x.id != law.id and x.key not in {y.key for y in s.now.laws}]
-        for other, begun in _finalists(s, base, others):
+        others = [x for x in s.laws if not _same(x, law) and x.key not in {y.key for y in s.now.laws}]
+        for _, begun in _finalists(s, base, others):
             trial = s.fitted(begun.laws, begun.fit.slots)
             if not s.sane(trial):
                 continue
             step = s.step(s.now, trial)
             more = len(trial.fit.numbers) - len(s.now.fit.numbers)
             wanted = 0.0 if more < 0 else ALIKE
-            if step.total > wanted and step.likelihood > 0.0 and (more <= 0 or not s.why_not(step, other)):
+            shown = step.held.relative_gain > s.options.material and step.held.p_value < s.options.p_enter
+            if step.total > wanted and step.likelihood > 0.0 and (more <= 0 or shown):
                 s.now = trial
                 return True
     return False
@@ -277,7 +348,7 @@ def _determined(n: Number, x: float, variance: float) -> bool:
     half = 1.96 * math.sqrt(max(variance, 0.0))
     if n.log:
         return half < math.log(3.0)
-    return n.slot.endswith(("_sin", "_cos")) or n.slot.startswith("cable") or n.slot == "spring" or abs(x) > half
+    return n.slot.endswith(("_sin", "_cos")) or n.slot.startswith(("cable", "couple_s")) or n.slot == "spring" or abs(x) > half
 
 
 def refit_with(s: JointSearch, numbers: tuple[Number, ...]) -> None:

@@ -69,6 +69,15 @@ class JointSearch:
     visited: set[frozenset[str]] = field(default_factory=set)
     without: dict[str, Structure] = field(default_factory=dict)
     alike: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    clock: str = ""
+
+    def note_clock(self, sentence: str, told: bool) -> None:
+        """Keep in words whether the servo or the log is late; where it is not told, the other one is an equivalent."""
+        self.clock = sentence
+        for law in self.now.laws:
+            if law.id == "time_delay":
+                others = tuple(x for x in self.alike.get(law.key, ()) if x != law.id)
+                self.alike[law.key] = others if told else (law.id, *others)
 
     def cleared(self, rest: Sequence[ServoLaw]) -> np.ndarray:
         """Slots of the present fit with those of other laws as in the file."""
