@@ -1,6 +1,6 @@
 """Measure the declared sample of concealed robots.
 
-python -m lab.robot FILE.jsonl [--seed 4407] [--minutes 30] [--most N] [--table PAGE.md]
+python -m lab.robot FILE.jsonl [--seed 4407] [--minutes 30] [--most N] [--even] [--table PAGE.md]
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lab.robot.sample import markdown, records, run
 
-START, END = "<!-- sample: begin -->", "<!-- sample: end -->"
+MARKS = "<!-- sample: begin -->", "<!-- sample: end -->"
 
 
 def main() -> None:
@@ -21,9 +21,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=4407)
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--most", type=int, default=10**9, help="cases to measure now")
+    parser.add_argument("--even", action="store_true", help="the kinds take turns")
     parser.add_argument("--table", type=Path, help="a page with the marks of the table")
     a = parser.parse_args()
-    for r in run(a.file, a.seed, a.minutes, a.most):
+    for r in run(a.file, a.seed, a.minutes, a.most, a.even):
         print(
             r["case"],
             r.get("error") or f"{r['verdict']} truth {r['truth']} found {r['found']}",
@@ -34,7 +35,9 @@ def main() -> None:
     print(text)
     if a.table:
         page = a.table.read_text(encoding="utf-8")
-        head, tail = page[: page.index(START) + len(START)], page[page.index(END) :]
+        own = tuple(m.replace("sample", f"sample {a.seed}") for m in MARKS)
+        start, end = own if own[0] in page else MARKS
+        head, tail = page[: page.index(start) + len(start)], page[page.index(end) :]
         a.table.write_text(f"{head}\n{text}\n{tail}", encoding="utf-8")
 
 

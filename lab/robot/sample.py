@@ -48,10 +48,19 @@ class Item:
         return f"{self.plant}-{self.kind}-{self.axes}-{self.number}"
 
 
-def plan(seed: int) -> list[Item]:
-    """All cases, in an order that is drawn from the seed."""
+def plan(seed: int, even: bool = False) -> list[Item]:
+    """All cases, in an order that is drawn from the seed; ``even``: the kinds take turns, each in that order."""
     items = [Item(p, k, a, n) for (p, k), count in PLAN.items() for a in ARMS for n in range(count)]
-    return [items[i] for i in np.random.default_rng(seed).permutation(len(items))]
+    drawn = [items[i] for i in np.random.default_rng(seed).permutation(len(items))]
+    if not even:
+        return drawn
+    turns: dict[tuple[str, str], int] = dict.fromkeys(PLAN, 0)
+    keyed = []
+    for item in drawn:
+        kind = item.plant, item.kind
+        keyed.append((turns[kind], list(PLAN).index(kind), item))
+        turns[kind] += 1
+    return [item for _, _, item in sorted(keyed, key=lambda x: x[:2])]
 
 
 def _name(f: RobotFinding) -> str:
@@ -112,13 +121,13 @@ def records(path: Path) -> list[dict[str, Any]]:
     return out
 
 
-def run(path: Path, seed: int, minutes: float = math.inf, most: int = 10**9) -> Iterator[dict[str, Any]]:
+def run(path: Path, seed: int, minutes: float = math.inf, most: int = 10**9, even: bool = False) -> Iterator[dict[str, Any]]:
     """Measure the cases that the file lacks, for so long or so many; each is appended when it is scored, and given."""
     done, ends = {r["case"] for r in records(path)}, time.monotonic() + 60 * minutes
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.read_bytes().endswith(b"\n"):
         path.write_bytes(path.read_bytes()[: path.read_bytes().rfind(b"\n") + 1])
-    for item in [x for x in plan(seed) if x.key not in done][:most]:
+    for item in [x for x in plan(seed, even) if x.key not in done][:most]:
         if time.monotonic() > ends:
             return
         begun, folder = time.monotonic(), path.parent / item.key

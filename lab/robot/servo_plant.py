@@ -67,7 +67,7 @@ class ServoRobot:
     arm: Arm
     servos: tuple[ServoJoint, ...]
 
-    def with_servo(self, joint: int, **changes: float) -> ServoRobot:
+    def with_servo(self, joint: int, **changes: Any) -> ServoRobot:
         """A copy with another servo at a joint."""
         servos = list(self.servos)
         servos[joint] = dataclasses.replace(servos[joint], **changes)

@@ -50,7 +50,9 @@ class ClosedLoop:
 
 
 def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -> np.ndarray:
-    """Commands of servos and torques of other actuators (S, m), each later by its delay (m,) [s]: means over steps about times (S,) [s].
+    """Commands of servos and torques of other actuators (S, m), each later by its delay (m,) [s].
+
+    They are means over the steps of which times (S,) [s] are the middle.
     """
     h = float(t[1] - t[0]) if len(t) > 1 else r.dt
     drives = joint_drives(robot)

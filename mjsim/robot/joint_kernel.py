@@ -8,8 +8,8 @@ proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact a
 between
 events.
 
-A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of the
-joint that acts on this one. "late" is of the log, and not used here: see `diagnose.robot.servos.motion.JointProblem.run`.
+A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of
+the joint that acts on this one. "late" is of the log, and not used here: see `diagnose.robot.servos.motion.JointProblem.run`.
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):
     p: slots (K,); velocity: whether the command is one; starts (R + 1,): where each recording begins; first, slope (N,):
     command at the
     start of each sample and its slope over it; series (N, 10 + 3 m): inertia, b, db/dq, db/dq', |load| as a signed torque,
-    recorded position and velocity, inertia, torque and its db/dq of a unit payload, then of each joint of the robot the torque of its
-    drive, the sign of its motion and its velocity; dt [s]; each: steps per sample.
+    recorded position and velocity, inertia, torque and its db/dq of a unit payload, then of each joint of the robot the torque of
+    its drive, the sign of its motion and its velocity; dt [s]; each: steps per sample.
     """
     h = dt / each
     late = p[DELAY] / dt

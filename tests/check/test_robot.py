@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from diagnose.check import LogVerdict, Severity
+from diagnose.robot.check.channels import clipped_torque
 from diagnose.robot.check.relations import relate
 from diagnose.robot.check.run import check_robot
 from lab.robot.arm import three_axes
@@ -76,12 +77,62 @@ def test_a_sound_log_of_a_robot_that_is_not_as_in_the_file_is_ready(robot, log):
         ("velocity", 0, lambda x: np.roll(x, 3), "skew"),
         ("angle", 2, lambda x: np.concatenate([x[30:], np.full(30, x[-1])]), "skew"),
         ("angle", 0, lambda x: x + 4.0, "joint_range"),
+        ("angle", 1, lambda x: np.clip(x, np.quantile(x, 0.2), np.inf), "clipping"),
+        ("velocity", 2, lambda x: np.clip(x, -np.inf, np.quantile(x, 0.9)), "clipping"),
     ],
 )
 def test_a_fault_of_a_servo_log_is_named_at_its_joint(robot, log, channel, joint, change, problem):
     bare = log if channel == "velocity" else dataclasses.replace(log, velocity=None)
     found = told(check_robot(robot, [changed(bare, channel, joint, change)]))
     assert found == ([] if problem is None else [(f"joint{joint + 1}.{channel}", problem, Severity.FIX)])
+
+
+@pytest.mark.parametrize(
+    ("channel", "change", "problem"),
+    [
+        ("angle", lambda x: 0.02 * np.round(x / 0.02), "quantisation"),
+        ("velocity", lambda x: 0.2 * np.round(x / 0.2), "quantisation"),
+        ("velocity", lambda x: np.clip(x, -np.inf, np.quantile(x, 0.97)), "clipping"),
+    ],
+)
+def test_a_channel_that_is_coarse_or_a_little_clipped_limits(robot, log, channel, change, problem):
+    bare = log if channel == "velocity" else dataclasses.replace(log, velocity=None)
+    assert told(check_robot(robot, [changed(bare, channel, 1, change)])) == [(f"joint2.{channel}", problem, Severity.LIMITS)]
+
+
+def test_rows_that_repeat_the_row_before_are_told_and_rest_is_not(robot, log):
+    angle = np.array(log.angle)
+    angle[100:700:10] = angle[99:699:10]
+    bare = dataclasses.replace(log, velocity=None)
+    (p,) = check_robot(robot, [dataclasses.replace(bare, angle=angle)]).problems
+    assert (p.channel, p.problem, p.severity) == ("time", "duplicated_rows", Severity.LIMITS)
+    assert p.value == pytest.approx(0.06, abs=0.01)
+    resting = np.concatenate([np.repeat(log.angle[:1], 300, axis=0), log.angle])
+    command = np.concatenate([np.repeat(log.command[:1], 300, axis=0), log.command])
+    rest = RobotRecording(np.arange(len(resting)) * DT, log.joints, DT, resting, command=command, source="rest.csv")
+    assert check_robot(robot, [rest]).verdict is LogVerdict.READY
+
+
+def test_motion_that_leaves_the_limits_is_told_with_where(robot, log):
+    model = mujoco.MjModel.from_xml_string(servo_mjcf(NOMINAL))
+    q = log.angle[:, 0]
+    model.jnt_limited[0] = 1
+    model.jnt_range[0] = float(np.min(q)) - 0.1, float(np.max(q)) - 0.02
+    (p,) = check_robot(robot_from(model), [dataclasses.replace(log, velocity=None)]).problems
+    assert (p.channel, p.problem, p.severity) == ("joint1.angle", "joint_range", Severity.LIMITS)
+    assert p.value == pytest.approx(0.02, abs=1e-3)
+    assert len(p.marks) >= 1
+
+
+def test_a_torque_is_clipped_by_the_log_or_by_the_drive(by_force):
+    robot, log = by_force
+    limit = float(np.quantile(log.torque[:, 1], 0.85))
+    (p,) = check_robot(robot, [changed(log, "torque", 1, lambda x: np.minimum(x, limit))]).problems
+    assert (p.channel, p.problem, p.severity) == ("joint2.torque", "clipping", Severity.FIX)
+    assert p.value == pytest.approx(limit)
+    torque = np.minimum(log.torque[:, 1], limit)
+    v = np.gradient(log.angle[:, 1], log.dt)
+    assert not clipped_torque("joint2", torque, torque + 0.01 * np.sin(50 * log.time), v, "N m", log.time)
 
 
 def test_swapped_commands_are_told_by_correlation(robot, log):

@@ -21,6 +21,7 @@ from diagnose.check.faults.stamps import gaps, jitter
 from diagnose.check.machine import Machine
 from diagnose.check.thresholds import FOLLOWED, PARAMETER_FACTOR
 from diagnose.check.types import LogCheck, Problem, Severity
+from diagnose.robot.check.channels import beyond_limits, clipped, clipped_torque, coarse, held_rows
 from diagnose.robot.check.faults import ANGLES, LENGTHS, RATES, TORQUES, late_or_early, out_of_range, scaled, slow, still, swapped
 from diagnose.robot.check.relations import Relation, correlations, relate
 from diagnose.robot.servos.motion import moves, smoothed
@@ -75,7 +76,7 @@ def check_robot(robot: Robot, recordings: Sequence[RobotRecording]) -> LogCheck:
 
 def _one(robot: Robot, r: RobotRecording) -> tuple[list[Problem], dict[str, str], dict[str, Any]]:
     log = Log(robot, r, *smoothed(robot, r))
-    problems = [*_stamps(r), *_swaps(log)]
+    problems = [*_stamps(r), *_swaps(log), *_held(log)]
     crossed = {p.channel.rpartition(".")[0] for p in problems if p.problem == "swapped"}
     crossed |= {p.advice.rpartition(" ")[2] for p in problems if p.problem == "swapped"}
     told = {"log": f"{len(r)} samples, {1 / r.dt:.6g} samples/s, {len(r) * r.dt:.4g} s, input {r.hold} between samples."}
@@ -138,6 +139,8 @@ def _joint(log: Log, name: str, crossed: bool) -> tuple[list[Problem], str, dict
         return [still(name, "angle")], f"{text}.", {}
     low, high = robot.ranges[robot.leading(j)]
     problems = out_of_range(name, float(low), float(high), float(np.min(q)), float(np.max(q)), slide)
+    problems += [] if problems else beyond_limits(name, float(low), float(high), q, "m" if slide else "rad", r.time)
+    problems += _by_themselves(log, name)
     relations: dict[str, Relation] = {}
     angles, lengths = (LENGTHS, LENGTHS) if slide else (ANGLES, RATES)
     for channel, reference, units, against in (
@@ -161,6 +164,25 @@ def _joint(log: Log, name: str, crossed: bool) -> tuple[list[Problem], str, dict
     return problems, f"{text}.", relations
 
 
+def _by_themselves(log: Log, name: str) -> list[Problem]:
+    """Responses that are clipped or coarse."""
+    r, v, out = log.r, log.dz[:, log.robot.joints.index(name)], []
+    length = "m" if log.slide(name) else "rad"
+    for channel, unit in (("angle", length), ("second_angle", length), ("velocity", f"{length}/s"), ("current", "A")):
+        x = log.channel(channel, name)
+        if x is not None:
+            out += clipped(channel, name, x, unit, r.time)
+            out += coarse(channel, name, x, v, unit) if channel != "current" else []
+    return out
+
+
+def _held(log: Log) -> list[Problem]:
+    """Rows that repeat the row before in all responses."""
+    r = log.r
+    there = [x for c in ("angle", "second_angle", "velocity", "torque", "current") if (x := getattr(r, c)) is not None]
+    return held_rows(np.nan_to_num(np.hstack(there)), r.angle, r.time)
+
+
 def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[float, str], velocity: bool) -> list[Problem]:
     """The command against the position, the torque against what the motion needs; the relations are added to ``relations``."""
     r, robot, j, out = log.r, log.robot, log.robot.joints.index(name), []
@@ -182,6 +204,7 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
         if found is not None:
             relations["torque over the model's"] = found
             out += scaled("torque", name, found, TORQUES, f"the torque that the motion of {name} needs by the model")
+            out += clipped_torque(name, torque, needed, log.dz[:, j], "N" if log.slide(name) else "N m", r.time)
     return out
 
 
@@ -192,13 +215,19 @@ def _delays(log: Log, numbers: dict[str, Any]) -> list[Problem]:
     servos = [n for n in servos if "angle over command" in numbers[n]]
     if not servos:
         return []
-    run, inertia = closed_loop(robot, r), _inertia(robot, log.z[0])
+    inertia, drives = _inertia(robot, log.z[0]), joint_drives(robot)
     for name in servos:
         j = robot.joints.index(name)
-        drive = joint_drives(robot)[j]
-        assert drive is not None
-        if not drive.velocity:
+        drive = drives[j]
+        if drive is not None and not drive.velocity:
             out += slow(name, math.sqrt(float(drive.slots[SLOT["kp"]]) / inertia[j]) / (2 * math.pi), 1 / r.dt)
+    if len(out) == len(servos):  # delays are below a sample, and a run takes as many steps as the stamps say
+        return out
+    run = closed_loop(robot, r)
+    for name in servos:
+        j = robot.joints.index(name)
+        drive = drives[j]
+        assert drive is not None
         command, model = log.channel("command", name), run.z[:, j]
         found = numbers[name]["angle over command"]
         if command is None or drive.velocity or not np.isfinite(model).all() or found["explained"] < FOLLOWED:

@@ -1,8 +1,8 @@
 """Is the delay of a joint one of its servo, or are its positions logged late? The other joints tell.
 
-A servo that acts late moves its joint late, and the others feel that motion when it is logged. A position column that is late shows a
-motion that the others felt before. Both hypotheses are fitted at every joint: what the joints carry is then computed from the positions
-as logged, or from positions that are moved earlier.
+A servo that acts late moves its joint late, and the others feel that motion when it is logged. A position column that is late
+shows a motion that the others felt before. Both hypotheses are fitted at every joint: what the joints carry is computed from the
+positions as logged, or from positions that are moved earlier.
 """
 
 from __future__ import annotations

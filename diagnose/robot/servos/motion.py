@@ -84,7 +84,9 @@ def moves(q: np.ndarray) -> bool:
     return bool(np.ptp(q) > LEAST_MOVED * resolution(q))
 
 
-def smoothed(robot: Robot, r: RobotRecording, late: Mapping[str, float] = MappingProxyType({})) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def smoothed(
+    robot: Robot, r: RobotRecording, late: Mapping[str, float] = MappingProxyType({})
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the noise;
     those of joints in ``late`` are moved earlier by so many seconds."""
     from scipy.signal import butter, sosfiltfilt, welch
@@ -107,9 +109,7 @@ def smoothed(robot: Robot, r: RobotRecording, late: Mapping[str, float] = Mappin
     return z, derivative(z, r.dt), derivative(z, r.dt, second=True)
 
 
-def prepare(
-    robot: Robot, recording: RobotRecording, held: bool, late: Mapping[str, float] = MappingProxyType({})
-) -> Motion:
+def prepare(robot: Robot, recording: RobotRecording, held: bool, late: Mapping[str, float] = MappingProxyType({})) -> Motion:
     """The recording with what each joint carries along it; ``late``: seconds by which positions of joints are logged late."""
     if len(recording) < 100:
         raise InputError(recording.source, f"{len(recording)} samples", "at least 100", "record longer")

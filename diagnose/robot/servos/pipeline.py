@@ -85,7 +85,10 @@ def diagnose_servos(
 
 
 def _searched(
-    problems: Sequence[JointProblem], options: RobotOptions, jobs: int, say: Callable[[str], None],
+    problems: Sequence[JointProblem],
+    options: RobotOptions,
+    jobs: int,
+    say: Callable[[str], None],
     without: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[JointSearch, ...]:
     """The searches at all joints; ``without``: by joint, the key of a law that is not tried."""
@@ -101,8 +104,8 @@ def _searched(
 
 
 def _by_clock(
-    searches: tuple[JointSearch, ...], series: Callable[[Mapping[str, float]], list[JointProblem]], options: RobotOptions, jobs: int,
-    say: Callable[[str], None],
+    searches: tuple[JointSearch, ...], series: Callable[[Mapping[str, float]], list[JointProblem]], options: RobotOptions,
+    jobs: int, say: Callable[[str], None],
 ) -> tuple[JointSearch, ...]:  # fmt: skip
     """The searches with each delay told as one of the servo or of the log (`diagnose.robot.servos.clocks`).
 

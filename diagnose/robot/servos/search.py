@@ -37,7 +37,10 @@ NOT_PHYSICAL = "its numbers are not physical"
 def search_joint(
     problem: JointProblem, options: RobotOptions, joints: int, numbers: tuple[Number, ...], begun: Fit, without: str = ""
 ) -> JointSearch:
-    """Search for the effects of one joint; ``begun``: its fit without effects; ``without``: the key of a law that is not tried."""
+    """Search for the effects of one joint.
+
+    begun: its fit without effects; without: the key of a law that is not tried.
+    """
     laws = tuple(x for x in servo_laws(problem, begun.slots, options.effects) if x.key != without)
     start = Structure((), begun)
     s = JointSearch(problem, options, numbers, start, start, laws, joints)
@@ -61,8 +64,8 @@ def search_joint(
 def _rivals(s: JointSearch) -> None:
     """For each law that stands: the structure without it, and the laws that could stand in its place as well.
 
-    A rival is one that is physical and within `ALIKE` on fitted and held-out samples together. One that takes the place of several laws
-    is a rival of each of them.
+    A rival is one that is physical and within `ALIKE` on fitted and held-out samples together. One that takes the place of
+    several laws is a rival of each of them.
     """
     s.visited.clear()
     found: dict[str, list[str]] = {law.key: [] for law in s.now.laws}
