@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from diagnose.robot.result import RobotDiagnosis, RobotFinding
+from diagnose.robot.servos.library import DELAY
 from lab.real_use.score import Count
 from lab.robot.cases import draw
 from lab.robot.measure import one as one_by_force
@@ -65,12 +66,12 @@ def plan(seed: int, even: bool = False) -> list[Item]:
 
 def _name(f: RobotFinding) -> str:
     """The effect, or that the positions of the joint are logged late."""
-    return LATE if f.effect == "time_delay" and f.place == "sensor" else f.effect
+    return LATE if f.effect == DELAY and f.place == "sensor" else f.effect
 
 
 def _equivalents(f: RobotFinding) -> set[str]:
     """Names that a finding cannot be told from; a delay that is an equivalent of a delay is one of the log, or of the servo."""
-    other = {LATE, "time_delay"} if f.effect == "time_delay" and "time_delay" in f.equivalents else set()
+    other = {LATE, DELAY} if f.effect == DELAY and DELAY in f.equivalents else set()
     return (set(f.equivalents) | other) - {_name(f)}
 
 

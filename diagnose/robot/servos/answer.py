@@ -170,7 +170,7 @@ def _finding(s: JointSearch, law: ServoLaw, V: np.ndarray) -> RobotFinding:
         "hypotheses": s.multiplicity(law),
     }  # fmt: skip
     name = s.problem.name
-    sentence = f"{law.sentence} {s.clock}" if law.id == "time_delay" and s.clock else law.sentence
+    sentence = f"{law.sentence} {s.clock}" if law.is_delay and s.clock else law.sentence
     return RobotFinding(
         law.id, name, name, sentence, parameters, evidence, tuple(s.alike.get(law.key, ())), law.form, law.source, law.place
     )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.robot.servos.fit import MOST, fit
-from diagnose.robot.servos.library import LOGGED, ServoLaw
+from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.state import JointSearch, Structure, free_numbers
 from mjsim.robot.joint_kernel import SLOT
@@ -85,13 +85,13 @@ def clocks(searches: Sequence[JointSearch], series: Series) -> tuple[list[Clock]
 
 
 def _delay(s: JointSearch) -> float:
-    return sum(float(s.now.fit.slots[SLOT[n.slot]]) for law in s.now.laws if law.id == "time_delay" for n in law.numbers)
+    return sum(float(s.now.fit.slots[SLOT[n.slot]]) for law in s.now.laws if law.is_delay for n in law.numbers)
 
 
 def _formed(s: JointSearch, problem: JointProblem, late: bool) -> Structure:
     """The laws that stand with the delay in one of its forms, fitted."""
-    form = next(x for x in s.laws if x.id == "time_delay" and (x.form == LOGGED) == late)
-    laws: tuple[ServoLaw, ...] = tuple(form if x.id == "time_delay" else x for x in s.now.laws)
+    form = next(x for x in s.laws if x.is_delay and x.is_logged == late)
+    laws: tuple[ServoLaw, ...] = tuple(form if x.is_delay else x for x in s.now.laws)
     slots, seconds = s.now.fit.slots.copy(), _delay(s)
     slots[SLOT["late"]], slots[SLOT["delay"]] = (seconds, 0.0) if late else (0.0, seconds)
     return Structure(laws, fit(problem, free_numbers(s.numbers, laws), slots, s.weights, MOST))

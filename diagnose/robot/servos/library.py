@@ -16,11 +16,12 @@ from diagnose.robot.servos.motion import OWN, JointProblem
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["LOGGED", "PAYLOAD", "PLAIN", "ServoLaw", "identifiers", "servo_laws"]
+__all__ = ["DELAY", "PAYLOAD", "PLAIN", "ServoLaw", "identifiers", "servo_laws"]
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
 PAYLOAD = "payload"
+DELAY = "time_delay"
 LOGGED = "position_late"  # form of a delay that is of the log
 PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
@@ -61,6 +62,16 @@ class ServoLaw:
     def key(self) -> str:
         """``id``, ``id/form`` and ``id<source``."""
         return self.id + (f"/{self.form}" if self.form else "") + (f"<{self.source}" if self.source else "")
+
+    @property
+    def is_delay(self) -> bool:
+        """Whether it is a delay, of the servo or of the log."""
+        return self.id == DELAY
+
+    @property
+    def is_logged(self) -> bool:
+        """Whether it is of the log, and not of the robot."""
+        return self.form == LOGGED
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -106,7 +117,7 @@ def servo_laws(problem: JointProblem, p: np.ndarray, only: Sequence[str] = ()) -
     if problem.nominal[SLOT["friction"]] > 0.0:  # the file has dry friction: its size is one of its own numbers
         laws = [law for law in laws if law.id != PLAIN]
     if problem.nominal[SLOT["delay"]] > 0.0:
-        laws = [law for law in laws if law.id != "time_delay" or law.form == LOGGED]
+        laws = [law for law in laws if not law.is_delay or law.is_logged]
     return tuple(law for law in laws if not only or law.id in only or law.number)
 
 
@@ -204,9 +215,9 @@ def _friction(s: Scales) -> list[ServoLaw]:
 
 def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
     laws = [
-        ServoLaw("time_delay", "actuator", (Number("delay", lower=1e-4 * s.dt, upper=0.5),), tuple({"delay": c * s.dt} for c in (0.5, 1.5, 4.0)),
+        ServoLaw(DELAY, "actuator", (Number("delay", lower=1e-4 * s.dt, upper=0.5),), tuple({"delay": c * s.dt} for c in (0.5, 1.5, 4.0)),
                  lambda x: {"delay_s": (x["delay"], Quantity.TIME)}, "The command acts later than it is logged."),
-        ServoLaw("time_delay", "sensor", (Number("late", lower=1e-4 * s.dt, upper=0.5),), tuple({"late": c * s.dt} for c in (0.5, 1.5, 4.0)),
+        ServoLaw(DELAY, "sensor", (Number("late", lower=1e-4 * s.dt, upper=0.5),), tuple({"late": c * s.dt} for c in (0.5, 1.5, 4.0)),
                  lambda x: {"delay_s": (x["late"], Quantity.TIME)},
                  "The position is logged later than the command: a fault of the log or a slow encoder, not of the servo.", form=LOGGED),
         ServoLaw("actuator_lag", "actuator", (Number("lag", lower=0.01 * s.dt, upper=1.0),), tuple({"lag": c * s.dt} for c in (0.7, 3.0)),

@@ -24,7 +24,7 @@ from diagnose.robot.result import JointResult, RobotDiagnosis
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of
 from diagnose.robot.servos.clocks import clocks
 from diagnose.robot.servos.fit import covariance
-from diagnose.robot.servos.library import LOGGED, PAYLOAD
+from diagnose.robot.servos.library import PAYLOAD
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
 from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
@@ -117,8 +117,9 @@ def _by_clock(
     for c in found:
         say(f"{c.joint}: {c.sentence}")
     own = {c.joint: c for c in found}
-    without = {c.joint: "time_delay" if c.log else f"time_delay/{LOGGED}" for c in found}
-    again = lates or any(law.form == LOGGED and not own[s.problem.name].log for s in searches for law in s.now.laws)
+    without = {s.problem.name: x.key for s in searches for x in s.laws if x.is_delay and s.problem.name in own
+               and x.is_logged != own[s.problem.name].log}  # fmt: skip
+    again = lates or any(law.is_logged and not own[s.problem.name].log for s in searches for law in s.now.laws)
     if again:
         searches = _searched(series(lates), options, jobs, say, without)
     for s in searches:

@@ -75,7 +75,7 @@ class JointSearch:
         """Keep in words whether the servo or the log is late; where it is not told, the other one is an equivalent."""
         self.clock = sentence
         for law in self.now.laws:
-            if law.id == "time_delay":
+            if law.is_delay:
                 others = tuple(x for x in self.alike.get(law.key, ()) if x != law.id)
                 self.alike[law.key] = others if told else (law.id, *others)
 
