@@ -31,7 +31,7 @@ from mjsim.binding import (
 from mjsim.errors import InputError, nearest
 from mjsim.hold import HOLDS
 from mjsim.readers import Table, digest, guess, need_source, part_of, read_table
-from mjsim.timebase import onto_stamps, resample, sample_time, where_in
+from mjsim.timebase import noise_after, onto_stamps, resample, sample_time, where_in
 
 __all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "from_table", "load"]
 
@@ -60,7 +60,8 @@ class Recording:
     second_velocity: behind the gear; current [A], supply [V]; known_torque: on body 0, beside the drive's [N m | N]; hold: how
     the input goes between samples (`mjsim.hold`); joint: its name in a robot's log; known: values of this experiment;
     columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...) where the binding
-    tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes: what reading changed.
+    tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes: what reading changed;
+    noise: rms of the noise of a channel, where reading changed it.
 
     >>> import numpy as np
     >>> t = np.arange(5) * 0.01
@@ -95,6 +96,7 @@ class Recording:
     joint: str = ""
     known: Mapping[str, float] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    noise: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -109,7 +111,7 @@ class Recording:
             object.__setattr__(self, name, array)
         if self.hold not in HOLDS:
             raise ValueError(f"hold is {self.hold!r}; choose from {', '.join(HOLDS)}")
-        for name in ("columns", "units", "known"):
+        for name in ("columns", "units", "known", "noise"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __len__(self) -> int:
@@ -216,10 +218,13 @@ def from_table(
     if stamps is not None and "command" in arrays:
         arrays["command"], note = onto_stamps(path, arrays["command"], stamps, arrays["time"])
         notes += [note] if note else []
-    flat = table.of_length(count)
+    flat, noise = table.of_length(count), dict[str, float]()
     dt = sample_time(path, arrays["time"], binding.jitter, uniform=uniform)
     if binding.jitter:
+        stamps, before = arrays["time"], arrays
         arrays, note = resample(arrays, binding.hold, dt)
+        if note:
+            noise = noise_after(stamps, {k: v for k, v in before.items() if k in ("velocity", "angle")}, dt)
         flat = {}
         notes += [note] if note else []
     units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
@@ -228,7 +233,7 @@ def from_table(
     return Recording(
         dt=dt, source=path.name, sha256=sha256, columns=flat,
         loop=binding.loop, judge=binding.judge, varies=binding.varies, units=units, hold=binding.hold, joint=joint or "",
-        known=binding.known, notes=tuple(notes),
+        known=binding.known, notes=tuple(notes), noise=noise,
         **{name: arrays.get(name) for name in ARRAYS if name != "torque"},  # type: ignore[arg-type]
         torque=arrays.get("torque", np.full(len(arrays["time"]), np.nan)),
     )  # fmt: skip

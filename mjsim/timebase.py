@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from mjsim.errors import InputError
 
-__all__ = ["onto_stamps", "resample", "sample_time", "where_in"]
+__all__ = ["noise_after", "onto_stamps", "resample", "sample_time", "where_in"]
 
 UNIFORM = 0.05  # part of dt: a printed time stamp is rounded, a missing or shifted sample is off by a good part of dt
 
@@ -72,8 +73,6 @@ def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[
     Inputs are resampled exactly for how they are held: of a held or averaged input the mean over each new sample is kept, a
     linear one is read off its lines. Outputs are read off a cubic spline.
     """
-    from scipy.interpolate import CubicSpline
-
     time = arrays["time"]
     grid = time[0] + dt * np.arange(len(time))
     worst = float(np.max(np.abs(time - grid)))
@@ -88,13 +87,51 @@ def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[
         elif name == "known_torque":
             out[name] = np.interp(grid, time, y)
         else:
-            out[name] = CubicSpline(time, y)(np.clip(grid, time[0], time[-1]))
+            out[name] = _spline(time, y, np.clip(grid, time[0], time[-1]))
     steps = np.abs(np.diff(time) - dt)
     note = (
         f"The time stamps jitter by up to {1e3 * float(np.max(steps)):.3g} ms a step and stray up to {1e3 * worst:.3g} ms from a "
         f"uniform grid: all channels were resampled to one of {1e3 * dt:.6g} ms, the input for being {hold}."
     )
     return out, note
+
+
+ORDER = 6  # of the differences that leave noise alone
+DRAWS = 20_000  # values of noise that are resampled to see what becomes of it: their rms is known to 0.5 %
+
+
+def noise_after(time: np.ndarray, arrays: Mapping[str, np.ndarray], dt: float) -> dict[str, float]:
+    """Rms of the white noise of channels (N,) at jittered stamps once they were resampled; {} where there are too few samples.
+
+    What a spline makes of noise depends on how far the new samples are from the old ones, and is no longer white: differences of
+    the new samples tell too little. So its rms s is taken before, from divided differences of order 6,
+
+        d_i = sum_k w_ik y_(i+k) / sqrt(sum_k w_ik^2),    w_ik = 1 / prod_(m != k) (t_(i+k) - t_(i+m)),
+
+    whose rms is s for white noise and that is 0 for a polynomial of degree 5; and times the rms of resampled noise of rms 1.
+    """
+    if len(time) < 2 * ORDER:
+        return {}
+    stamps = np.lib.stride_tricks.sliding_window_view(time / dt, ORDER + 1)
+    apart = stamps[:, :, None] - stamps[:, None, :]
+    apart[:, np.arange(ORDER + 1), np.arange(ORDER + 1)] = 1.0
+    weights = 1.0 / np.prod(apart, axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((len(time), -(-DRAWS // len(time))))
+    grid = np.clip(time[0] + dt * np.arange(len(time)), time[0], time[-1])
+    gain = float(np.sqrt(np.mean(_spline(time, draws, grid) ** 2)))
+    out = {}
+    for name, y in arrays.items():
+        d = np.sum(weights * np.lib.stride_tricks.sliding_window_view(y, ORDER + 1), axis=1)
+        out[name] = gain * float(1.4826 * np.median(np.abs(d - np.median(d))))
+    return out
+
+
+def _spline(time: np.ndarray, y: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(time, y)(grid))
 
 
 def _means(time: np.ndarray, u: np.ndarray, grid: np.ndarray, dt: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from diagnose.data.noise import coloured_noise_level, white_noise_level
+from diagnose.data.noise import channel_noise, coloured_noise_level, white_noise_level
 from diagnose.thresholds import FAR, FEWEST, NO_SENSOR, SMALL
 from mjsim.errors import InputError
 from mjsim.recording import Recording
@@ -161,7 +161,8 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     n = len(v)
     if n < minimum:
         raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
-    noise = max(white_noise_level(v), plain_step(v) / np.sqrt(12.0))
+    white = white_noise_level(v) if recording.velocity is None else channel_noise(recording, "velocity")
+    noise = max(white, plain_step(v) / np.sqrt(12.0))
     spread = float(np.std(v))
     name = "torque" if recording.command is None else "command"
     if np.ptp(recording.input) == 0:
@@ -179,20 +180,21 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
             )  # fmt: skip
     if recording.velocity is None and recording.angle is not None:  # what central differences make of the angle's noise
         q = recording.angle
-        noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)
+        noise = max(channel_noise(recording, "angle"), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)
     _need_one_motion(recording)
     moving = _starts_in_motion(v, noise, spread)
     before = float(recording.input[0]) if moving or recording.command is not None else 0.0
     held = held_rows(recording)
     if recording.velocity is not None and recording.angle is not None and not held.any():
         q = recording.angle
-        angle_noise = max(white_noise_level(q), plain_step(q) / np.sqrt(12.0))
+        angle_noise = max(channel_noise(recording, "angle"), plain_step(q) / np.sqrt(12.0))
         noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
     counts = ~held & (True if counts is None else counts)
     if recording.command is not None:
         if recording.angle is None:
             raise InputError(recording.source, "a command and no angle", "the angle of the joint", "record or bind it")
-        noise, spread = angle_noise_level(recording.angle), float(np.std(recording.angle))
+        noise = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))
+        spread = float(np.std(recording.angle))
     return Experiment(recording, counts, max(noise, NO_SENSOR * spread), moving, before)
 
 

@@ -7,9 +7,19 @@ from itertools import pairwise
 import numpy as np
 
 from diagnose.thresholds import BANDS, FASTEST, FEW_TAPS, LARGE, MOST, SEGMENT, SIGMAS, TAPS
+from mjsim.recording import Recording
 from mjsim.signals import transforms
 
-__all__ = ["coloured_noise_level", "white_noise_level"]
+__all__ = ["channel_noise", "coloured_noise_level", "white_noise_level"]
+
+
+def channel_noise(recording: Recording, name: str) -> float:
+    """Noise rms of the velocity or angle of a recording: its white noise, or what reading found where it was resampled."""
+    y = getattr(recording, name)
+    level = white_noise_level(y)
+    if name not in recording.noise or level == 0.0:
+        return level
+    return max(level, recording.noise[name])
 
 
 def white_noise_level(y: np.ndarray) -> float:

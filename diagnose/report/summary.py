@@ -13,7 +13,7 @@ from diagnose.report.tables import weak
 from diagnose.report.words import VERDICTS, effect_name, linear_name
 from diagnose.result import Diagnosis, Estimate
 
-__all__ = ["summary", "write_summary"]
+__all__ = ["markdown_code", "markdown_table", "markdown_text", "summary", "write_summary"]
 
 _MOST_NOTES = 5
 
@@ -25,7 +25,7 @@ def write_summary(d: Diagnosis, path: Path) -> None:
 
 def summary(d: Diagnosis) -> str:
     """Verdict, errors of the files, findings with intervals, numbers that changed, notes, what to measure next."""
-    parts = [f"## {VERDICTS[d.verdict].badge}", _text(prose(d.summary))]
+    parts = [f"## {VERDICTS[d.verdict].badge}", markdown_text(prose(d.summary))]
     if d.fit:
         parts.append(_errors(d))
     if d.findings:
@@ -35,11 +35,11 @@ def summary(d: Diagnosis) -> str:
         parts += ["Numbers of the model that differ:", changed]
     if d.notes:
         more = [f"- and {len(d.notes) - _MOST_NOTES} more"] if len(d.notes) > _MOST_NOTES else []
-        parts.append("\n".join([*(f"- {_text(prose(n))}" for n in d.notes[:_MOST_NOTES]), *more]))
+        parts.append("\n".join([*(f"- {markdown_text(prose(n))}" for n in d.notes[:_MOST_NOTES]), *more]))
     if d.next_experiment:
-        parts.append(f"**Next:** {_text(prose(d.next_experiment))}")
-    files = ", ".join(f"`{_code(r.get('file', ''))}`" for r in d.recordings)
-    parts.append(f"<sub>simgap {_text(d.versions.get('simgap', ''))}; recordings: {files or 'none'}.</sub>")
+        parts.append(f"**Next:** {markdown_text(prose(d.next_experiment))}")
+    files = ", ".join(dict.fromkeys(f"`{markdown_code(r.get('file', ''))}`" for r in d.recordings))
+    parts.append(f"<sub>simgap {markdown_text(d.versions.get('simgap', ''))}; recordings: {files or 'none'}.</sub>")
     return "\n\n".join(parts) + "\n"
 
 
@@ -52,7 +52,7 @@ def _errors(d: Diagnosis) -> str:
     ]
     if d.noise_floor > 0:
         rows.append(("noise", "", number(d.noise_floor)))
-    return _table([f"Error in {d.channel}, rms [{u}]", "estimation", "held out"], rows)
+    return markdown_table([f"Error in {d.channel}, rms [{u}]", "estimation", "held out"], rows)
 
 
 def _findings(d: Diagnosis) -> str:
@@ -67,7 +67,7 @@ def _findings(d: Diagnosis) -> str:
                 else (estimate(e) + (" (not told from zero)" if weak(e) else ""), interval(e), unit(e.unit))
             )
             rows.append((first if i == 0 else "", name, *told, p if i == 0 else ""))
-    return _table(["Missing", "parameter", "value", "95 % interval", "unit", "p, held out"], rows)
+    return markdown_table(["Missing", "parameter", "value", "95 % interval", "unit", "p, held out"], rows)
 
 
 def _changed(d: Diagnosis) -> str:
@@ -80,19 +80,20 @@ def _changed(d: Diagnosis) -> str:
         for name, e in d.linear_parameters.items()
         if outside(d.nominal_parameters.get(name), e)
     ]  # fmt: skip
-    return _table(["Number", "file", "identified", "95 % interval", "unit", "change"], rows) if rows else ""
+    return markdown_table(["Number", "file", "identified", "95 % interval", "unit", "change"], rows) if rows else ""
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose cells are text, without markup."""
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cell if cell == "---" else _text(cell) for cell in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(cell if cell == "---" else markdown_text(cell) for cell in line) + " |" for line in lines)
 
 
-def _text(text: str) -> str:
+def markdown_text(text: str) -> str:
     """Text in which nothing is markup: of Markdown, of HTML or of a table."""
     return re.sub(r"([\\`*_\[\]<>|#~])", r"\\\1", re.sub(r"\s*\n\s*", " ", text)).replace("&", "&amp;")
 
 
-def _code(text: str) -> str:
+def markdown_code(text: str) -> str:
     """Text within backquotes."""
     return re.sub(r"[`\n|]", " ", text)

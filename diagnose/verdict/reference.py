@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare, without_derived_velocity
-from diagnose.data.noise import white_noise_level
+from diagnose.data.noise import channel_noise
 from diagnose.result import FitFigures
 from diagnose.thresholds import SIGMAS, SMALL
 from mjsim.plant import Hold, Start
@@ -66,7 +66,7 @@ class Case:
     def spread(self) -> tuple[float, float]:
         """Standard deviations of the starting angle and velocity; 0 of one that is known."""
         q = self.recording.angle
-        angle = 0.0 if q is None else max(white_noise_level(q), plain_step(q) / math.sqrt(12.0))
+        angle = 0.0 if q is None else max(channel_noise(self.recording, "angle"), plain_step(q) / math.sqrt(12.0))
         return angle, self.sigma if self.moving and not self.servo else 0.0
 
     def first(self, n: int) -> Case:

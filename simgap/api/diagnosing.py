@@ -179,12 +179,15 @@ class Diagnosis:
         return path
 
     def summary_file(self, path: str | Path) -> Path:
-        """Write the answer as Markdown, for a pull request; returns its path. Raises `InputError` for a robot."""
-        from diagnose.report.summary import write_summary
-
+        """Write the answer as Markdown, for a pull request; returns its path."""
         if isinstance(self._result, RobotDiagnosis):
-            raise InputError("summary", "the diagnosis is of a robot", "one axis", "use report.html or diagnosis.json")
-        write_summary(self._result, Path(path))
+            from diagnose.robot.summary import write_summary as write_robot_summary
+
+            write_robot_summary(self._result, Path(path))
+        else:
+            from diagnose.report.summary import write_summary
+
+            write_summary(self._result, Path(path))
         return Path(path)
 
     def save(self, folder: str | Path) -> Path:
