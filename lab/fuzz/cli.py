@@ -3,7 +3,8 @@
     python -m lab.fuzz csv --runs 100000
     python -m lab.fuzz mjcf --runs 2000 --limit 120 --keep out/fuzz
 
-Fuzzing runs in a process of its own. An exception is counted and its file kept; the run goes on. A crash, a file that takes more
+Fuzzing runs in a process of its own, on files in memory (/dev/shm) where the system has that: a file on disk costs 6 ms, most
+readers less than 1 ms. An exception is counted and its file kept; the run goes on. A crash, a file that takes more
 than 10 s and memory beyond the limit end it (libFuzzer's ``-timeout`` and ``-rss_limit_mb``) and keep the file as well.
 Exit code 1 where something was found.
 """
@@ -11,6 +12,7 @@ Exit code 1 where something was found.
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -27,6 +29,8 @@ __all__ = ["Outcome", "fuzz", "main"]
 
 SECONDS = 10
 """Longest time that one file may take [s]."""
+MEMORY = Path("/dev/shm")
+"""Where Linux keeps files in memory."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,8 @@ class Outcome:
 def fuzz(reader: str, runs: int, limit: float, memory: int, seed: int, keep: Path) -> Outcome:
     """Fuzz one reader for ``runs`` executions or ``limit`` seconds; ``memory``: limit of the process [MB]."""
     keep.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as work:
+    folder = MEMORY if os.access(MEMORY, os.W_OK) else None
+    with tempfile.TemporaryDirectory(dir=folder) as work:
         corpus, told = Path(work) / "corpus", Path(work) / "told.json"
         corpus.mkdir()
         for i, data in enumerate(SEEDS[reader]()):
@@ -56,7 +61,8 @@ def fuzz(reader: str, runs: int, limit: float, memory: int, seed: int, keep: Pat
             f"-timeout={SECONDS}", f"-rss_limit_mb={memory}", f"-seed={seed}", "-max_len=65536", "-close_fd_mask=1",
             f"-artifact_prefix={keep.resolve()}/{reader}-", str(corpus),
         ]  # fmt: skip
-        done = subprocess.run(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", check=False)
+        done = subprocess.run(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", check=False,
+                              env=os.environ | {"TMPDIR": work})  # fmt: skip
         said = json.loads(told.read_text()) if told.is_file() else {"valid": 0, "refused": 0, "slowest_s": 0.0, "finds": {}}
     counted = re.findall(r"^(?:Done |#)(\d+)", done.stderr, re.MULTILINE)
     ended = "" if done.returncode == 0 else (re.findall(r"ERROR: .*|.*Error: .*", done.stderr) or [f"exit {done.returncode}"])[-1]

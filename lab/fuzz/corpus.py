@@ -107,12 +107,13 @@ def _corrected() -> list[bytes]:
 
 
 def _baseline() -> list[bytes]:
-    digest = "0" * 64
+    recordings = [{"file": f"{n}.csv", "sha256": str(n) * 64, "role": r} for n, r in enumerate(("estimation", "held-out"))]
     told = {
         "fit": {"corrected": {"rms": 1e-3, "held_out_rms": None}}, "judged_on": {"view": "motion", "unit": "rad"},
-        "recordings": [{"sha256": digest, "role": "estimation"}, {"sha256": digest, "role": "held-out"}],
+        "recordings": recordings,
     }  # fmt: skip
-    return [json.dumps(told).encode()]
+    rows = [{"file": "0.csv", "role": "estimation", "moves": True, "corrected_rms": 1e-3}]
+    return [json.dumps(d).encode() for d in (told, told | {"closed_loop": {"joints": {"hinge": rows}}})]
 
 
 def _ledger() -> list[bytes]:

@@ -72,6 +72,6 @@ TARGETS: dict[str, Target] = {
     "toml": Target(".toml", _binding, ("mjsim.binding", "mjsim.robot.binding")),
     "mjcf": Target(".xml", _model, ("mjsim.mjcf",)),
     "corrected": Target(".xml", _model, ("mjsim.mjcf",)),
-    "baseline": Target(".json", _baseline, ("simgap.commands.gate",)),
+    "baseline": Target(".json", _baseline, ("simgap.gating.check",)),
     "ledger": Target(".jsonl", _ledger, ("diagnose.fit.ledger",)),
 }

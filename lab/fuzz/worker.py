@@ -18,6 +18,9 @@ from lab.fuzz.targets import TARGETS, Target
 
 __all__ = ["main"]
 
+TOLD = 0.2
+"""Seconds between two reports of the counts; those since the last one are lost where the process is ended."""
+
 
 class Counter:
     """Reads what the fuzzer makes, and counts what comes of it."""
@@ -44,7 +47,7 @@ class Counter:
             self._find(data, error)
         now = time.perf_counter()
         self._said["slowest_s"] = max(self._said["slowest_s"], now - began)
-        if now - self._wrote > 0.02:
+        if now - self._wrote > TOLD:
             self.write()
 
     def _find(self, data: bytes, error: BaseException) -> None:

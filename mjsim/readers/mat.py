@@ -13,6 +13,7 @@ import numpy as np
 
 from mjsim.errors import InputError
 from mjsim.readers.hdf5 import SIGNATURE, read_mat73
+from mjsim.readers.mat_elements import check_elements
 from mjsim.readers.table import MOST_BYTES, Table, need_size
 
 __all__ = ["read_mat"]
@@ -36,6 +37,7 @@ def read_mat(path: Path, experiment: int | None = None) -> Table:
     from scipy.io import loadmat
 
     _need_memory(path)
+    check_elements(path)
     try:
         content = loadmat(str(path), squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:

@@ -13,6 +13,7 @@ from robot_logs import write_bag, write_mcap, write_rosbag2
 
 from mjsim.errors import InputError
 from mjsim.readers import read_table, table
+from mjsim.readers.mat_elements import check_elements
 
 N = 64
 COLUMNS = {"time_s": np.arange(N) * 1e-3, "torque_Nm": np.sin(np.arange(N)), "angle_rad": np.cos(np.arange(N))}
@@ -206,3 +207,42 @@ def test_an_empty_cell_counts_only_in_a_column_that_is_used(tmp_path):
 def test_a_folder_is_no_recording(tmp_path):
     with pytest.raises(InputError, match="not a regular file"):
         read_table(tmp_path)
+
+
+VARIANTS = {
+    "numbers": COLUMNS, "struct": {"rec": COLUMNS}, "cells": {"c": np.array([np.arange(3.0), np.arange(4)], dtype=object)},
+    "sparse": {"s": scipy.sparse.csc_array(np.eye(3)), "x": np.arange(3.0)}, "text": {"t": "name", "x": np.arange(3.0)},
+    "complex": {"z": np.arange(3) + 1j, "x": np.arange(3.0)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_elements_of_intact_mat_files(name, packed, tmp_path):
+    scipy.io.savemat(tmp_path / "log.mat", VARIANTS[name], do_compression=packed)
+    check_elements(tmp_path / "log.mat")
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_damaged_byte_of_a_mat_file_does_not_end_the_process(name, tmp_path):
+    """Each tag of an element is somewhere in the file: every eighth byte takes a type that SciPy has no entry for."""
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, VARIANTS[name])
+    data, told = path.read_bytes(), 0
+    for at in range(128, len(data), 8):
+        for value in (8, 10, 11, 19, 20, 200):
+            path.write_bytes(data[:at] + bytes([value]) + data[at + 1 :])
+            told += refusal(path) is not None
+    assert told > 5
+
+
+@pytest.mark.parametrize("kind", [0, 8, 10, 11, 19, 20, 255])
+def test_a_type_that_a_number_cannot_have(kind, tmp_path):
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"x": np.arange(0.5, 9)})
+    data = path.read_bytes()
+    at = data.index(np.arange(0.5, 9).tobytes()) - 8
+    path.write_bytes(data[:at] + bytes([kind]) + data[at + 1 :])
+    with pytest.raises(InputError, match=f"an element has the type {kind}"):
+        read_table(path)
