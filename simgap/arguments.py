@@ -55,12 +55,16 @@ def _completed(kind: str, incomplete: str) -> list[CompletionItem]:
 
 @final
 class InputFile(click.ParamType):
-    """A file that is read; converts to a Path. ``endings``: such as ``.json``; none: those of recordings, folders among them."""
+    """A file that is read; converts to a Path.
+
+    ``endings``: such as ``.json``; none: those of recordings, folders among them. ``usual``: the name that such a file has where
+    a command wrote it.
+    """
 
     name = "path"
 
-    def __init__(self, *endings: str) -> None:
-        self.endings = endings
+    def __init__(self, *endings: str, usual: str = "") -> None:
+        self.endings, self.usual = endings, usual
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The path as it is; whether the file is there is for its reader to say."""

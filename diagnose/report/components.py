@@ -59,7 +59,9 @@ def table(columns: Sequence[Column], rows: Iterable[Sequence[Cell]], caption: Ce
         first, *others = zip(columns, row, strict=True)
         cells = [Markup('<th scope="row" role="rowheader">{}</th>').format(first[1])]
         cells += [
-            Markup('<td role="cell" data-label="{}"{}>{}</td>').format(c.head, _class(c, empty=not str(cell).strip()), cell)
+            Markup('<td role="cell" data-label="{}"{}>{}</td>').format(
+                c.head, _class(c, empty=not str(cell).strip()), _whole(cell)
+            )
             for c, cell in others
         ]
         mark = Markup(' class="chosen"') if i in chosen else Markup("")
@@ -69,6 +71,11 @@ def table(columns: Sequence[Column], rows: Iterable[Sequence[Cell]], caption: Ce
         '<table class="cards" role="table">{}<thead role="rowgroup"><tr role="row">{}</tr></thead>'
         '<tbody role="rowgroup">\n{}\n</tbody></table>'
     ).format(head, heads, Markup("\n").join(body))
+
+
+def _whole(cell: Cell) -> Cell:
+    """A cell that a card shows as one piece: elements and text in it would be set apart."""
+    return Markup("<span>{}</span>").format(cell) if isinstance(cell, Markup) and "<" in cell else cell
 
 
 def _class(c: Column, *, empty: bool = False) -> Markup:

@@ -61,6 +61,9 @@ def _peak(e2: np.ndarray, width: int) -> int:
 
 def _swings(y: np.ndarray) -> float:
     """Number of full periods, by crossings of the mean with a dead band against noise."""
+    y = y[np.isfinite(y)]
+    if not len(y):
+        return 0.0
     z = y - np.mean(y)
     band = 0.3 * float(np.std(z))
     signs = np.sign(z[np.abs(z) > band])

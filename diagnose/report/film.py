@@ -38,14 +38,18 @@ def stretch_of(explorer: Explorer, seconds: float) -> tuple[Signals, float, floa
     return s, start, min(seconds, last - start)
 
 
-def film_figure(explorer: Explorer, film: Film | str) -> Markup:
-    """The film, or in one sentence why there is none."""
+def film_figure(film: Film | str, explorer: Explorer | None = None) -> Markup:
+    """The film, or in one sentence why there is none; with ``explorer`` it follows that slider."""
     if isinstance(film, str):
         return Markup('<p class="small">No film: {}.</p>').format(film)
-    index = next(i for i, s in enumerate(explorer.recordings) if s.source == film.source)
     data = base64.b64encode(film.mp4).decode("ascii")
+    tied, told = Markup(""), ""
+    if explorer is not None:
+        index = next(i for i, s in enumerate(explorer.recordings) if s.source == film.source)
+        tied = Markup(' data-recording="{}" data-start="{}" data-speed="1"').format(index, film.start)
+        told = "; it follows the slider"
     return Markup(
-        '<figure class="film"><video controls muted playsinline preload="auto" data-recording="{index}" data-start="{start}" '
-        'data-speed="1" aria-label="{about}" src="data:video/mp4;base64,{data}"></video>'
-        "<figcaption>{about} From {start:.2f} to {end:.2f} s; it follows the slider.</figcaption></figure>"
-    ).format(index=index, start=film.start, end=film.start + film.seconds, about=film.about, data=data)
+        '<figure class="film"><video controls muted playsinline preload="auto"{tied} aria-label="{about}" '
+        'src="data:video/mp4;base64,{data}"></video>'
+        "<figcaption>{about} From {start:.2f} to {end:.2f} s{told}.</figcaption></figure>"
+    ).format(tied=tied, start=film.start, end=film.start + film.seconds, about=film.about, data=data, told=told)

@@ -65,7 +65,7 @@ def render_report(
         d=d, verdict=VERDICTS[d.verdict], placed=placed(d), first=first, rest=rest, tiles=tiles(d), where=where(d), drawn=drawn,
         theme=components.theme_button(),
         explorer=components.explorer_section(
-            explorer, "Recording and models", film_figure(explorer, film) if film is not None else None
+            explorer, "Recording and models", film_figure(film, explorer) if film is not None else None
         ) if explorer else None,
         halves=len({t.source for t in d.traces}) < len(d.traces), elsewhere=_elsewhere(d, drawn),
         places=tables.place_table(d) if placed(d) else None, findings=[_finding(f, d.unit) for f in d.findings],

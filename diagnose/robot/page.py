@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from diagnose.report.charts import recording_chart
-from diagnose.report.components import Column, chart_figure, table, theme_button
+from diagnose.report.charts import COLOURS, NAMES, recording_chart
+from diagnose.report.components import Column, explorer_section, table, theme_button
 from diagnose.report.document import document
 from diagnose.report.document import write_page as write_text
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
-from diagnose.report.plots import Chart, Signals, page_data
+from diagnose.report.film import Film, film_figure
+from diagnose.report.plots import Explorer, Signals, page_data
 from diagnose.report.words import VERDICTS, effect_name
 from diagnose.result import Estimate, FitFigures
-from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
+from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding, Trace
 
-__all__ = ["render_page", "write_page"]
+__all__ = ["explorer_of", "render_page", "write_page"]
 
 MODELS = {
     "nominal": "file as given, in MuJoCo",
@@ -29,24 +30,25 @@ MODELS = {
 }
 
 
-def write_page(d: RobotDiagnosis, path: Path) -> None:
-    """Write the page in one move; nothing half-written is left under ``path``."""
-    write_text(render_page(d), path)
+def write_page(d: RobotDiagnosis, path: Path, film: Film | str | None = None) -> None:
+    """Write the page in one move; nothing half-written is left under ``path``. ``film``: of the robot, or why there is none."""
+    write_text(render_page(d, film), path)
 
 
-def render_page(d: RobotDiagnosis) -> str:
+def render_page(d: RobotDiagnosis, film: Film | str | None = None) -> str:
     """The page as text."""
     words = VERDICTS[d.verdict]
     names = ", ".join(escape(r["file"]) for r in d.recordings)
+    explorers = {r.joint: explorer_of(r, i) for i, r in enumerate(d.joints.values())}
     body = [
         "<header>", f'<p class="kicker">Diagnosis of {names}, every joint judged on {_judged(d)}</p>', theme_button(),
         f'<p class="verdict"><span class="badge {words.colour}">{words.badge}</span></p>', f"<h1>{escape(prose(d.summary))}</h1>",
         f'<p class="meaning">{escape(words.meaning)}</p>',
         '<nav aria-label="Contents">' + "".join(f'<a href="#{escape(j)}">{escape(j)}</a>' for j in d.joints) + "</nav>", "</header>", '<main id="content">',
-        d.picture, _matrix(d), _errors(d), _recordings(d), _changed(d), *(_joint(r, i) for i, r in enumerate(d.joints.values())), _links(d), _notes(d), "</main>", _footer(d),
+        d.picture, str(film_figure(film)) if film is not None else "", _matrix(d), _errors(d), _recordings(d), _changed(d), *(_joint(r, explorers[r.joint]) for r in d.joints.values()), _links(d), _notes(d), "</main>", _footer(d),
     ]  # fmt: skip
-    charts = [c for i, r in enumerate(d.joints.values()) for c in _charts(r, i)]
-    return document(f"{words.badge}: diagnosis of a robot", "\n".join(body), page_data(charts) if charts else None)
+    shown = [e for e in explorers.values() if e is not None]
+    return document(f"{words.badge}: diagnosis of a robot", "\n".join(body), page_data([], shown) if shown else None)
 
 
 def _judged(d: RobotDiagnosis) -> str:
@@ -114,13 +116,19 @@ def _changed(d: RobotDiagnosis) -> str:
     return f'<section id="changed"><h2>Numbers of the file that differ</h2><p>The fewest groups of numbers that have to change:</p><ul>{items}</ul></section>'
 
 
-def _joint(r: JointResult, index: int) -> str:
+def _joint(r: JointResult, explorer: Explorer | None) -> str:
     parts = [f'<section id="{escape(r.joint)}"><h2>{escape(r.joint)} {_badge(r)}</h2>', f"<p>{escape(prose(r.summary))}</p>"]
     parts += [_finding(f, r.unit) for f in r.findings]
-    parts.append(_figure(r, index))
+    parts.append(_figure(r, explorer))
     rows = [[escape(MODELS.get(k, k)), *_four(f)] for k, f in r.fit.items()]
     u = unit(r.unit)
-    parts.append(_table(["Model", f"fitted [{u}]", "over the spread", f"held out [{u}]", "over the spread"], rows, (1, 2, 3, 4)))
+    parts.append(
+        _table(
+            ["Model", f"fitted [{u}]", "fitted, over the spread", f"held out [{u}]", "held out, over the spread"],
+            rows,
+            (1, 2, 3, 4),
+        )
+    )
     own = [[escape(k), number(r.nominal_parameters.get(k)), *_estimated(e)] for k, e in r.linear_parameters.items()]
     parts.append(_table(["Own number", "file", "fitted", "95 % interval", "unit"], own, (1, 2, 3)))
     if r.refusals:
@@ -153,25 +161,33 @@ def _finding(f: RobotFinding, channel: str) -> str:
     )  # fmt: skip
 
 
-def _charts(r: JointResult, index: int) -> list[Chart]:
-    """The longest held-out trace and the longest fitted one of a joint, measured and predicted; ``index``: of the joint on the page."""
-    charts = []
-    for role in ("held_out", "estimation"):
-        traces = [t for t in r.traces if t.role == role and len(t.time) > 1]
-        if traces:
-            t = max(traces, key=lambda t: len(t.time))
-            models = {"nominal": t.nominal, "refitted": t.refitted, "corrected": t.corrected}
-            signals = Signals(t.source, role, t.time, t.measured, models)
-            charts.append(recording_chart(signals, _channel(r), unit(r.unit), "corrected", f"joint-{index}-{role[:4]}"))
-    return charts
+def explorer_of(r: JointResult, index: int) -> Explorer | None:
+    """Recordings of a joint beside the models; None where nothing was compared. ``index``: of the joint on the page."""
+    traces = sorted((t for t in r.traces if len(t.time) > 1), key=lambda t: t.role != "estimation")
+    if not traces:
+        return None
+    recordings = tuple(_signals(t, added=bool(r.findings)) for t in traces)
+    channel, u = _channel(r), unit(r.unit)
+    error_of = "refitted" if r.findings else "corrected"
+    held = [s for s in recordings if s.role == "held_out"]
+    printed = max(held or recordings, key=lambda s: len(s.time))
+    static = (recording_chart(printed, channel, u, error_of, f"joint-{index}-printed"),)
+    return Explorer(f"joint-{index}", channel, u, recordings, NAMES, COLOURS, error_of, static)
 
 
-def _figure(r: JointResult, index: int) -> str:
-    """The charts of a joint."""
+def _signals(t: Trace, *, added: bool) -> Signals:
+    """A trace for the explorer; where nothing was added, the corrected model is the refitted one."""
+    models = {"nominal": t.nominal, **({"refitted": t.refitted} if added else {}), "corrected": t.corrected}
+    return Signals(t.source, t.role, t.time, t.measured, models, t.states, t.counted)
+
+
+def _figure(r: JointResult, explorer: Explorer | None) -> str:
+    """The explorer of a joint."""
+    if explorer is None:
+        return ""
     said = "one joint at a time, the others following the recording" if _channel(r) == "position" else "by inverse dynamics"
-    return "\n".join(
-        str(chart_figure(c, f"{_channel(r).capitalize()} of {r.joint}: measured, and by the models ({said})."))
-        for c in _charts(r, index)
+    return f"<p>{_channel(r).capitalize()}, measured and by the models, {said}.</p>" + str(
+        explorer_section(explorer, f"Recordings of {r.joint}")
     )
 
 

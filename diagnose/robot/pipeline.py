@@ -25,6 +25,7 @@ from diagnose.robot.select import select
 from diagnose.robot.solve import Solution
 from diagnose.robot.state import Selection
 from mjsim.errors import InputError, nearest
+from mjsim.quantity import Motion
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
@@ -32,7 +33,7 @@ from mjsim.robot.rows import check_rows
 __all__ = ["ORDER", "Outcome", "diagnose_robot", "overall", "summary"]
 
 SHOWN = 2  # changed numbers in the summary
-DRAWN = 1500  # points of a trace at most
+DRAWN = 20_000  # points of a trace at most
 ORDER = (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY, Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED)
 
 
@@ -208,15 +209,28 @@ def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapp
 
 
 def _traces(p: Problem, j: int, *solutions: Solution) -> list[Trace]:
+    """Torque and motion of a joint on the whole grid of each recording, by role; NaN at samples that do not count."""
     out = []
-    for parts, which in ((p.fitted[j], "fitted"), (p.held[j], "held")):
-        for run in np.unique(parts.run):
-            keep = np.flatnonzero(parts.run == run)
-            keep = keep[:: max(1, len(keep) // DRAWN)]
-            motion = p.motions[int(run)]
-            start = parts.at[keep] - min(int(p.fitted[j].at[p.fitted[j].run == run].min(initial=10**9)),
-                                         int(p.held[j].at[p.held[j].run == run].min(initial=10**9)))  # fmt: skip
-            predicted = [parts.measured[keep] - getattr(s, which)[j][keep] for s in solutions]
-            role = "estimation" if which == "fitted" else "held_out"
-            out.append(Trace(motion.source, role, start * p.dt, parts.measured[keep], *predicted))
+    angle, speed = ("m", "m/s") if p.robot.motions[j] is Motion.SLIDE else ("rad", "rad/s")
+    for k, motion in enumerate(p.motions):
+        for parts, which, role in ((p.fitted[j], "fitted", "estimation"), (p.held[j], "held", "held_out")):
+            rows = parts.run == k
+            counted = motion.counts[:, j] & (motion.held if which == "held" else ~motion.held)
+            if not rows.any():
+                continue
+            keep = slice(0, len(counted), max(1, len(counted) // DRAWN))
+            signals = [parts.measured[rows], *(parts.measured[rows] - getattr(s, which)[j][rows] for s in solutions)]
+            states = {
+                "position": (motion.thinned(motion.z)[keep, j], angle), "velocity": (motion.thinned(motion.dz)[keep, j], speed)
+            }  # fmt: skip
+            measured, given, refitted, corrected = (_spread(y, counted)[keep] for y in signals)
+            time = (p.dt * np.arange(len(counted)))[keep]
+            out.append(Trace(motion.source, role, time, measured, given, refitted, corrected, counted[keep], states))
+    return out
+
+
+def _spread(y: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """Values at the samples that count (n,) on the whole grid (M,), NaN elsewhere."""
+    out = np.full(len(counted), np.nan)
+    out[counted] = y
     return out

@@ -50,7 +50,11 @@ class BaseParameter:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Torque of one joint in one recording for a picture (M,): time [s], measured, and by the models."""
+    """Torque or position of one joint in one recording (M,): time [s], measured, and by the models.
+
+    counted (M,): samples on which models are judged, None where all are; elsewhere a signal may be NaN. states: what the joint
+    did, by name: values (M,) and unit.
+    """
 
     source: str
     role: str
@@ -59,6 +63,8 @@ class Trace:
     nominal: np.ndarray
     refitted: np.ndarray
     corrected: np.ndarray
+    counted: np.ndarray | None = None
+    states: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -160,13 +160,18 @@ class Diagnosis:
     def report(self, path: str | Path, *, film_of: Sequence[str | Path] = ()) -> Path:
         """Write the report, one HTML file; returns its path.
 
-        ``film_of``: the files of the recordings, for a film of the model with a recording as a ghost; of one axis only.
+        ``film_of``: the files of the recordings, for a film of the model with a recording as a ghost.
         """
         path = Path(path)
         if isinstance(self._result, RobotDiagnosis):
             from diagnose.robot.page import write_page
 
-            write_page(self._result, path)
+            film = None
+            if film_of:
+                from simgap.filming import film_of_robot
+
+                film = film_of_robot(self._result, self._model.path, [Path(f) for f in film_of])
+            write_page(self._result, path, film)
         else:
             from diagnose.report import write_report
 

@@ -47,7 +47,7 @@ class Kind(Enum):
 class Field:
     """A parameter: its name, option (empty: a positional argument), what the form calls it, help, kind and limits.
 
-    ``endings``: of the files that it takes, or of the formats that it writes; ``models``: whether a source may be a model.
+    ``endings``: of the files that it takes; ``usual``: the name of such a file; ``models``: whether a source may be a model.
     """
 
     name: str
@@ -62,6 +62,7 @@ class Field:
     low: float | None = None
     high: float | None = None
     endings: tuple[str, ...] = ()
+    usual: str = ""
     models: bool = False
 
     def checked(self, value: Any) -> Any:
@@ -208,5 +209,5 @@ def _field(p: click.Parameter) -> Field | None:
         Kind.FILE if endings else kind, p.required, p.multiple if isinstance(p, click.Option) else p.nargs == -1,
         PATTERN if isinstance(p.type, InputPattern) else default,
         tuple(map(str, p.type.choices)) if isinstance(p.type, click.Choice) else (), getattr(p.type, "min", None),
-        getattr(p.type, "max", None), endings, getattr(p.type, "models", False),
+        getattr(p.type, "max", None), endings, getattr(p.type, "usual", ""), getattr(p.type, "models", False),
     )  # fmt: skip

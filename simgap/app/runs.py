@@ -218,7 +218,8 @@ class Run:
             return []
         if f.kind in (Kind.MODEL, Kind.SOURCE):
             return [self.settings.model] if self.settings.model else []
-        return self.candidates(f)[:1]
+        fitting = (name for name in self.candidates(f) if not f.usual or name.rpartition("/")[2] == f.usual)
+        return list(fitting)[:1]
 
     def words(self, command: str) -> list[str]:
         """The words of the command line after ``simgap``, relative to the run's folder. Raises InputError for what is missing."""

@@ -76,7 +76,9 @@ def as_markdown(model: Path, checks: Sequence[Check], tolerance: float) -> str:
 @click.command("gate", epilog="Example: simgap gate robot.xml log.csv --baseline report/diagnosis.json")
 @click.argument("model", type=ModelFile())
 @click.argument("recordings", nargs=-1, required=True, type=InputFile())
-@click.option("--baseline", required=True, type=InputFile(".json"), help="diagnosis.json to compare with.")
+@click.option(
+    "--baseline", required=True, type=InputFile(".json", usual="diagnosis.json"), help="diagnosis.json to compare with."
+)
 @click.option(
     "--against", type=Choice(["nominal", "corrected"]), default="nominal", show_default=True,
     help="Figures of the baseline: those of the model that was diagnosed, or of its corrected.xml.",

@@ -20,7 +20,11 @@ PAGES = ("emps", "kuka", "concealed", "summary")
     "--from", "source", type=click.Path(path_type=Path),
     help="Folder with local copies of the recordings (default: where simgap data finds them).",
 )  # fmt: skip
-@click.option("--benchmark", type=InputFile(".json"), help="benchmark.json of a simgap benchmark run, for the summary.")
+@click.option(
+    "--benchmark",
+    type=InputFile(".json", usual="benchmark.json"),
+    help="benchmark.json of a simgap benchmark run, for the summary.",
+)
 @click.option(
     "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
 )

@@ -216,6 +216,19 @@ def test_no_setting_becomes_an_option(client, run, tmp_path):
     assert Runs(tmp_path / "runs").get(run).words("effects") == ["effects", "--", "--help"]
 
 
+def test_the_baseline_of_a_gate_is_the_diagnosis_of_the_run(client, run, tmp_path):
+    client.put(f"/api/runs/{run}/recordings/a.csv", content=b"x")
+    client.post(f"/api/runs/{run}/settings", json={"model": "pendulum"})
+    assert "nothing is given" in error(client.post(f"/api/runs/{run}/start", json={"command": "gate"}))
+    for name in ("check/check.json", "diagnose/diagnosis.json"):
+        path = tmp_path / "runs" / run / "out" / name
+        path.parent.mkdir(parents=True)
+        path.write_text("{}")
+    words = Runs(tmp_path / "runs").get(run).words("gate")
+    assert "--baseline=out/diagnose/diagnosis.json" in words
+    assert words[-3:] == ["--", "pendulum", "recordings/a.csv"]
+
+
 def test_a_file_outside_of_the_run_is_refused(client, run):
     client.put(f"/api/runs/{run}/recordings/a.csv", content=b"x")
     for name, value in (("recording", "/etc/passwd"), ("recording", "recordings/../run.json"), ("model", "../a.xml")):

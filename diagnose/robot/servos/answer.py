@@ -27,7 +27,7 @@ LEAST_LOAD = (
 SMALL = 0.01  # relative change of a number that is not said: the kernel's step and the smoothed motion err by as much
 KNOWN = 0.25  # standard deviation of a gain's logarithm below which the data tell the gain, and not only its ratios
 AT_NOISE = 1.5  # times the noise: the largest rms of an error that is taken for noise
-DRAWN = 1500  # points of a trace at most
+DRAWN = 20_000  # points of a trace at most
 OWN = {
     "kp": ("kp", Quantity.STIFFNESS), "kv": ("kv", Quantity.DAMPING), "damp": ("kv + damping", Quantity.DAMPING),
     "damping": ("damping", Quantity.DAMPING), "armature": ("armature", Quantity.INERTIA), "zero": ("zero", Quantity.ANGLE),
@@ -255,14 +255,17 @@ def _matters(s: JointSearch, n: Number, was: float) -> bool:
 def _traces(s: JointSearch, given: Fit) -> list[Trace]:
     """Measured position and what the models give, by recording."""
     p, out = s.problem, []
+    angle, speed = ("m", "m/s") if p.slide else ("rad", "rad/s")
     for k, (source, role) in enumerate(p.sources):
         part = p.part(k)
-        if not (p.fitted[part].any() or p.held[part].any()):
+        counted = (p.fitted | p.held)[part]
+        if not counted.any():
             continue
         every = max(1, (part.stop - part.start) // DRAWN)
         keep = slice(part.start, part.stop, every)
         t = np.arange(part.stop - part.start)[::every] * p.dt
-        out.append(
-            Trace(source, role, t, p.angle[keep], *(p.angle[keep] - f.error[keep] for f in (given, s.refitted.fit, s.now.fit)))
-        )
+        nominal, refitted, corrected = (p.angle[keep] - f.error[keep] for f in (given, s.refitted.fit, s.now.fit))
+        velocity = np.gradient(p.angle[keep], every * p.dt) if len(t) > 1 else np.zeros_like(t)
+        states = {"position": (p.angle[keep], angle), "velocity": (velocity, speed), "command": (p.first[keep], angle)}
+        out.append(Trace(source, role, t, p.angle[keep], nominal, refitted, corrected, counted[::every], states))
     return out
