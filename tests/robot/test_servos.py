@@ -94,7 +94,7 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     assert "position under the recorded commands" in page
     assert '<figure class="robot">' in page
     assert "&lt;section" not in page
-    assert page.count('data-chart="joint-') == 6
+    assert page.count('data-explorer="joint-') == 3
     assert "All joints together" in page
 
 
