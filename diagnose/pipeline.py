@@ -90,7 +90,7 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     search, best, whitened = searched(fitter, options, progress, began)
     fitter = search.fitter
     base = search.nominal()
-    progress.stage("validate", "what is left, intervals, rivals")
+    progress.stage("validate", "residual, intervals, rivals")
     best = search.polish(merged(search, best))
     best, undetermined = determined(search, fitter.refined(best))
     structure = remaining_structure(fitter, best)

@@ -142,7 +142,7 @@ class MapVariable:
 
 @dataclass(frozen=True, eq=False)
 class MapResult:
-    """What is left, as a torque over one or two variables: a map and not a cause.
+    """The residual as a torque over one or two variables: a map and not a cause.
 
     effect: the map as it runs; values, low, high (n,) or (n, m): the map on the grid of its variables and its 95 % bands, in
     unit; seen: whether the estimation recordings come by there (the rest is extrapolated); held_out_error_before / _after: rms

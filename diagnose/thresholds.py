@@ -143,7 +143,7 @@ TURNS = _number(
 )
 DITHER = _number("DITHER", NUMERIC, (0.01, 0.1, 0.2, 0.3, 0.45), "steps", "beyond 0.6 rounding acts as white noise", "screening")
 MOST_SUBSTEPS = _number(
-    "MOST_SUBSTEPS", NUMERIC, 12, "steps a sample", "a fit that wanders to a stiffer model has left the plausible", "screening"
+    "MOST_SUBSTEPS", NUMERIC, 12, "steps a sample", "a fit that needs more has reached an implausibly stiff model", "screening"
 )
 ENGINE = _number("ENGINE", NUMERIC, 0.007, "of the noise rms", "error of the fitting engine, or of the plant's own", "search")
 ANEW = _number("ANEW", NUMERIC, 5, "iterations", "by secants before the Jacobian is computed anew", "search")

@@ -200,7 +200,7 @@ def plot_orders(selection: OrderSelection) -> Figure:
 
 
 def plot_comparison(comparison: Comparison, most: int = 60_000) -> Figure:
-    """Measured and modelled output over time, a stretch of it enlarged where it moves most, and what is left over.
+    """Measured and modelled output over time, a stretch of it enlarged where it moves most, and the residual.
 
     At most ``most`` samples are drawn, from the start.
     """

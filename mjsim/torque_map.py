@@ -1,4 +1,4 @@
-"""A torque map: a smooth surface, fitted and not derived, that stands in for physics nobody has named.
+"""A torque map: a smooth surface, fitted and not derived, in place of physics outside the library.
 
 tau(x, y) = sum over i, j of c_ij B_i(x) B_j(y)
 
@@ -203,7 +203,7 @@ class TorqueMap(Effect):
             f"{a.variable} ({a.low:.3g} to {a.high:.3g} {VARIABLES[a.variable][1].unit(motion)})" for a in self.axes
         )
         where = f"in the {self.place}" if self.coupling else f"at the {self.place}"
-        return f"A torque map {where} over {over}: fitted to what is left, not a cause."
+        return f"A torque map {where} over {over}: fitted to the residual, not a cause."
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """A torque on a body or in a coupling."""

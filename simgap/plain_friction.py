@@ -1,4 +1,4 @@
-"""Dry friction as the simulator has it, in place of a richer law that imitates it in the equations of motion.
+"""Dry friction as the simulator has it, in place of a richer law that fits as well in the equations of motion.
 
 MuJoCo's dry friction is soft: it creeps at rest. A recording of MuJoCo, or of a machine that creeps alike, is then followed by
 plain Coulomb friction in MuJoCo, where the equations with ideal friction ask for a law of more parameters.

@@ -250,6 +250,25 @@ def test_the_table_of_numbers_does_not_grow():
     assert all(found[kind] <= most for kind, most in MOST_NUMBERS.items()), found
 
 
+# private metaphors that standard terms have replaced (residual, confounder, divergence, prediction, zero, negligible, ...)
+METAPHORS = re.compile(
+    r"\b(what is left|stand-ins?|let go|astray|foret(ell|old)|shaken|unfolded|creased|nought|to speak of|trifle|bears? out)\b",
+    re.I,
+)
+IN_OTHER_WORDS = "diagnose/robot/servos/"
+
+
+def test_texts_use_the_terms_of_the_field():
+    wrong = [
+        f"{relative(path)}:{k}: {line.strip()}"
+        for path in SOURCES
+        if relative(path).startswith(("mjsim/", "ident/", "diagnose/", "simgap/")) and IN_OTHER_WORDS not in relative(path)
+        for k, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if METAPHORS.search(line)
+    ]
+    assert wrong == []
+
+
 def test_the_flow_is_read_on_a_page():
     assert len((ROOT / "diagnose/pipeline.py").read_text(encoding="utf-8").splitlines()) <= 120
 

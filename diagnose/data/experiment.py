@@ -239,7 +239,7 @@ def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray,
 
 
 def _starts_in_motion(v: np.ndarray, noise: float, spread: float) -> bool:
-    """Whether the speed at the first sample, extrapolated by a parabola, stands out of its noise and is no trifle."""
+    """Whether the speed at the first sample, extrapolated by a parabola, exceeds its noise and is not negligible."""
     count = min(10, len(v) // 4)  # short: an excitation of 40 Hz turns within 20 samples at 2 kHz
     k = np.arange(count)
     basis = np.vander(k / count, 3, increasing=True)

@@ -1,6 +1,6 @@
 """Spatial orders that stand out of the torque along a recorded motion: starts for ripple and its like, judged by force.
 
-What is left of a torque is coloured: slow errors of the friction law hold most of its energy and would be taken for an order of
+The residual of a torque is coloured: slow errors of the friction law hold most of its energy and would be taken for an order of
 long period. What is fixed to a turning part is a line: it stands far above the orders beside it. So the residual is whitened, an
 order must stand out of its neighbours (F-test, over all orders looked at), and every recorded sample is used, since at speed a
 short period passes faster than decimated samples follow. Orders of fewer than `few_periods` periods over the travel have no

@@ -1,4 +1,4 @@
-"""Whether one structure pays against another on held-out data: paired blocks of error, by two tests."""
+"""Whether one structure is significantly better than another on held-out data: paired blocks of error, by two tests."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def signed_rank(d: np.ndarray) -> float:
 def compare(before: HeldOut | None, after: HeldOut | None, *, known: bool = False) -> Comparison:
     """Paired blocks of held-out error, by two tests; the smaller p-value, doubled for there being two.
 
-    Wilcoxon's signed-rank test on the differences of squared errors, which a few wild blocks do not sway, but which is blind to
+    Wilcoxon's signed-rank test on the differences of squared errors, robust against a few outliers, but which is blind to
     an effect that shows in few of them. And the score d'(e0 + e1) / 2 of the difference d = e0 - e1 of two predictions, by
     Student's t: what it would be by chance is taken from the errors of the better model, block by block, and is at least
     that of white noise of the weight's variance where the noise is ``known``; its degrees of freedom are the number of

@@ -217,7 +217,7 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
         d2 = (speed - angle)[keep] ** 2  # in which shared motion cancels
         apart += list(d2)
         # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
-        if keep.any():  # elsewhere an error of the encoder may have been taken out that only what counts bears out
+        if keep.any():  # elsewhere an error of the encoder was extrapolated from the samples that count
             noise += list(d2 + float(np.mean(parts[keep].var(axis=1))))
     if len(products) < 20:
         return None

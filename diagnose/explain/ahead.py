@@ -9,7 +9,7 @@ ch. 3.2)
     1 / A = E_k + q^-k F_k / A,    error k samples ahead = E_k(q) w(t),    E_k = the first k terms of 1 / A
 
 It is right under noise of any colour: white sensor noise cannot be predicted, stays in the error and is its floor; motion that
-the model misses is predicted as far as its past tells, and what is left of it is what the model is to blame for over that while.
+the model misses is predicted as far as its past tells, and the rest is the error of the model over that while.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 c: offset of the two zeros, of each recording its own; T: delay of the second encoder; tau / k: wind-up of a spring under the
 link-side torque; b: backlash, on the flank that the torque pushes; h: hysteresis, wind-up held by dry friction behind the spring.
 A delay draws the same loop over the velocity as wind-up with hysteresis does over the torque, so each is fitted, all are raced,
-and a term is kept only when it pays on data that the fit did not see.
+and a term is kept only where it lowers the error on held-out data significantly.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class SecondEncoder:
         before = f"{1e6 * self.held_out_difference:.3g}"
         micro = f"micro{self.unit}" if self.unit == "rad" else "micrometres"
         if not self.found.terms:
-            return f"The second encoder follows the motor's to {before} {micro} (held out); no term explains what is left."
+            return f"The second encoder follows the motor's to {before} {micro} (held out); no term explains the residual."
         parts = []
         for t in self.found.terms:
             v = self.found.values[t]
@@ -142,7 +142,7 @@ def _columns(part: _Part, terms: Sequence[str], delay: float) -> tuple[np.ndarra
 
 
 def _solve(parts: Sequence[_Part], terms: Sequence[str], delay: float) -> tuple[np.ndarray, float, int]:
-    """Linear terms at a given delay, none below nought: a spring and a gap have a sign. Coefficients, sum of squares, samples."""
+    """Linear terms at a given delay, none below zero: a spring and a gap have a sign. Coefficients, sum of squares, samples."""
     from scipy.optimize import nnls
 
     made = [_columns(p, terms, delay) for p in parts]

@@ -1,4 +1,4 @@
-"""What nobody has named, as a map: a smooth torque over one or two state variables, with which the model follows held-out data.
+"""Physics outside the library, as a map: a smooth torque over one or two state variables that lowers the held-out error.
 
 Where the verdict is ``unexplained``, maps at every place of the chain and over every one and two of its variables are screened:
 the response of the judged channel to each spline, through the fitted linear axis, and a penalised regression of the residual on
@@ -9,7 +9,7 @@ them. The best few are fitted in the model itself, by Gauss-Newton, together wit
 lambda and the choice of the map are made by cross-validation over stretches of the estimation data. What the model's own numbers
 could say as well (viscous friction, stiffness, an offset that was found) is taken out of the map and left to them, since only
 their sum is determined. The one that is best there must then pay on held-out data, or none is given. Its bands are those of a
-smoothing spline (G. Wahba, J. R. Stat. Soc. B 45 (1983) 133), widened by the correlation of what is left.
+smoothing spline (G. Wahba, J. R. Stat. Soc. B 45 (1983) 133), widened by the correlation of the residual.
 See docs/decisions/torque-map.md.
 """
 
@@ -47,7 +47,7 @@ __all__ = ["Mapped", "fit_map"]
 
 @dataclass(frozen=True)
 class Mapped:
-    """A map that pays: the model with it, fitted, and what is told of it."""
+    """A map that lowers the held-out error significantly: the fitted model with it, and its result."""
 
     fitted: Fitted
     held_out: HeldOut
@@ -79,7 +79,7 @@ class _Refined:
 
 
 def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, progress: Progress | None = None) -> Mapped | None:
-    """The map that pays on held-out data, or None.
+    """The map that lowers the held-out error significantly, or None.
 
     ``starts``: models that it may be laid on, the refitted nominal one and the best that was found (named effects may have stood
     in for what is mapped); ``before``: what it must beat.
@@ -87,7 +87,7 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     if before is None or any(isinstance(e, TorqueMap) for e in fitter.nominal.effects):
         return None
     progress = progress or Progress()
-    progress.stage("map", "what is left, over each state variable")
+    progress.stage("map", "the residual, over each state variable")
     ranked = sorted((c for f in {f.key: f for f in starts}.values() for c in _screen(fitter, f)), key=lambda c: c.cost)
     tried: list[_Refined] = []
     until = fitter.runs + 0.1 * fitter.most_runs  # a small part of what the search may take

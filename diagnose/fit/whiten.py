@@ -1,7 +1,7 @@
 """The colour of the residual: an autoregressive filter that whitens it, so that its correlation is counted.
 
 By least squares over the stretches that count (the covariance method), order by BIC. The residual's autocorrelation would take
-it for nought beyond their ends, and each end for an innovation as large as the residual itself: noise 19 times as large as its
+it for zero beyond their ends, and each end for an innovation as large as the residual itself: noise 19 times as large as its
 innovations came out with a third coefficient of 0.10, which it has not. Source: L. Ljung, System Identification (1999), ch. 10.1.
 """
 
@@ -138,7 +138,7 @@ def effective_share_of_errors(difference: np.ndarray, left: np.ndarray, lags: in
 
 
 def _correlation(e: np.ndarray, lags: int) -> np.ndarray:
-    """Autocorrelation at lags 1 to ``lags``; nought for a signal that is nought."""
+    """Autocorrelation at lags 1 to ``lags``; zero for a signal that is zero."""
     r = np.array([float(e[: len(e) - k] @ e[k:]) for k in range(lags + 1)])
     return r[1:] / r[0] if r[0] > 0 else np.zeros(lags)
 
@@ -153,7 +153,7 @@ def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material
             return None
         e = np.where(counts, e, 0.0) / fitter.sigma(experiment)
         pieces = _stretches(counts, 2 * largest)
-        if 2 * sum(s.stop - s.start for s in pieces) < counts.sum():  # what counts is in pieces: as if nought were between them
+        if 2 * sum(s.stop - s.start for s in pieces) < counts.sum():  # what counts is in pieces: as if zeros were between them
             e, pieces = np.concatenate([np.zeros(largest), e, np.zeros(largest)]), [slice(None)]
             n += int(counts.sum())
         else:

@@ -57,7 +57,7 @@ def growth_when_held(axis: Axis) -> float:
 
 
 def clean_band(axis: Axis, recording: Recording, share: float = SENSOR_SHARE) -> float:
-    """Highest frequency [Hz], up to a tenth of the sampling rate, below which the encoder's noise is no torque to speak of.
+    """Highest frequency [Hz], up to a tenth of the sampling rate, below which the torque of the encoder's noise is negligible.
 
     Twice differentiated and multiplied by the inertia, the noise of the angle (from its sixth differences, at least its rounding)
     grows with the fourth power of the frequency; it may make ``share`` of the recorded torque's power.

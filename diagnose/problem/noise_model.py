@@ -1,4 +1,4 @@
-"""What the error of a right model is: sensor noise of a known level, or the model's own error, of which nobody knows the level.
+"""What the error of a right model is: sensor noise of a known level, or the model's own error, whose level is not known.
 
 Under known noise chi-square over n is compared with one, samples are independent once the error is whitened, and a held-out error
 is compared with the noise. Judged by force the error is the model's own: it is coloured, its level is not known, and evidence is

@@ -267,7 +267,7 @@ class Problem:
     def prior(self, h: Hypothesis, x: np.ndarray) -> np.ndarray:
         """What the nominal model itself says of its numbers: within a factor of about two, in residual units.
 
-        It keeps a parameter that the excitation does not reach from wandering off, and weighs nothing against data that do:
+        It keeps a parameter that the excitation does not reach at its nominal value, and weighs nothing against data that do:
         a parameter that is wrong by half costs one unit of chi-square, times ``prior_weight``.
         """
         count, rows, at, nominal = h.prior_terms

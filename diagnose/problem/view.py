@@ -48,7 +48,7 @@ class Signals:
 def highest_observer_gain(axis: Axis) -> float:
     """The highest observer gain [1/s] by which the measured velocity may correct a model; 0 where it cannot be run.
 
-    Ahead of a sensor's lag T the noise that leads it is rate T times as large: a body that would stick is shaken by that.
+    Ahead of a sensor's lag T the noise that leads it is rate T times as large: it breaks a body loose that would stick.
     """
     if axis.chain.servo is not None:
         return 0.0  # its own feedback draws it to the command

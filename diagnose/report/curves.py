@@ -1,4 +1,4 @@
-"""What of a long record is drawn: envelopes, the stretch where the model is worst, the spectrum of what is left."""
+"""What of a long record is drawn: envelopes, the stretch where the model is worst, the spectrum of the residual."""
 
 from __future__ import annotations
 

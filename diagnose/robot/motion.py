@@ -105,7 +105,7 @@ def _step(q: np.ndarray) -> float:
 
 
 def clean_band(robot: Robot, recording: RobotRecording, joints: Sequence[str]) -> float:
-    """Highest frequency [Hz], at most a tenth of the sampling rate, below which encoder noise is no torque to speak of.
+    """Highest frequency [Hz], at most a tenth of the sampling rate, below which the torque of encoder noise is negligible.
 
     White noise of an angle makes a torque M_jj w^2 of it: below the cutoff that may have `SHARE` of the power of the
     recorded torque.

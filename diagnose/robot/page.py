@@ -104,7 +104,7 @@ def _errors(d: RobotDiagnosis) -> str:
         return f'<section id="errors" class="firm"><h2>Error of the position, held out</h2><p>{said}</p>{table}</section>'
     return (
         "<section id=\"errors\" class=\"firm\"><h2>Error of the torque, held out</h2><p>Root mean square over the spread of the measured torque. "
-        "The noise of a torque is not known beforehand: the last column says how much of what is left a black-box model predicts.</p>"
+        "The noise of a torque is not known beforehand: the last column says how much of the residual a black-box model predicts.</p>"
         + _table(head, rows, range(1, len(head))) + "</section>"
     )  # fmt: skip
 

@@ -76,7 +76,7 @@ def _feasible(problem: Problem, x: np.ndarray, free: np.ndarray) -> bool:
 
 
 def _inside(problem: Problem) -> np.ndarray:
-    """A strictly consistent point: the nominal, with a small sphere in every link and no parameter of a joint at nought."""
+    """A strictly consistent point: the nominal, with a small sphere in every link and no parameter of a joint at zero."""
     size = len(problem.robot.links) * SIZE
     theta = problem.nominal.copy()
     links = theta[:size].reshape(-1, SIZE) - problem.robot.fixed

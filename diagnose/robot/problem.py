@@ -44,7 +44,7 @@ class Term:
 class Part:
     """Samples of one joint's row that are fitted, or that are held out.
 
-    A (n, P): the robot's own columns; y (n,): what is left of the torque beside the nominal theta; measured (n,): the torque; at
+    A (n, P): the robot's own columns; y (n,): the torque less that of the nominal theta; measured (n,): the torque; at
     (n,): position on the time axis of all recordings [samples of the coarse grid]; run (n,): which recording.
     """
 

@@ -25,7 +25,7 @@ __all__ = ["ALIKE", "select"]
 FINALISTS = 5  # laws of a joint that are refitted: those with the largest gain in the screening
 PROMISING = 0.5  # of what is needed to enter: a promise is the gain of one row alone
 ROUNDS = 40  # moves at most: each lowers the criterion, so that it ends by itself
-UNSIGNED = ("phase_rad", *(f"coefficient_{k}" for k in range(5)))  # nought is a value like any other
+UNSIGNED = ("phase_rad", *(f"coefficient_{k}" for k in range(5)))  # zero is a value like any other
 NOT_PHYSICAL = "its coefficients are not physical"
 STAYS = 5.0  # times the level to enter, at which a term stays: what enters at 1 % may stay at 5 %
 ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart (a likelihood ratio of 150)
@@ -186,7 +186,7 @@ def _remove(s: Selection) -> bool:
 
 
 def _reduce(s: Selection) -> bool:
-    """Put a simpler law in the place of one of which a parameter's interval holds nought, else take it off."""
+    """Put a simpler law in the place of one of which a parameter's interval holds zero, else take it off."""
     V, slices = covariance(s.problem, s.solution, s.weights, s.rows)
     for term, c, own in zip(s.solution.terms, s.solution.coefficients, slices, strict=True):
         intervals = law_parameters(term.law, c, term.shape, V[own, own])

@@ -139,7 +139,7 @@ def unpacked(problem: Problem, terms: Sequence[Term], n: Normal, x: np.ndarray, 
 def weigh(
     problem: Problem, terms: Sequence[Term], rows: Sequence[dict[int, Row]], rounds: int = 4
 ) -> tuple[dict[int, float], Solution]:
-    """Weights of the rows that their own residuals bear out, and the solution: sqrt(share of independent samples) / rms."""
+    """Weights of the rows from their own residuals, and the solution: sqrt(share of independent samples) / rms."""
     weights = {j: 1.0 / (float(np.std(problem.fitted[j].measured)) + 1e-300) for j in problem.joints}
     known = {t: problem.columns(t, rows) for t in terms}
     solution = solve(problem, terms, weights, rows, known)
@@ -152,7 +152,7 @@ def weigh(
 
 
 def _spread(problem: Problem, joint: int, values: np.ndarray) -> np.ndarray:
-    """Values (n, ...) of the fitted samples on the whole time axis, nought where none is fitted."""
+    """Values (n, ...) of the fitted samples on the whole time axis, zero where none is fitted."""
     at = problem.fitted[joint].at
     out = np.zeros((int(at[-1]) + 1, *values.shape[1:]))
     out[at] = values
@@ -160,7 +160,7 @@ def _spread(problem: Problem, joint: int, values: np.ndarray) -> np.ndarray:
 
 
 def autocorrelation(e: np.ndarray, lags: int) -> np.ndarray:
-    """Autocorrelation (lags + 1,) of a series (n,), by the Fourier transform; the first is 1, or all nought."""
+    """Autocorrelation (lags + 1,) of a series (n,), by the Fourier transform; the first is 1, or all zero."""
     n = len(e)
     size = 1 << (2 * n - 1).bit_length()
     r = np.fft.irfft(np.abs(np.fft.rfft(e, size)) ** 2, size)[: lags + 1]
@@ -263,7 +263,7 @@ def covariance(
 
 
 def _band_limited(problem: Problem, left: np.ndarray, n: int, size: int) -> np.ndarray:
-    """Power of white noise behind the filter, at the frequencies of a transform of ``size``, that the residual bears out.
+    """Power of white noise behind the filter, at the frequencies of a transform of ``size``, from the residual.
 
     The columns lie at the frequencies of the motion. There, least squares takes the noise out of the residual, whose own
     power says too little. Its level is taken between the frequencies at which the filter leaves `BAND` of an amplitude.

@@ -82,7 +82,7 @@ class Moves:
         return [self._move(name, base, entrants, -EQUIVALENT) for name, entrants in named]
 
     def _laws(self, base: Fitted) -> list[Entrant]:
-        """Other laws of those effects of a structure that explain most of the residual: what is left may be the law's error."""
+        """Other laws of those effects of a structure that explain most of the residual: the residual may be the law's error."""
         out: list[Entrant] = []
         for effect in base.effects:
             bare = self.state.fits.get(key_of(graph.without(base.effects, effect)))

@@ -194,7 +194,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     A residual is coloured by its noise or by motion that the model misses; only noise may be whitened away. Once the angle shows
     that a structure misses no motion, and its residual is coloured, nothing is sought beside it on plain errors: there the
     colour counts as mismatch. Under feedback a fit on plain errors takes the colour for response: the nominal structure is
-    asked as it settles with its own filter, too. A structure found on whitened errors may bear out another filter, or none:
+    asked as it settles with its own filter, too. A structure found on whitened errors may have another filter, or none:
     then it is sought once more.
     """
     known = fitter.noise.absolute

@@ -122,7 +122,7 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
     far = held is not None and fitter.noise.absolute and held.rms**2 > TWICE**2 * level**2
     if far and held is not None and outcome.verdict is Verdict.MISSING_PHYSICS and not remaining.diverges:
         yield (
-            f"What is left on held-out data is {held.rms / level:.3g} times the noise: the effects named are most of the "
+            f"The remaining held-out error is {held.rms / level:.3g} times the noise: the named effects explain most of the "
             "mismatch, not all of it."
         )
     if remaining.beyond_sensors:
@@ -152,12 +152,13 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
         )
     if remaining.by_torque_noise:
         yield (
-            "What is left is no more than the noise of the recorded torque makes of a free run, and falls once that torque is "
-            "smoothed: it is noise of the torque's sensor. Record the commanded torque, or judge by force."
+            "The remaining error is no larger than the noise of the recorded torque causes in a free run, and it falls once "
+            "that torque is smoothed: it is noise of the torque's sensor. Record the commanded torque, or judge by force."
         )
     if remaining.by_encoder:
         yield (
-            "What is left repeats with the turn of the encoder, whatever the speed: the encoder errs, the axis does not move so."
+            "The remaining error repeats with the turn of the encoder at every speed: it is an error of the encoder, not of the "
+            "motion."
         )
 
 

@@ -24,7 +24,7 @@ def summary(
     match verdict:
         case Verdict.NO_MISMATCH:
             return "Nothing is missing: the nominal model agrees with the recording to within its noise."
-        case Verdict.PARAMETERS_ONLY if not known:  # by force: of what is left nobody knows how much is noise
+        case Verdict.PARAMETERS_ONLY if not known:  # by force: how much of the residual is noise is not known
             return (
                 "No missing physics can be named: with its parameters adjusted the nominal structure misses the held-out force "
                 f"by {100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and no known effect reliably lowers that."

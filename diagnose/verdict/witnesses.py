@@ -124,7 +124,7 @@ def _is_unexplained(
     search: Search, base: Fitted, after: HeldOut | None, structure: Structure, motion: tuple[float | None, float | None],
     options: Options,
 ) -> bool:  # fmt: skip
-    """Whether what is left on held-out data is material against the noise, and against the mismatch that there was.
+    """Whether the remaining held-out error is material against the noise, and against the mismatch that there was.
 
     Two witnesses: the part of the held-out error that the input and the motion predict, and the motion that the angle confirms.
     """
@@ -149,7 +149,7 @@ def _is_unexplained(
 def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
     """Whether a material error is left on the recordings that the model was fitted to, and the angle confirms it as motion.
 
-    What a stand-in explains under one excitation it may leave under another, and that may be the one it was fitted to.
+    What a confounder explains under one excitation it may leave under another, and that may be the one it was fitted to.
     """
     left = best.chi2 / best.n - 1.0
     if not fitter.noise.exceeds(left + 1.0, 1.0 + options.missed) or closed(base.chi2 / base.n - 1.0, left) >= options.closed:
@@ -208,7 +208,7 @@ def _only_diverges(fitter: Fitter, base: Fitted, best: Fitted, options: Options)
     def judged(before: float | None, after: float | None) -> bool:
         if before is None or after is None:
             return False
-        # the measured noise enters through the observer gain: what is left is little, or little of what there was
+        # the measured noise enters through the observer gain: the error is small, or small beside the nominal model's
         little = after - 1.0 < options.missed or closed(before - 1.0, after - 1.0) >= options.closed
         return little and before - 1.0 > CLEAR * options.missed
 

@@ -8,7 +8,7 @@ proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact a
 between
 events.
 
-A law is absent where its slot is nought. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of
+A law is absent where its slot is zero. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of
 the joint that acts on this one. "late" is of the log, and not used here: see `diagnose.robot.servos.motion.JointProblem.run`.
 """
 

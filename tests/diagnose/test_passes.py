@@ -123,7 +123,7 @@ def fed_back(looped):
 
 
 def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
-    """A fit on plain errors takes the noise for response, and the torque, which holds it, foretells what is left."""
+    """A fit on plain errors takes the noise for response, and the torque, which holds it, predicts the residual."""
     first, other = fed_back
     fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
     plain = fitter.fit(fitter.hypothesis(()))
