@@ -14,17 +14,34 @@ from mjsim.quantity import Motion, Quantity
 from mjsim.servo import Servo, Target
 from mjsim.site import Side, Site
 
-__all__ = ["Body", "Chain", "Coupling", "LinearParameter"]
+__all__ = ["Body", "Chain", "Coupling", "LinearParameter", "Softness"]
+
+
+@dataclass(frozen=True)
+class Softness:
+    """How MuJoCo softens the dry friction of a joint, from its solreffriction and solimpfriction.
+
+    The friction force is f = clip(d (F + b J v), -level, level); F: all other forces on the body, J: its inertia, v: its speed.
+    Below the level the body moves by v' = (1 - d) F / J - d b v instead of sticking. ``impedance`` d in (0, 1), ``rate`` b [1/s].
+    Source: MuJoCo documentation, Computation, Constraint model: (A + R) f = a_ref - a_0 with R = A (1 - d) / d, a_ref = -b v.
+    """
+
+    impedance: float
+    rate: float
 
 
 @dataclass(frozen=True)
 class Body:
-    """An inertia [kg m^2 | kg] with viscous friction to ground [N m s/rad | N s/m]; ``joint`` is its MJCF element."""
+    """An inertia [kg m^2 | kg] with viscous friction to ground [N m s/rad | N s/m]; ``joint`` is its MJCF element.
+
+    ``softness``: of its Coulomb friction, None where that holds the body at rest.
+    """
 
     place: str
     inertia: float
     viscous: float
     joint: str
+    softness: Softness | None = None
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ for each mode that occurs; the matrices are read off the same rates, and RK4 onl
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
-and backward), first parameter, state index or -1. ``p``: parameters.
+and backward; kind 5: soft friction, its parameters impedance,
+rate and both levels), first parameter, state index or -1. ``p``: parameters.
 ``servo`` (6): of the drive at body 0, in its torques: stiffness and damping towards the input, force limit, stall torque, its
 loss per speed, half dead band (`mjsim.system.System.servo`); a drive by torque has none of them.
 ``mode`` (5, n): friction mode, gap mode, whether the body has friction; of body 0 only: side of the force limit at which the
@@ -35,7 +36,7 @@ from mjsim.system import SLIDES, TURNS
 
 __all__ = ["KIND_BODY", "KIND_COUPLING", "KIND_FRICTION", "KIND_INERTIA", "KIND_TWIST", "drive", "integrate"]
 
-KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION = 0, 1, 2, 3, 4
+KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION, KIND_SOFT = 0, 1, 2, 3, 4, 5
 GATED, UNGATED, NO_PULL = 0, 1, 2
 SLOTS = 61  # modes whose propagators are kept at a time
 MAX_EVENTS = 64  # per sample; past that the step is taken as it is (chatter)
@@ -227,6 +228,12 @@ def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
         kind = el[e, 0]
         i = el[e, 1]
         si = el[e, 4]
+        if kind == KIND_SOFT:  # `mjsim.chain.Softness`
+            at = el[e, 3]
+            soft = p[at] * (w[1, i] + p[at + 1] * w[11, i] * x[1, i])
+            w[10, i] += min(max(soft, -p[at + 3]), p[at + 2])
+            e += 1
+            continue
         if el[e, 2] == 0:  # friction of constant levels
             at = el[e, 3]
             if mode[0, i] == 0:
@@ -1063,6 +1070,13 @@ def drive(bodies, f, gap_law, gain, servo, el, p, q0, v0, a0, dt, n_sub, t0, res
                 d = f[2, j] * x[0, j] - x[0, j + 1]
                 mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
         _rates(bodies, f, gap_law, gain, servo, el, p, x, t, 0.0, mode, w, z)
+        for e in range(el.shape[0]):
+            if el[e, 0] == KIND_SOFT and el[e, 1] == 0:  # that of the forces with the input, which the acceleration tells
+                at = el[e, 3]
+                soft = p[at] * (w[1, 0] + p[at + 1] * w[11, 0] * x[1, 0])
+                w[10, 0] -= min(max(soft, -p[at + 3]), p[at + 2])
+                soft = p[at] / (1.0 - p[at]) * w[11, 0] * (a0[k] + p[at + 1] * x[1, 0])
+                w[10, 0] += min(max(soft, -p[at + 3]), p[at + 2])
         out[k] = (w[11, 0] * a0[k] - w[1, 0] + w[10, 0]) / gain
         if not np.isfinite(out[k]):
             return 1, k

@@ -33,6 +33,8 @@ def not_affine(axis: Axis) -> str | None:
     for effect in axis.effects:
         for port in effect.ports(axis.chain):
             if isinstance(port, P.Friction):
+                if axis.chain.bodies[port.body].softness is not None:
+                    return f"{effect.key} is soft"
                 if constant(port.law, port.p, 1.0) is None or constant(port.law, port.p, -1.0) is None:
                     return f"the friction level of {effect.key} varies while it slides or sticks"
             elif isinstance(port, P.BodyTorque):

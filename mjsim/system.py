@@ -23,6 +23,7 @@ MOST_STEPS = 64  # of the accuracy rule in a sample
 
 _Element = P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
+_SOFT = 5
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,11 @@ class System:
     def n(self) -> int:
         """Number of bodies."""
         return len(self.chain.bodies)
+
+    @property
+    def soft(self) -> bool:
+        """Whether any friction is soft."""
+        return bool((self.elements[:, 0] == _SOFT).any())
 
     def tied(self) -> System:
         """The same with all laws over the angle tied to a recorded one, gravity and springs too: nearly linear in its numbers."""
@@ -154,9 +160,9 @@ def _yields(law: Law, p: tuple[float, ...]) -> float:
 
 @dataclass
 class _Elements:
-    """Rows of the kernel's elements as they are gathered, and what they add to the stiffness and damping of n bodies."""
+    """Rows of the kernel's elements as they are gathered, and what they add to the stiffness and damping of the bodies."""
 
-    n: int
+    bodies: tuple[Body, ...]
     rows: list[tuple[int, int, int, int, int, int]] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     n_states: int = 0
@@ -165,8 +171,14 @@ class _Elements:
 
     def __post_init__(self) -> None:
         # stiffness and damping seen by each body, for the choice of step; stiffness of bristles at it apart
-        self.stiff, self.damping, self.bristles = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
-        self.friction = np.zeros(self.n, np.bool_)
+        n = len(self.bodies)
+        self.stiff, self.damping, self.bristles = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.friction = np.zeros(n, np.bool_)
+
+    @property
+    def soft(self) -> bool:
+        """Whether any friction is soft."""
+        return any(kind == _SOFT for kind, *_ in self.rows)
 
     def add(self, port: _Element, ratios: np.ndarray) -> None:
         """Take up a port; ``ratios`` (n,): of the coupling behind each body."""
@@ -182,11 +194,24 @@ class _Elements:
             self.spatial = max(self.spatial, port.spatial)
         levels = None
         if isinstance(port, P.Friction):
-            self.friction[site] = True
             levels = _levels(port)
+            if self._soften(site, levels):
+                return
+            self.friction[site] = True
         own_angle = isinstance(port, P.BodyTorque) and port.spatial == 0
         self.rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(self.values), state, own_angle))
         self.values.extend(levels or port.p)
+
+    def _soften(self, site: int, levels: tuple[float, float, float, float] | None) -> bool:
+        """Take up friction of constant levels on a body whose friction is soft; False where it is none."""
+        body = self.bodies[site]
+        if body.softness is None or levels is None or levels[:2] != levels[2:]:
+            return False
+        soft = body.softness
+        self.damping[site] += soft.impedance * soft.rate * body.inertia
+        self.rows.append((_SOFT, site, 0, len(self.values), -1, False))
+        self.values.extend((soft.impedance, soft.rate, *levels[:2]))
+        return True
 
     def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:
         """Add the stiffness of a law with a state, before it yields, to the bodies that see it."""
@@ -217,7 +242,7 @@ def assemble(axis: Axis) -> System:
         if isinstance(port, P.SplitInertia):
             chain = split_chain(chain, port)
     f = _numbers_of(chain)
-    elements = _Elements(len(chain.bodies))
+    elements = _Elements(chain.bodies)
     for element in sorted((p for p in ports if isinstance(p, _Element)), key=lambda p: _KIND[type(p)]):
         elements.add(element, f[2])
     for port in ports:
@@ -231,7 +256,7 @@ def assemble(axis: Axis) -> System:
         chain=chain,
         f=f,
         gap_law=axis.backlash_law.value,
-        elements=np.array(elements.rows, np.int64).reshape(-1, 6),
+        elements=np.array(sorted(elements.rows, key=lambda row: row[0]), np.int64).reshape(-1, 6),
         parameters=np.array(elements.values or [0.0]),
         has_friction=elements.friction,
         n_states=elements.n_states,
@@ -246,7 +271,7 @@ def assemble(axis: Axis) -> System:
         sliding=_fastest(f, stiff, damping),
         yields=elements.yields,
         spatial=elements.spatial,
-        affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all(),
+        affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all() and not elements.soft,
         gain=gain,
         servo=servo,
     )

@@ -27,7 +27,7 @@ from diagnose.fit.ledger import Ledger, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.result import Diagnosis
-from diagnose.verdict.reference_stage import Nominal, without_difference
+from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
@@ -35,6 +35,7 @@ from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.notices import quiet
 from mjsim.ode import load_kernel
 from mjsim.recording import Recording
+from simgap.either_friction import by_either_friction
 from simgap.following import following
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all
@@ -158,9 +159,10 @@ def diagnose_recordings(
                 _load_kernels(len(nominal.chain.bodies))
             say(Step("reference", "the nominal file in plain MuJoCo"))
             given = before_search(model, nominal, recordings, held_out, options)
-            result = diagnose(nominal, recordings, held_out, options, say, ledger, given.corrections() if given else None)
-            if given is not None:
-                result = without_difference(result, given)
+            if given is None:
+                result = diagnose(nominal, recordings, held_out, options, say, ledger)
+            else:
+                nominal, given, result = by_either_friction(given, recordings, held_out, options, say, ledger)
     except InputError:
         ledger.discard()
         raise

@@ -111,10 +111,19 @@ def finding(cause: Cause, place: str, before: float, after: float, p_value: floa
     )  # fmt: skip
 
 
+def _soft_note(nominal: Nominal) -> str:
+    """What is told of soft friction that the recordings bear, so that the search has it."""
+    if nominal.soft <= APART or not any(b.softness for b in nominal.axis.chain.bodies):
+        return ""
+    sentence = next(s.sentence for s in SETTINGS if s.id == "soft_friction")
+    size = f"It moves the nominal file's run by {nominal.soft:.2g} times the noise."
+    return f"{sentence} {size} The recordings bear it; it is no physics."
+
+
 def note(cause: Cause | None, nominal: Nominal) -> str:
     """What is told of a difference between simulator and equations that is no finding; empty where there is none."""
     if nominal.apart <= APART:
-        return ""
+        return _soft_note(nominal)
     size = "diverges" if not math.isfinite(nominal.apart) else f"differs by {nominal.apart:.2g} times the noise"
     what = f": {cause.setting.sentence[0].lower()}{cause.setting.sentence[1:]}" if cause else "."
     whose = " The recordings bear it, so it is kept; it is no physics." if nominal.simulator else ""

@@ -21,7 +21,7 @@ import numpy as np
 from mjsim.accurate.model import NativeModel, native_model, native_xml
 from mjsim.accurate.run import _run
 from mjsim.axis import Axis
-from mjsim.effects.base import need_torque_input
+from mjsim.effects.base import NotApplicableError, need_torque_input
 from mjsim.mjcf.compile import caught_warnings
 from mjsim.ode import DivergedError, Trajectory, _sense, apply_input
 from mjsim.system import System, assemble
@@ -47,6 +47,8 @@ def simulate(
     """
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     need_torque_input(s.chain)
+    if s.soft:
+        raise NotApplicableError("soft friction is MuJoCo's own: run the file")
     n, count = s.n, len(torque)
     mine = native_model(s)
     m, d = mine.model, mine.data

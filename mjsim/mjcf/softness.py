@@ -1,0 +1,57 @@
+"""How soft MuJoCo makes the dry friction of a file's joints and tendons, read from its own constraints."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+
+import mujoco
+
+from mjsim.axis import Axis
+from mjsim.chain import Softness
+from mjsim.mjcf.load import Model
+
+__all__ = ["has_soft_friction", "with_softness"]
+
+HELD = 1e-3  # share of an acceleration that is left below the friction level, down to which a joint counts as held
+SETTLED = 0.5  # of a velocity that goes in a timestep, from which on friction counts as holding at once
+
+
+def with_softness(axis: Axis, model: Model) -> Axis:
+    """An axis of a model whose bodies have the softness that their dry friction has in MuJoCo, or would have there.
+
+    A body takes that of its frictional elements where these are all alike, and that of its joint where it has none.
+    """
+    soft = _softness(model.mjmodel)
+    bodies = []
+    for body, parts in zip(axis.chain.bodies, model.found.on_body, strict=True):
+        elements = {(p.element.kind, p.element.id) for p in parts if p.element.friction}
+        found = {soft.get(e) for e in elements or [("joint", _joint(model.mjmodel, body.joint))]}
+        bodies.append(dataclasses.replace(body, softness=found.pop()) if len(found) == 1 else body)
+    return dataclasses.replace(axis, chain=dataclasses.replace(axis.chain, bodies=tuple(bodies)))
+
+
+def has_soft_friction(model: Model) -> bool:
+    """Whether a file has dry friction that MuJoCo does not hold at rest."""
+    soft = _softness(model.mjmodel)
+    return any(p.element.friction and (p.element.kind, p.element.id) in soft for parts in model.found.on_body for p in parts)
+
+
+def _joint(m: mujoco.MjModel, name: str) -> int:
+    return int(mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, name))
+
+
+def _softness(model: mujoco.MjModel) -> dict[tuple[str, int], Softness]:
+    """Softness of each joint and tendon whose dry friction MuJoCo does not hold at rest, by kind and index."""
+    m = copy.copy(model)
+    m.dof_frictionloss[m.dof_frictionloss == 0] = 1.0  # so that MuJoCo makes the constraint whose numbers are read
+    data = mujoco.MjData(m)
+    mujoco.mj_forward(m, data)
+    joint, tendon = (int(k) for k in (mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF, mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON))
+    out = {}
+    for kind, index, (_, rate, impedance, _) in zip(data.efc_type, data.efc_id, data.efc_KBIP.reshape(-1, 4), strict=True):
+        held = 1.0 - impedance <= HELD and impedance * rate * m.opt.timestep >= SETTLED
+        if int(kind) in (joint, tendon) and not held:
+            at = ("joint", int(m.dof_jntid[index])) if int(kind) == joint else ("tendon", int(index))
+            out[at] = Softness(float(impedance), float(rate))
+    return out
