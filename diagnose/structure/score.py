@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -34,23 +34,14 @@ class Screened:
     starts: tuple[Effect, ...]
 
 
-def _variants(effect: Effect) -> Iterator[Effect]:
-    """The start itself and, when it has a phase, the same a quarter period on."""
-    yield effect
-    if "phase_rad" in effect.values:
-        yield effect.with_values({"phase_rad": effect.values["phase_rad"] + np.pi / 2})
-
-
 def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacing: Effect | None = None) -> list[Screened]:
     """The score test of each candidate beside a fitted base, largest gain first.
 
     The response of the candidate at its start (a secant) is made orthogonal to the base's own parameters; the residual's
-    projection
-    on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has it. A phase
-    enters as two responses in quadrature. An amplitude of the wrong sign counts less. With ``replacing``, each
-    candidate takes the place
-    of that effect of the base, from which it inherits the parameters that they share; so does one that refines an effect of the
-    nominal axis.
+    projection on it is the gain of chi-square that a linear model of the response would have, and the amplitude at which it has
+    it. A phase, or another second direction (`Effect.second_direction`), enters as a second response. An amplitude of the wrong
+    sign counts less. With ``replacing``, each candidate takes the place of that effect of the base, from which it inherits the
+    parameters that they share; so does one that refines an effect of the nominal axis.
     """
     q = _spanned(base.fit)
     r0 = base.fit.residual
@@ -67,7 +58,8 @@ def screen(fitter: Fitter, base: Fitted, supposed: Sequence[Candidate], replacin
             effect = make(candidate.id, candidate.place, values)
             if old is None or "phase_rad" not in effect.values or "phase_rad" in old.values:
                 starts.append((candidate, effect))
-                variants.append(list(_variants(effect)))
+                second = effect.second_direction()
+                variants.append([effect] if second is None else [effect, second])
             else:  # what comes in place of an effect is not moved: its phase is one of four
                 turned = [effect.with_values({"phase_rad": effect.values["phase_rad"] + turn}) for turn in QUARTERS]
                 starts += [(candidate, e) for e in turned]
@@ -121,8 +113,7 @@ def _project(
     if not move:
         return max(gain, 0.0), effect
     if len(columns) == 2:
-        factor = float(np.hypot(a[0], a[1]))
-        effect = effect.with_values({"phase_rad": effect.values["phase_rad"] + float(np.arctan2(a[1], a[0]))})
+        effect, factor = effect.combined(float(a[0]), float(a[1]))
     else:
         factor = float(a[0])
     if amplitudes:

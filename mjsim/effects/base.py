@@ -222,6 +222,19 @@ class Effect(abc.ABC):
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Values to start a fit from, physical multiples of the scales; several where the law has local minima."""
 
+    def second_direction(self) -> Self | None:
+        """The effect at other numbers: what both do spans, while small, all that the effect can do. None where one spans it.
+
+        A phase is a quarter of its period on.
+        """
+        phase = self.values.get("phase_rad")
+        return None if phase is None else self.with_values({"phase_rad": phase + 0.5 * math.pi})
+
+    def combined(self, first: float, second: float) -> tuple[Self, float]:
+        """The effect that does so much of this one and of its `second_direction`, but for its amplitude, and the factor of that."""
+        phase = self.values["phase_rad"] + math.atan2(second, first)
+        return self.with_values({"phase_rad": phase}), math.hypot(first, second)
+
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """Ranges in which numbers of it have to lie on a recording of such scales for it to be named; () for none."""
         return ()

@@ -5,6 +5,7 @@ tau = -k (q - q_0)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -64,5 +65,19 @@ class JointSpring(Effect):
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
-        """Starts of a fit."""
-        return [{"stiffness_Nm_rad": 0.2 * scales.torque / scales.travel, "rest_rad": 0.0}]
+        """Starts of a fit: beside a weight, which pulls nearly alike, a stiff spring bends the response too much to be scored."""
+        return [
+            {"stiffness_Nm_rad": part * scales.torque / scales.travel, "rest_rad": 0.5 * scales.travel} for part in (0.2, 0.02)
+        ]
+
+    def second_direction(self) -> Self:
+        """At rest on the other side: two springs span a spring and an offset."""
+        return self.with_values({"rest_rad": -self.rest_rad})
+
+    def combined(self, first: float, second: float) -> tuple[Self, float]:
+        """Springs side by side: stiffnesses add up, the rest angle is their mean by stiffness."""
+        total = first + second
+        least = 1e-3 * max(abs(first), abs(second))  # an offset alone is a soft spring, far off its rest
+        if abs(total) < least:
+            total = math.copysign(least, total)
+        return self.with_values({"rest_rad": self.rest_rad * (first - second) / total}), total

@@ -18,7 +18,7 @@ from diagnose.verdict import numerics
 from diagnose.verdict.reference import Run, beyond, cases_of, chi_square, figures, noise_level
 from diagnose.verdict.reference_fit import refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far
-from diagnose.verdict.reference_stage import APART, compare_nominal
+from diagnose.verdict.reference_stage import APART, by_other_friction, compare_nominal
 from diagnose.verdict.reference_verdict import Files, by_simulator, nominal_stands
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis, write_corrected
@@ -85,10 +85,15 @@ def test_blocks_of_one_recording_are_held_out_where_there_is_no_other():
 
 def test_recordings_bear_the_simulators_friction_where_it_made_them(nominal):
     found = compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)
-    assert found.apart > APART
-    assert found.simulator
-    assert set(found.corrections()) == {"log_1.csv", "log_2.csv"}
-    assert numerics.note(None, found)
+    assert found.apart < APART < found.soft  # the friction of the engine is as soft
+    assert not found.simulator
+    assert not found.corrections()
+    assert found.axis.chain.bodies[0].softness is not None
+    assert found.other == load_axis(nominal)
+    assert "soft" in numerics.note(None, found)
+    hard = by_other_friction(found)
+    assert hard.axis == load_axis(nominal)
+    assert hard.apart > APART
 
 
 def test_recordings_of_ideal_friction_do_not_and_name_the_setting(nominal):
@@ -96,14 +101,16 @@ def test_recordings_of_ideal_friction_do_not_and_name_the_setting(nominal):
     found = compare_nominal(nominal, axis, [log(stiff, 1)], [log(stiff, 2)], 1)
     assert found.apart > APART
     assert not found.simulator
+    assert found.axis == axis
     cause = numerics.cause_of(found, 1)
     assert cause is not None
     assert (cause.setting.id, cause.element) == ("soft_friction", "hinge")
     assert cause.left < APART < cause.apart
 
 
-def test_the_difference_is_that_of_the_numerics_and_not_of_what_is_missing(nominal):
+def test_the_difference_is_that_of_the_numerics_and_not_of_what_is_missing(nominal, monkeypatch):
     """Gravity follows the recorded angle in a fit: what is missing there is no difference between the two engines."""
+    monkeypatch.setattr("diagnose.verdict.reference_stage.has_soft_friction", lambda model: False)
     truth = text().replace('joint="hinge"', 'joint="hinge" biastype="affine" biasprm="0.15 0 0"').replace("<motor", "<general")
     clean = compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)
     found = compare_nominal(nominal, load_axis(nominal), [log(truth, 1)], [log(truth, 2)], 1)
@@ -252,7 +259,8 @@ def judged(pair, robot, nominal):
 
     estimation, held_out = pair(seconds=1.5)
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=("torque_offset",)))
-    return result, compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)
+    given = compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)
+    return result, by_other_friction(given)  # beside equations whose friction holds at rest
 
 
 def test_the_verdict_follows_the_figures(judged):
@@ -260,7 +268,6 @@ def test_the_verdict_follows_the_figures(judged):
     n = figures(given.cases, given.runs)
     same = FitFigures(n.rms, n.nrmse, n.held_out_rms, n.held_out_nrmse)
     result = dataclasses.replace(result, fit=dict.fromkeys(("nominal", "refitted", "corrected"), same), noise_floor=SIGMA)
-    given = dataclasses.replace(given, simulator=False)  # the engine's search is told nothing of the simulator's numerics
     # the file as given is as good as anything
     assert nominal_stands(result, given)
     # a search that had the simulator's numerics has answered that itself
