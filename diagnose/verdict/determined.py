@@ -12,7 +12,9 @@ from collections.abc import Callable
 from diagnose.evidence.admissible import Outside, out_of_range
 from diagnose.evidence.intervals import Open, open_sizes
 from diagnose.fit.fitted import Fitted
+from diagnose.fit.least_squares import Status
 from diagnose.structure.search import Search
+from mjsim.effects import Effect
 
 __all__ = ["determined"]
 
@@ -47,11 +49,22 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | Non
     least = min(usable, key=search.criterion, default=None)
     if least is None or isinstance(found, Open):
         return least
-    others = [f for f in search.fits.values() if f.ok and effect.key not in f.key]
-    for f in sorted((f for f in others if search.criterion(f) < search.criterion(least)), key=search.criterion):
-        if not out_of_range(f, search.fitter) and f.effects and search.significance.significant(search.nominal(), f):
+    for f in sorted((f for f in _admissible(search, effect) if search.criterion(f) < search.criterion(least)), key=search.criterion):
+        if search.significance.significant(search.nominal(), f):
             return f
     return least
+
+
+def _admissible(search: Search, effect: Effect) -> list[Fitted]:
+    """Structures of the search without an effect, whose numbers the recording can show; the first ones fitted to convergence.
+
+    The search compares a rival that falls behind after a few iterations, and such rivals were behind the effect alone.
+    """
+    others = [f for f in search.fits.values() if f.ok and f.effects and effect.key not in f.key]
+    others = sorted((f for f in others if not out_of_range(f, search.fitter)), key=search.criterion)
+    first, rest = others[: search.options.beam + 1], others[search.options.beam + 1 :]
+    fits = [search.polish(f) if f.fit.status is Status.BUDGET else f for f in first]
+    return [f for f in (*fits, *rest) if not out_of_range(f, search.fitter)]
 
 
 def _sentence(best: Fitted, poorer: Fitted, found: Open | Outside) -> str:
