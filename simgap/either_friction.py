@@ -15,11 +15,11 @@ from collections.abc import Callable, Sequence
 from diagnose.fit.ledger import Ledger
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
+from diagnose.problem.noise_model import KnownNoise
 from diagnose.progress import Step
 from diagnose.result import Diagnosis, Verdict
 from diagnose.thresholds import UNEXPLAINED
 from diagnose.verdict.reference_stage import Nominal, by_other_friction, without_difference
-from diagnose.verdict.reference_verdict import PRICE
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.recording import Recording
@@ -62,7 +62,7 @@ def _better(second: Diagnosis, first: Diagnosis, n: int) -> bool:
 
     def cost(d: Diagnosis) -> float:
         numbers = len(d.linear_parameters) + sum(len(f.parameters) for f in d.findings)
-        return n * 2.0 * math.log(max(d.fit["corrected"].rms, 1e-300)) + PRICE * numbers
+        return n * 2.0 * math.log(max(d.fit["corrected"].rms, 1e-300)) + KnownNoise.prices.price * numbers
 
     held = [d.fit["corrected"].held_out_rms for d in (second, first)]
     return cost(second) < cost(first) and not held[0] > held[1]

@@ -49,7 +49,8 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | Non
     least = min(usable, key=search.criterion, default=None)
     if least is None or isinstance(found, Open):
         return least
-    for f in sorted((f for f in _admissible(search, effect) if search.criterion(f) < search.criterion(least)), key=search.criterion):
+    better = [f for f in _admissible(search, effect) if search.criterion(f) < search.criterion(least)]
+    for f in sorted(better, key=search.criterion):
         if search.significance.significant(search.nominal(), f):
             return f
     return least

@@ -13,7 +13,7 @@ from diagnose.verdict.reference import Run, at_noise, chi_square, figures
 from diagnose.verdict.reference_stage import APART, Nominal
 from diagnose.verdict.simulator_traces import with_runs
 
-__all__ = ["MISSES", "PRICE", "Files", "by_simulator", "nominal_stands"]
+__all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
 
 MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
 
