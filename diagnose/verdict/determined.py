@@ -49,23 +49,26 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | Non
     least = min(usable, key=search.criterion, default=None)
     if least is None or isinstance(found, Open):
         return least
-    better = [f for f in _admissible(search, effect) if search.criterion(f) < search.criterion(least)]
+    better = [f for f in _admissible(search, effect, least) if search.criterion(f) < search.criterion(least)]
     for f in sorted(better, key=search.criterion):
         if search.significance.significant(search.nominal(), f):
             return f
     return least
 
 
-def _admissible(search: Search, effect: Effect) -> list[Fitted]:
-    """Structures of the search without an effect, whose numbers the recording can show; the first ones fitted to convergence.
+def _admissible(search: Search, effect: Effect, least: Fitted) -> list[Fitted]:
+    """Structures of the search without an effect, whose numbers the recording can show.
 
-    The search compares a rival that falls behind after a few iterations, and such rivals were behind the effect alone.
+    Those that may come to fit better than ``least`` are fitted to convergence: the search drops a rival that is behind after a
+    few iterations, and these were behind the effect alone.
     """
+    nominal, floor = search.nominal(), search.context.gain(search.nominal(), least)
     others = [f for f in search.fits.values() if f.ok and f.effects and effect.key not in f.key]
-    others = sorted((f for f in others if not out_of_range(f, search.fitter)), key=search.criterion)
-    first, rest = others[: search.options.beam + 1], others[search.options.beam + 1 :]
-    fits = [search.polish(f) if f.fit.status is Status.BUDGET else f for f in first]
-    return [f for f in (*fits, *rest) if not out_of_range(f, search.fitter)]
+    others = sorted((f for f in others if not out_of_range(f, search.fitter)), key=search.criterion)[: search.options.width]
+    fits = [
+        search.polish(f) if f.fit.status is Status.BUDGET and search.race.may_gain(nominal, f, floor) else f for f in others
+    ]  # fmt: skip
+    return [f for f in fits if not out_of_range(f, search.fitter)]
 
 
 def _sentence(best: Fitted, poorer: Fitted, found: Open | Outside) -> str:
