@@ -31,6 +31,13 @@ class InputError(ValueError):
     """Input that cannot be used.
 
     The message is one line: the file, the row or key, what was found, what was expected and what to do.
+
+    >>> import simgap
+    >>> try:
+    ...     simgap.load({"time_s": [0.0, 0.1], "torque_Nm": [0.0, 1.0]})
+    ... except simgap.InputError as error:
+    ...     print(error)
+    memory: neither velocity nor angle; expected one of velocity_rad_s, angle_rad; add a column or bind one by binding
     """
 
     def __init__(self, where: object, found: str, expected: str = "", todo: str = "") -> None:

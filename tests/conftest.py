@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.ode import simulate
 from mjsim.recording import Recording
+from simgap import cli
 
 DT = 5e-4
 NOISE = 0.05  # rms of the velocity noise [rad/s]
@@ -112,3 +114,27 @@ def browser() -> Iterator[Any]:
 
     with started() as found:
         yield found
+
+
+@pytest.fixture(autouse=True)
+def _compile_without_a_word(monkeypatch):
+    """What a test expects on standard error does not depend on what this machine has compiled before."""
+    monkeypatch.setattr(cli, "tell_compiling", lambda listener: None)
+
+
+@pytest.fixture
+def run_cli(monkeypatch, capsys, tmp_path):
+    """``run_cli("data", ...)`` -> (exit code, standard output, standard error), in an empty folder and with an empty cache."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("SIMGAP_DATA", raising=False)
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["simgap", *words])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        return int(ended.value.code or 0), said.out, said.err
+
+    return call

@@ -7,15 +7,18 @@ import importlib
 import json
 import subprocess
 import sys
+from importlib.resources import files
+from importlib.util import find_spec
 
 import mujoco
 import numpy as np
 import pytest
 
 import simgap
+from diagnose.report.schema import diagnosis_schema
 from mjsim.models import shipped_model
 
-NAMES = [n for n in simgap.__all__ if n not in ("__version__", "InputError")]
+NAMES = [n for n in simgap.__all__ if n != "__version__"]
 DT = 0.004
 
 
@@ -100,6 +103,22 @@ def test_what_is_saved_is_read_back(log, tmp_path, suffix):
     assert [p.name for p in tmp_path.iterdir()] == [f"log{suffix}"]
 
 
+def test_an_mcap_file_is_read_by_the_library_of_its_makers(log, tmp_path):
+    """As Foxglove and PlotJuggler read it: one topic, JSON messages with a JSON Schema, stamps in nanoseconds."""
+    reader = pytest.importorskip("mcap.reader")
+    jsonschema = pytest.importorskip("jsonschema")
+    simgap.load(log).save(tmp_path / "log.mcap")
+    with (tmp_path / "log.mcap").open("rb") as file:
+        messages = list(reader.make_reader(file).iter_messages())
+    assert len(messages) == len(log["time_s"])
+    schema, channel, message = messages[5]
+    assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+    assert message.log_time == round(1e9 * log["time_s"][5])
+    told = json.loads(message.data)
+    jsonschema.validate(told, json.loads(schema.data))
+    assert told["velocity_rad_s"] == pytest.approx(log["velocity_rad_s"][5])
+
+
 def test_a_log_of_the_model_itself_without_noise():
     """Nothing is left of the nominal model: no error to divide by."""
     t = np.arange(0, 3, DT)
@@ -153,4 +172,24 @@ def test_a_robot_gives_the_same_kind_of_object(tmp_path):
     assert set(found.by_joint()) == set(simgap.Model("arm3").joints)
     assert found.corrected_model().nv == 3
     assert found.plot().axes
-    assert json.dumps(found.as_dict())
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.validate(found.as_dict(), diagnosis_schema())
+    assert found.report(tmp_path / "report.html").read_text(encoding="utf-8").startswith("<!")
+    assert found.summary_file(tmp_path / "summary.md").read_text(encoding="utf-8").startswith("## ")
+    assert found.plot()._repr_png_().startswith(b"\x89PNG")
+    if find_spec("pandas"):
+        assert {"joint", "effect", "value"} <= set(found.to_frame().columns)
+
+
+def test_identification_gives_objects_of_python_control(log):
+    control = pytest.importorskip("control")
+    fitted = simgap.identify(log, orders=(1, 1, 1, 1, 1), decimate=1, cutoff=None)
+    for system in (fitted.transfer_function(), fitted.noise_transfer_function()):
+        assert isinstance(system, control.TransferFunction)
+        assert system.dt == pytest.approx(DT)
+    _, step = control.step_response(fitted.transfer_function(), T=DT * np.arange(50))
+    assert np.isfinite(step).all()
+
+
+def test_the_package_says_that_it_is_typed():
+    assert (files("simgap") / "py.typed").is_file()

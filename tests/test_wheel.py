@@ -57,6 +57,17 @@ def test_nothing_in_the_wheel_imports_a_package_of_the_source_tree(build, tmp_pa
             found += [f"{path.name}: {n}" for n in names if n.partition(".")[0] in build.PACKAGES]
     assert not found
     assert (tmp_path / "simgap" / "models" / "robot_axis1.xml").is_file()
+    assert (tmp_path / "simgap" / "py.typed").is_file()
+
+
+def test_the_wheel_has_one_top_level_name(tmp_path):
+    """So that nothing that is installed can hide another distribution's package, or be hidden."""
+    words = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(words, cwd=ROOT, check=True, capture_output=True, env=os.environ | {"SOURCE_DATE_EPOCH": "315532800"})
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {n.partition("/")[0] for n in names if ".dist-info/" not in n} == {"simgap"}
+    assert not [n for n in names if "__pycache__" in n or n.startswith("simgap/_src/lab/panel")]
 
 
 @pytest.fixture(scope="module")
