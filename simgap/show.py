@@ -21,25 +21,29 @@ def show_found(found: Found, out: Path) -> None:
 
 
 def show_robot(result: RobotDiagnosis, out: Path) -> None:
-    """Verdict, and a table of joints with what is missing there and the errors of the models."""
+    """Verdict, what is missing with its numbers, and a table of joints with the errors of the models."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
-    console.print(f"[bold]{result.verdict.value}[/bold]  {result.summary}", highlight=False)
-    table = Table("joint", "verdict", "missing", "held-out error of the file", "refitted", "corrected", "still predictable")
+    console = Console(highlight=False)
+    console.print(f"[bold]{result.verdict.value}[/bold]  {escape(result.summary)}")
+    for f in (f for r in result.joints.values() for f in r.findings):
+        console.print(f"\n[bold]{escape(f.effect)}[/bold] at {escape(f.joint)}\n  {escape(f.sentence)}")
+        for k, e in f.parameters.items():
+            console.print(
+                f"  {escape(k)} = {e.value:.5g} {escape(e.unit)}   95 % {escape(f'[{e.ci95[0]:.5g}, {e.ci95[1]:.5g}]')}"
+            )
+        if f.equivalents:
+            console.print(f"  cannot be told from: {escape(', '.join(f.equivalents))}")
+    table = Table("joint", "verdict", "file", "refitted", "corrected", "still predictable", title="Held-out error")
     for name, r in result.joints.items():
-        missing = "\n".join(
-            f"{f.effect} "
-            + ", ".join(f"{k} {e.value:.4g} +- {(e.ci95[1] - e.ci95[0]) / 2:.2g} {e.unit}" for k, e in f.parameters.items())
-            for f in r.findings
-        )
         errors = [_held_out(r.fit[k], r.unit) for k in ("nominal", "refitted", "corrected")]
-        table.add_row(name, r.verdict.value, missing, *errors, f"{100 * max(r.remains[0], 0.0):.1f} %")
+        table.add_row(escape(name), r.verdict.value, *errors, f"{100 * max(r.remains[0], 0.0):.1f} %")
     console.print(table)
     for note in result.notes:
-        console.print(note, highlight=False)
-    console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)", highlight=False)
+        console.print(escape(note))
+    console.print(f"Report: {escape(str(out / 'report.html'))}   ({result.seconds:.0f} s)")
 
 
 def show_diagnosis(result: Diagnosis, out: Path) -> None:
