@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import Watched, opened
+from browser import WIDTHS, Watched, looks_right, opened
 from synthetic import DIFF, DT, TRUTH, synthetic
 
 from diagnose.report import write_report
@@ -24,10 +24,10 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def wide(browser: Any, file: Path) -> Any:
-    """The page in a wide window, all plots drawn; tests leave it as they found it."""
-    with opened(browser, file) as watched:
+@pytest.fixture(scope="module", params=WIDTHS)
+def wide(request: pytest.FixtureRequest, browser: Any, file: Path) -> Any:
+    """The page in a window of each width, all plots drawn; tests leave it as they found it."""
+    with opened(browser, file, request.param) as watched:
         watched.see_all()
         watched.until("document.querySelectorAll('.plot.on').length >= 5")
         yield watched
@@ -57,18 +57,8 @@ def drag(w: Watched, part: str, start: float, end: float) -> None:
     mouse.up()
 
 
-@pytest.mark.parametrize("width", [390, 768, 1400])
-def test_opens_from_disk_and_fits_the_window(browser: Any, file: Path, width: int) -> None:
-    with opened(browser, file, width) as w:
-        w.see_all()
-        w.until("document.querySelectorAll('.plot.on').length >= 5")
-        assert w.page.evaluate("document.documentElement.scrollWidth") <= width
-        clipped = w.page.evaluate(
-            """() => [...document.querySelectorAll('td, th, .tiles *, button, select')].filter((e) => e.offsetParent !== null
-               && e.getBoundingClientRect().right > innerWidth + 1).map((e) => e.textContent)"""
-        )
-        assert clipped == []
-        w.clean()
+def test_opens_from_disk_and_fits_the_window(browser: Any, file: Path) -> None:
+    looks_right(browser, file, plots=5)
 
 
 def test_twenty_seconds_open_quickly(browser: Any, tmp_path: Path) -> None:
