@@ -32,7 +32,7 @@ def address(tmp_path: Path) -> Iterator[str]:
         assert process.stderr is not None
         line = process.stdout.readline()
         found = re.fullmatch(r"simgap app: (http://127\.0\.0\.1:\d+/\?token=[\w-]{43})\n", line)
-        assert found, line
+        assert found, line or process.stderr.read()
         yield found[1]
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
