@@ -19,7 +19,7 @@ from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, f
 from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, starts_of, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
-from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, nominal_stands
+from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, no_better, nominal_stands
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
@@ -98,6 +98,9 @@ def write_judged(
             trial.replace(out)
             result, form, runs = fewer
         trial.unlink(missing_ok=True)
+    if no_better(result, nominal, runs):
+        write_corrected(model, given, out)
+        return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
     notes = () if found else (*_told(cause, nominal), *_refitted(axis, out))
     files = Files(
         runs, form.lacks, form.form, found, notes,

@@ -114,7 +114,8 @@ class Hypothesis:
                     continue
                 value = getattr(effect, spec.name)
                 scale = _scale(spec.quantity, value, turning if spec.quantity is Quantity.CYCLES else s)
-                log = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and spec.lower >= 0 and value > 0
+                of_ratio = spec.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and not type(effect).linear
+                log = of_ratio and spec.lower >= 0 and value > 0
                 wide = (1e-3 * scale, 1e3 * scale) if log else (spec.lower, spec.upper)
                 low, high, value = _limits(effect, spec.quantity, wide, value, s, turning)
                 entry = (spec.name, spec.quantity, scale, low, high)

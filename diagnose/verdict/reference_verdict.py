@@ -13,7 +13,7 @@ from diagnose.verdict.reference import Run, at_noise, chi_square, figures
 from diagnose.verdict.reference_stage import APART, Nominal
 from diagnose.verdict.simulator_traces import with_runs
 
-__all__ = ["MISSES", "Files", "by_simulator", "nominal_stands"]
+__all__ = ["MISSES", "Files", "by_simulator", "no_better", "nominal_stands"]
 
 MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
 
@@ -23,7 +23,8 @@ class Files:
     """What MuJoCo makes of the corrected file: its runs on the cases, what it lacks, its form.
 
     numerics: findings of that class; sensitive: whether the smallest change of the start or the numbers leads elsewhere;
-    bears: whether findings were dropped since the simulator's numerics explain the recordings as well.
+    bears: whether findings were dropped since the simulator's numerics explain the recordings as well; stands: whether the
+    file is the one as given, since no other is better (`no_better`).
     """
 
     runs: Sequence[Run | None]
@@ -33,6 +34,7 @@ class Files:
     notes: tuple[str, ...] = ()
     sensitive: bool = False
     bears: bool = False
+    stands: bool = False
 
 
 def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis:
@@ -53,7 +55,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         )
     shown = with_runs(result.traces, nominal.cases, nominal.runs, files.runs)
     out = dataclasses.replace(result, fit=fits, surrogate=engine, traces=shown)
-    if nominal_stands(result, nominal):
+    if files.stands or nominal_stands(result, nominal):
         return _no_mismatch(out, notes)
     if missed and not files.lacks:
         notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
@@ -93,6 +95,17 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     held = sum(int(c.held_out.sum()) for c in nominal.cases)
     lost = held * 2.0 * math.log(max(given.held_out_rms, 1e-300) / max(best.held_out_rms, 1e-300)) if held else 0.0
     return gain <= level and lost <= level
+
+
+def no_better(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]) -> bool:
+    """Whether changed numbers alone make the file no better than the one as given, which is at the noise.
+
+    Numbers that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings.
+    """
+    if result.verdict is not Verdict.PARAMETERS_ONLY or result.findings or not at_noise(nominal.cases, nominal.runs):
+        return False
+    parts = ("estimation", "held_out")
+    return all(chi_square(nominal.cases, nominal.runs, p)[0] <= chi_square(nominal.cases, runs, p)[0] for p in parts)
 
 
 def _missed(fit: FitFigures, engine: FitFigures) -> bool:

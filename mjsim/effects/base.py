@@ -141,7 +141,8 @@ class Effect(abc.ABC):
     another law for the same effect), ``once`` (whether its places cannot be told apart, so that a model has it at one of them
     only), ``shown_by_angle`` (whether a measured velocity contradicts the measured angle by it), ``taken_for`` (identifiers of
     such effects that make the same change of a velocity: where the angle shows one, this effect explains nothing without it), ``by_load``
-    (whether it grows with the transmitted torque).
+    (whether it grows with the transmitted torque), ``linear`` (whether its torque is linear in each of its numbers, so that a fit moves none
+    of them by its logarithm).
     """
 
     id: ClassVar[str]
@@ -162,6 +163,7 @@ class Effect(abc.ABC):
     shown_by_angle: ClassVar[bool] = False
     taken_for: ClassVar[tuple[str, ...]] = ()
     by_load: ClassVar[bool] = False
+    linear: ClassVar[bool] = False
 
     place: str = ""
 

@@ -30,11 +30,11 @@ def log(axis, seed):
 
 def test_a_spring_at_the_joint_is_named_with_its_values():
     nominal = Axis(Chain((Body("motor", 0.05, 0.06, "j"),), ()), ())
-    true = nominal + JointSpring(stiffness_Nm_rad=0.6, rest_rad=0.1)
+    true = nominal + JointSpring(stiffness_Nm_rad=0.6, torque_at_zero_Nm=0.06)
     options = Options(jobs=1, effects=("joint_spring", "gravity_load", "torque_ripple", "torque_offset"))
     result = diagnose(nominal, [log(true, 1)], [log(true, 2)], options)
     assert result.verdict is Verdict.MISSING_PHYSICS
     assert [f.effect for f in result.findings] == ["joint_spring"]
     values = result.findings[0].parameters
     assert values["stiffness_Nm_rad"].value == pytest.approx(0.6, rel=0.01)
-    assert values["rest_rad"].value == pytest.approx(0.1, abs=0.01)
+    assert values["torque_at_zero_Nm"].value == pytest.approx(0.06, abs=0.006)

@@ -19,7 +19,7 @@ from diagnose.verdict.reference import Run, beyond, cases_of, chi_square, figure
 from diagnose.verdict.reference_fit import refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far
 from diagnose.verdict.reference_stage import APART, by_other_friction, compare_nominal
-from diagnose.verdict.reference_verdict import Files, by_simulator, nominal_stands
+from diagnose.verdict.reference_verdict import Files, by_simulator, no_better, nominal_stands
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mjcf.adjust import adjust
@@ -343,3 +343,17 @@ def test_along_an_angle_gravity_follows_it_and_else_the_run(nominal):
     spread = float(np.std(own.velocity))
     assert np.max(np.abs(along.velocity - own.velocity)) < 0.02 * spread  # held over each sample
     assert np.max(np.abs(other.velocity - own.velocity)) > 0.1 * spread
+
+
+def test_numbers_that_make_the_file_no_better_are_not_changed(judged):
+    result, given = judged
+    result = dataclasses.replace(result, verdict=Verdict.PARAMETERS_ONLY, findings=())
+    worse = [dataclasses.replace(r, velocity=r.velocity + 0.1 * SIGMA * np.sin(np.arange(len(r.velocity)))) for r in given.runs]
+    assert no_better(result, given, given.runs)
+    assert no_better(result, given, worse)
+    assert not no_better(result, dataclasses.replace(given, runs=worse), given.runs)
+    assert not no_better(dataclasses.replace(result, verdict=Verdict.MISSING_PHYSICS), given, worse)
+    far = [dataclasses.replace(r, velocity=r.velocity + SIGMA) for r in given.runs]
+    assert not no_better(result, dataclasses.replace(given, runs=far), far)
+    out = by_simulator(result, given, Files(given.runs, (), "as given", stands=True))
+    assert out.verdict is Verdict.NO_MISMATCH

@@ -174,9 +174,9 @@ def test_a_spring_to_the_ground_is_read_and_written(tmp_path, degrees):
     axis = load_axis(own)
     spring = next(e for e in axis.effects if e.key == "joint_spring@motor")
     rest = np.radians(20.0) if degrees else 0.3
-    assert spring.values == pytest.approx({"stiffness_Nm_rad": 2.5, "rest_rad": rest})
+    assert spring.values == pytest.approx({"stiffness_Nm_rad": 2.5, "torque_at_zero_Nm": 2.5 * rest})
     assert relative(run_literal(load_model(own), CURVE, 1e-3).velocity, simulate(axis, CURVE, 1e-3).velocity) < 1e-5
-    other = axis.with_values({f"{spring.key}.stiffness_Nm_rad": 4.0, f"{spring.key}.rest_rad": -0.2})
+    other = axis.with_values({f"{spring.key}.stiffness_Nm_rad": 4.0, f"{spring.key}.torque_at_zero_Nm": -0.8})
     assert write_corrected(own, other, tmp_path / "corrected.xml").lacks == ()
     run = run_literal(load_model(tmp_path / "corrected.xml"), CURVE, 1e-3)
     assert relative(run.velocity, simulate(other, CURVE, 1e-3).velocity) < 1e-5

@@ -17,7 +17,7 @@ DT = 2e-3
 CHAIN = Chain((Body("motor", 0.04, 0.05, "hinge"),), ())
 PUSH = 0.3 * np.sin(2 * np.pi * 0.5 * DT * np.arange(2000))
 GRAVITY = effect_class("gravity_load")(torque_Nm=1.4, phase_rad=0.2)
-SPRING = effect_class("joint_spring")(place="motor", stiffness_Nm_rad=2.0, rest_rad=0.1)
+SPRING = effect_class("joint_spring")(place="motor", stiffness_Nm_rad=2.0, torque_at_zero_Nm=0.2)
 RIPPLE = effect_class("torque_ripple")(place="motor", amplitude_Nm=0.1, cycles_per_rev=20.0, phase_rad=0.0)
 
 
