@@ -1,4 +1,4 @@
-"""Least squares of one joint's free run: Levenberg-Marquardt on scaled numbers, the samples weighted by recording.
+"""Least squares of one joint's free run: Levenberg-Marquardt on scaled numbers, the samples weighted by block.
 
 Positive numbers are fitted as their logarithm. Differences are wide (1 % of a number), since a run that sticks and slips is
 rough at
@@ -22,6 +22,10 @@ __all__ = [
     "BLOCK",
     "Fit",
     "Number",
+    "block_loss",
+    "block_scale",
+    "block_squares",
+    "block_weights",
     "counted",
     "covariance",
     "fit",
@@ -29,7 +33,6 @@ __all__ = [
     "jacobian",
     "slots_of",
     "start_of",
-    "weights_by_recording",
 ]
 
 WIDE = 0.01  # step of the differences, of a number's scale
@@ -70,8 +73,7 @@ class Number:
 class Fit:
     """A fitted structure: numbers, their coded values x (P,), slots (K,), error (N,) [rad | m] and weighted sum of squares.
 
-    weights (R,): of each recording's errors, sqrt(share of independent samples) / rms [1/rad | 1/m]; sse has the prior's part
-    in it.
+    weights (N,): of the samples' errors [1/rad | 1/m], see `block_weights`; sse has the prior's part in it.
     """
 
     numbers: tuple[Number, ...]
@@ -130,24 +132,50 @@ def independent(e: np.ndarray, dt: float, difference: np.ndarray | None = None) 
     return 1.0 / max(1.0, 1.0 + 2.0 * float(rho @ sigma))
 
 
-def weights_by_recording(problem: JointProblem, error: np.ndarray) -> np.ndarray:
-    """sqrt(share of independent samples) / sqrt(rms of all^2 + rms of the recording^2) (R,) of errors (N,), of the fitted
-    samples.
+def block_squares(problem: JointProblem, error: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean square of errors (N,) over the samples of a mask in each block of `BLOCK`, and the number of these samples."""
+    block = problem.blocks(BLOCK)
+    size = int(block[-1]) + 1
+    count = np.bincount(block[mask], minlength=size)
+    return np.bincount(block[mask], error[mask] ** 2, minlength=size) / np.maximum(count, 1), count
 
-    A recording that a model misses counts less; none counts more for being met well, since that is a matter of its motion.
+
+def block_scale(problem: JointProblem, error: np.ndarray) -> float:
+    """Scale s^2 of errors (N,): median of the mean squares of the fitted blocks, at least the squared noise."""
+    squares, count = block_squares(problem, error, problem.fitted)
+    return max(float(np.median(squares[count > 0])) if count.any() else 0.0, problem.noise**2, 1e-24)
+
+
+def block_loss(problem: JointProblem, error: np.ndarray, scale: float) -> float:
+    """Loss sum_b n_b log(s^2 + m_b) of errors (N,) over the fitted blocks, with s^2 = ``scale``."""
+    squares, count = block_squares(problem, error, problem.fitted)
+    return float(count @ np.log(scale + squares))
+
+
+def block_weights(problem: JointProblem, error: np.ndarray) -> np.ndarray:
+    """Weights (N,) [1/rad | 1/m] of the samples: sqrt(share of independent samples) / sqrt(s^2 + m_b) by errors (N,).
+
+    m_b: mean square of the error in the sample's block, s^2: `block_scale`. The weights are those of iteratively reweighted
+    least squares for `block_loss`: the error of a model differs from block to block, and one that no model follows (contact,
+    a stop) has a bounded influence. Fitted and held-out samples of a block are weighted apart.
+    Source: P. J. Rousseeuw, A. M. Leroy, Robust Regression and Outlier Detection (1987), ch. 1.
     """
+    block, own = problem.blocks(BLOCK), np.zeros(len(error))
+    for mask in (problem.fitted, problem.held):
+        own[mask] = block_squares(problem, error, mask)[0][block[mask]]
+    return np.asarray(math.sqrt(_independent_share(problem, error)) / np.sqrt(block_scale(problem, error) + own))
+
+
+def _independent_share(problem: JointProblem, error: np.ndarray) -> float:
+    """Mean share of independent samples over the recordings, of the fitted samples."""
     runs = range(len(problem.starts) - 1)
-    own = [error[problem.part(k)][problem.fitted[problem.part(k)]] for k in runs]
-    squares = np.array([float(np.mean(e**2)) if len(e) else math.nan for e in own])
-    every = max(float(np.mean(np.concatenate(own) ** 2)), problem.noise**2, 1e-24)
-    share = float(np.average([independent(e, problem.dt) for e in own if len(e)], weights=[len(e) for e in own if len(e)]))
-    return math.sqrt(share) / np.sqrt(every + np.where(np.isfinite(squares), squares, every))
+    own = [e for k in runs if len(e := error[problem.part(k)][problem.fitted[problem.part(k)]])]
+    return float(np.average([independent(e, problem.dt) for e in own], weights=[len(e) for e in own]))
 
 
 def _weighted(problem: JointProblem, error: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Weighted errors of the fitted samples."""
-    each = np.repeat(weights, np.diff(problem.starts))
-    return np.asarray((each * error)[problem.fitted])
+    return np.asarray((weights * error)[problem.fitted])
 
 
 def _prior(numbers: Sequence[Number], x: np.ndarray) -> np.ndarray:
@@ -189,7 +217,7 @@ def fit(
     part: samples that are fitted, all of the fitted ones by default; `Fit.error` is of all samples, its ``sse`` of the part.
     """
     part = part or problem.with_fitted()
-    own = weights[part.which]
+    own = weights[part.rows]
     center = start_of(numbers, base)
 
     def residual(x: np.ndarray) -> np.ndarray:
@@ -234,16 +262,13 @@ def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
     Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13.
     """
     part = problem.with_fitted()
-    own = found.weights[part.which]
+    own = found.weights[part.rows]
     J = jacobian(part, found.numbers, found.x, found.slots, own)
     n = int(part.fitted.sum())
-    r = _weighted(part, found.error[problem.rows_of(part)], own)
+    r = _weighted(part, found.error[part.rows], own)
     H = J.T @ J
     H += np.diag(1e-9 * np.diag(H) + 1e-12)
-    at = np.flatnonzero(part.fitted)
-    run = np.searchsorted(part.starts, at, side="right") - 1
-    block = (at - part.starts[run]) // max(1, round(BLOCK / part.dt)) + 10_000 * run
-    _, where = np.unique(block, return_inverse=True)
+    _, where = np.unique(part.blocks(BLOCK)[part.fitted], return_inverse=True)
     scores = np.zeros((int(where.max()) + 1, len(found.x)))
     np.add.at(scores, where, J[:n] * r[:, None])
     few = len(scores) / max(len(scores) - len(found.x), 1)

@@ -143,8 +143,8 @@ class JointProblem:
     starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10 + 3 m):
     see `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,):
     the file's
-    slots; sources: file and role of each recording; which (R,):
-    index of each among the recordings of the diagnosis; slide: whether it is no hinge; joints (m): of the robot.
+    slots; sources: file and role of each recording; rows (N,): index of each sample in the problem of all recordings; slide:
+    whether it is no hinge; joints (m): of the robot.
     """
 
     joint: int
@@ -161,7 +161,7 @@ class JointProblem:
     held: np.ndarray
     noise: float
     sources: tuple[tuple[str, str], ...]
-    which: np.ndarray
+    rows: np.ndarray
     slide: bool = False
     joints: tuple[str, ...] = ()
 
@@ -204,7 +204,7 @@ class JointProblem:
         return dataclasses.replace(
             self, starts=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), first=self.first[at], slope=self.slope[at],
             series=self.series[at], angle=self.angle[at], fitted=self.fitted[at], held=self.held[at],
-            sources=tuple(self.sources[k] for k in runs), which=self.which[runs],
+            sources=tuple(self.sources[k] for k in runs), rows=self.rows[at],
         )  # fmt: skip
 
     def windows(self, most: int) -> JointProblem:
@@ -245,13 +245,15 @@ class JointProblem:
         return dataclasses.replace(
             whole, starts=starts, first=whole.first[at], slope=whole.slope[at], series=series, angle=whole.angle[at],
             fitted=fitted,
-            held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), which=whole.which[[k for k, _ in chosen]],
+            held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), rows=whole.rows[at],
         )  # fmt: skip
 
-    def rows_of(self, part: JointProblem) -> np.ndarray:
-        """Indices here of the samples of a part of this problem."""
-        runs = [int(np.flatnonzero(self.which == w)[0]) for w in part.which]
-        return np.concatenate([np.arange(self.starts[k], self.starts[k + 1]) for k in runs])
+    def blocks(self, seconds: float) -> np.ndarray:
+        """Block (N,) of each sample, counted from nought: stretches of a length that end with each recording."""
+        size = max(1, round(seconds / self.dt))
+        own = [np.arange(n) // size for n in np.diff(self.starts)]
+        first = np.cumsum([0, *(int(b[-1]) + 1 for b in own)])
+        return np.concatenate([b + k for b, k in zip(own, first, strict=False)])
 
 
 def _others(m: Motion) -> list[np.ndarray]:
@@ -303,6 +305,6 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
     return JointProblem(
         j, name, drive, dt, max(FEWEST_STEPS, math.ceil(dt / STEP)), np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         np.concatenate(firsts), np.concatenate(slopes), np.concatenate(series), q, np.concatenate(fitted), np.concatenate(held),
-        float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(sources)),
+        float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(q)),
         robot.motions[j] is Kind.SLIDE, robot.joints,
     )  # fmt: skip

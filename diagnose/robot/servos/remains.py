@@ -48,8 +48,7 @@ def black_box(problem: JointProblem, fit: Fit) -> tuple[float, float]:
     if problem.held.sum() < 30:
         return 0.0, 1.0
     D = _dictionary(problem, fit)
-    each = np.repeat(fit.weights, np.diff(problem.starts))
+    each = fit.weights
     c = ridge(D[problem.fitted] * each[problem.fitted, None], (each * fit.error)[problem.fitted])
-    left_over, runs = fit.error - D @ c, [(problem.part(k), w) for k, w in enumerate(fit.weights)]
-    left = np.concatenate([left_over[part][problem.held[part]] * w for part, w in runs])
+    left = ((fit.error - D @ c) * each)[problem.held]
     return predictable(held_out(problem, fit.error, fit.weights), left)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from diagnose.robot.options import RobotOptions
-from diagnose.robot.servos.fit import Fit, Number, covariance, fit, jacobian, weights_by_recording
+from diagnose.robot.servos.fit import Fit, Number, block_weights, covariance, fit, jacobian
 from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.starts import THIN, regressed
@@ -135,7 +135,7 @@ def _merge(s: JointSearch) -> bool:
 def _settle(s: JointSearch) -> None:
     """Refit what stands, in the weights of its own errors; the fit without effects is counted in the same weights."""
     p = s.problem
-    weights = weights_by_recording(p, s.now.fit.error)
+    weights = block_weights(p, s.now.fit.error)
     s.now = Structure(s.now.laws, fit(p, s.now.fit.numbers, s.now.fit.slots, weights))
     s.refitted = Structure((), fit(p, s.numbers, s.refitted.fit.slots, weights, QUICK))
 
@@ -164,8 +164,8 @@ def _screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tu
     derivatives do not span.
     """
     part = s.problem.windows(THIN)
-    weights = s.weights[part.which]
-    each = np.repeat(weights, np.diff(part.starts))[part.fitted]
+    weights = s.weights[part.rows]
+    each = weights[part.fitted]
     J = jacobian(part, now.fit.numbers, now.fit.x, now.fit.slots, weights)[: int(part.fitted.sum())]
     Q = np.linalg.qr(J + 1e-12)[0]
     r = each * part.error(now.fit.slots)[part.fitted]

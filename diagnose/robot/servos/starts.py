@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from diagnose.robot.servos.fit import Fit, Number, counted, fit, weights_by_recording
+from diagnose.robot.servos.fit import Fit, Number, block_loss, block_scale, block_weights, counted, fit
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.state import QUICK
 from mjsim.robot.joint_kernel import SLOT
@@ -56,11 +56,34 @@ def _links(problem: JointProblem) -> float:
 
 def start_fit(problem: JointProblem, numbers: tuple[Number, ...]) -> Fit:
     """The fit without effects, in the weights of its own errors: the best of starts at the file, at softer gains and at a
-    regression."""
-    p = problem.nominal
-    weights = weights_by_recording(problem, problem.error(p))
+    regression.
+
+    The starts are compared by the loss that `block_weights` stands for, at one scale.
+    """
     part = problem.windows(THIN)
-    starts = [regressed(problem, "friction" in {n.slot for n in numbers})]
+    tried = [_begun(problem, part, numbers, s) for s in _starts(problem, numbers)]
+    errors = [part.error(x.slots) for x in tried]
+    scale = min(block_scale(part, e) for e in errors)
+    best = min(zip((block_loss(part, e, scale) for e in errors), tried, strict=True), key=lambda x: x[0])[1]
+    for _ in range(2):
+        best = fit(problem, numbers, best.slots, block_weights(problem, best.error))
+    return counted(problem, best, block_weights(problem, best.error))
+
+
+def _begun(problem: JointProblem, part: JointProblem, numbers: tuple[Number, ...], start: np.ndarray) -> Fit:
+    """A quick fit of a part from slots (K,), in equal weights first and then in those of its own errors."""
+    weights = np.full(len(problem.angle), 1.0 / max(float(np.std(problem.angle)), problem.noise, 1e-12))
+    for _ in range(2):
+        found = fit(problem, numbers, start, weights, QUICK, part)
+        start, weights = found.slots, block_weights(problem, found.error)
+    return found
+
+
+def _starts(problem: JointProblem, numbers: tuple[Number, ...]) -> list[np.ndarray]:
+    """Slots (K,) from which the fit without effects starts."""
+    p = problem.nominal
+    found = regressed(problem, "friction" in {n.slot for n in numbers})
+    starts = [] if found is None else [found]
     for factor in FAR:
         s = p.copy()
         for name in ("kp", "kv", "damping", "friction"):
@@ -70,10 +93,7 @@ def start_fit(problem: JointProblem, numbers: tuple[Number, ...]) -> Fit:
         if not problem.drive.velocity and s[SLOT["kv"]] + s[SLOT["damping"]] <= 0:
             s[SLOT["kv"]] = 0.02 * s[SLOT["kp"]]
         starts.append(s)
-    best = min((fit(problem, numbers, s, weights, QUICK, part) for s in starts if s is not None), key=lambda x: x.sse)
-    for _ in range(2):
-        best = fit(problem, numbers, best.slots, weights_by_recording(problem, best.error))
-    return counted(problem, best, weights_by_recording(problem, best.error))
+    return starts
 
 
 def regressed(problem: JointProblem, friction: bool) -> np.ndarray | None:

@@ -85,7 +85,7 @@ class JointSearch:
 
     @property
     def weights(self) -> np.ndarray:
-        """Of the recordings' errors."""
+        """Of the samples' errors (N,)."""
         return self.now.fit.weights
 
     def multiplicity(self, law: ServoLaw) -> float:
@@ -126,11 +126,9 @@ class JointSearch:
             mask = getattr(p, which)[p.part(k)]
             a, b = poorer.error[p.part(k)][mask], richer.error[p.part(k)][mask]
             if len(a):
-                w2 = float(self.weights[k]) ** 2
-                before, after = (
-                    before + w2 * max(float(a @ a), len(a) * p.noise**2),
-                    after + w2 * max(float(b @ b), len(a) * p.noise**2),
-                )
+                w2 = self.weights[p.part(k)][mask] ** 2
+                least = float(np.sum(w2)) * p.noise**2
+                before, after = before + max(float(w2 @ a**2), least), after + max(float(w2 @ b**2), least)
                 count += independent(b, p.dt, a - b) * len(a)
         return count * math.log(before / after) if after > 0 else 0.0
 
@@ -170,22 +168,21 @@ def held_out(
     problem: JointProblem, error: np.ndarray, weights: np.ndarray, difference: np.ndarray | None = None,
     left: np.ndarray | None = None
 ) -> HeldOut:  # fmt: skip
-    """Held-out errors in blocks three times as long as they remember, weighted by recording."""
+    """Held-out errors in blocks three times as long as they remember, in weights (N,)."""
     errors, sse, count, squares, spread = [], [], [], 0.0, 0.0
     for k in range(len(problem.sources)):
         part, mask = problem.part(k), problem.held[problem.part(k)]
         if not mask.any():
             continue
-        e, a = error[part][mask], problem.angle[part][mask]
+        e, a, w = error[part][mask], problem.angle[part][mask], weights[part][mask]
         own = e if left is None else left[part][mask]
         share = independent(own, problem.dt, None if difference is None else difference[part][mask])
         memory = 3 * max(1, round(1.0 / share))
         for stretch in np.split(np.arange(len(e)), np.flatnonzero(np.diff(np.flatnonzero(mask)) > 1) + 1):
-            for piece in np.array_split(e[stretch], max(1, round(len(stretch) / memory))):
-                w = piece * weights[k]
-                errors.append(w)
-                sse.append(float(w @ w))
-                count.append(len(w))
+            for piece in np.array_split(e[stretch] * w[stretch], max(1, round(len(stretch) / memory))):
+                errors.append(piece)
+                sse.append(float(piece @ piece))
+                count.append(len(piece))
         squares += float(e @ e)
         spread += float(np.sum((a - np.mean(a)) ** 2))
     flat = np.concatenate(errors) if errors else np.zeros(0)
