@@ -29,6 +29,7 @@ from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, pr
 from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
 from diagnose.robot.servos.state import JointSearch
+from diagnose.robot.servos.unfollowed import unfollowed_note
 from mjsim.errors import InputError, nearest
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
@@ -248,6 +249,7 @@ def _told(
     notes += unused_of_robot(recordings)
     notes += [f"{name}: {text}" for name, text in borrowed.items()]
     notes += _shifted(joints)
+    notes += [x for s in searches if (x := unfollowed_note(s.problem, s.now.fit.error))]
     notes.append("Backlash between motor and joint is not looked for: an encoder at the joint does not show it.")
     return RobotDiagnosis(
         worst, summary(worst, joints, lines), joints, overall(joints), links, dict.fromkeys(links, 0.0), (), lines, tuple(notes),
