@@ -82,6 +82,7 @@ def _enter(s: Selection, simple: bool) -> bool:
             trial = s.solve(replaced(s.solution.terms, term))
             if s.known(trial):
                 continue
+            trial = s.reweighed(trial, joint)
             step = s.step(s.solution, trial, joint)
             why = s.why_not(step, term.law, 1) if trial.sane(term) else NOT_PHYSICAL
             if why:

@@ -18,6 +18,8 @@ from diagnose.robot.solve import Solution, held_out, solve, told_apart, worth
 
 __all__ = ["Refusal", "Selection", "Step", "replaced", "screen", "size"]
 
+REWEIGHED = 2  # rounds of weights of a candidate's own row: the second changes them by some per cent
+
 
 @dataclass(frozen=True)
 class Step:
@@ -111,6 +113,19 @@ class Selection:
         """The physically consistent solution with other terms."""
         self.fill(terms)
         return self.physical(solve(self.problem, terms, self.weights, self.rows, self.cache))
+
+    def reweighed(self, trial: Solution, joint: int) -> Solution:
+        """The trial with the row of a joint in the weight of the trial's own residual.
+
+        In the weight that the poorer structure left, the prior of the robot's own parameters counts for too much beside the
+        row: a likelihood is compared at its own maximum over the size of its residual.
+        """
+        for _ in range(REWEIGHED):
+            e = trial.fitted[joint]
+            rms = float(np.sqrt(np.mean(e**2))) + 1e-300
+            weights = {**self.weights, joint: math.sqrt(worth(self.problem, joint, e, e)) / rms}
+            trial = physical(self.problem, solve(self.problem, trial.terms, weights, self.rows, self.cache), weights)
+        return trial
 
     def physical(self, solution: Solution) -> Solution:
         """The physically consistent solution of the same terms."""
