@@ -14,12 +14,13 @@ from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotFinding, Trace
 from diagnose.robot.servos.fit import Fit, Number, covariance, fit, slots_of
 from diagnose.robot.servos.library import ServoLaw
+from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.remains import black_box
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, held_out
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
 
-__all__ = ["AT_NOISE", "Scale", "answer", "changed", "scale_of"]
+__all__ = ["AT_NOISE", "Scale", "answer", "changed", "scale_of", "scale_of_fit"]
 
 LEAST_LOAD = (
     0.2  # of the servo's torque: what the links must take for their masses to set the scale, and not an error of friction
@@ -46,14 +47,19 @@ class Scale:
 
 def scale_of(s: JointSearch) -> Scale:
     """From the covariance of the search's fit."""
-    V = covariance(s.problem, s.now.fit)
-    k = next(i for i, n in enumerate(s.now.fit.numbers) if n.slot == ("kv" if s.problem.drive.velocity else "kp"))
+    return scale_of_fit(s.problem, s.now.fit)
+
+
+def scale_of_fit(p: JointProblem, found: Fit) -> Scale:
+    """From the covariance of a fit of a joint."""
+    V = covariance(p, found)
+    main = "kv" if p.drive.velocity else "kp"
+    k = next(i for i, n in enumerate(found.numbers) if n.slot == main)
     error = math.sqrt(V[k, k])
-    p = s.problem
-    gain = float(s.now.fit.slots[SLOT["kv" if p.drive.velocity else "kp"]])
+    gain = float(found.slots[SLOT[main]])
     drive = gain * (p.first - (p.series[:, 6] if p.drive.velocity else p.angle))[p.fitted]
     loaded = float(np.mean(p.series[p.fitted, 4] ** 2)) > LEAST_LOAD**2 * float(np.mean(drive**2))
-    return Scale(loaded and error < KNOWN, float(s.now.fit.x[k]), error)
+    return Scale(loaded and error < KNOWN, float(found.x[k]), error)
 
 
 def nominal_fit(s: JointSearch) -> Fit:

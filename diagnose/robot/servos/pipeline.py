@@ -21,9 +21,9 @@ from diagnose.result import Estimate
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import ORDER, overall, summary
 from diagnose.robot.result import JointResult, RobotDiagnosis
-from diagnose.robot.servos.answer import Scale, answer, changed, scale_of
+from diagnose.robot.servos.answer import Scale, answer, changed, scale_of, scale_of_fit
 from diagnose.robot.servos.clocks import clocks
-from diagnose.robot.servos.fit import covariance
+from diagnose.robot.servos.fit import Fit, Number, covariance
 from diagnose.robot.servos.library import PAYLOAD
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
 from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
@@ -94,14 +94,14 @@ def _searched(
 ) -> tuple[JointSearch, ...]:
     """The searches at all joints; ``without``: by joint, the key of a law that is not tried."""
 
-    def one(p: JointProblem) -> JointSearch:
-        numbers = own_numbers(p)
-        s = search_joint(p, options, len(problems), numbers, start_fit(p, numbers), without.get(p.name, ""))
+    def one(p: JointProblem, numbers: tuple[Number, ...], start: Fit) -> JointSearch:
+        s = search_joint(p, options, len(problems), numbers, start, without.get(p.name, ""))
         say(f"{p.name}: {', '.join(x.key for x in s.now.laws) or 'no effect'}")
         return s
 
     with ThreadPoolExecutor(jobs) as pool:
-        return tuple(pool.map(one, problems))
+        numbers, starts = _starts(problems, lambda f, *xs: list(pool.map(f, *xs)))
+        return tuple(pool.map(one, problems, numbers, starts))
 
 
 def _by_clock(
@@ -158,6 +158,42 @@ def _enough(p: JointProblem, count: int) -> bool:
     return enough
 
 
+def _starts(problems: Sequence[JointProblem], each: Callable[..., list[Fit]]) -> tuple[list[tuple[Number, ...]], list[Fit]]:
+    """The own numbers of each joint and its fit without effects; ``each``: maps a function over joints.
+
+    A joint whose data do not tell the scale of torques gets the gain of like servos beforehand: the force limit of the file
+    and the inertia of the links act by that scale, and its effects are searched where they act as they do.
+    """
+    numbers = [own_numbers(p) for p in problems]
+    starts = each(start_fit, problems, numbers)
+    scales = {p.name: scale_of_fit(p, f) for p, f in zip(problems, starts, strict=True)}
+    again = []
+    for k, p in enumerate(problems):
+        kin = _kin(p, problems, scales)
+        if kin and not scales[p.name].told:
+            numbers[k] = _with_gain(p, numbers[k], _mean_gain(kin, scales))
+            again.append(k)
+    for k, f in zip(again, each(start_fit, [problems[k] for k in again], [numbers[k] for k in again]), strict=True):
+        starts[k] = f
+    return numbers, starts
+
+
+def _kin(p: JointProblem, problems: Sequence[JointProblem], scales: Mapping[str, Scale]) -> list[str]:
+    """Joints whose scale is told and whose servo is that of a joint in the file."""
+    return [x.name for x in problems if scales[x.name].told and _same_servo(x, p)]
+
+
+def _mean_gain(kin: Sequence[str], scales: Mapping[str, Scale]) -> float:
+    """Mean coded gain of joints."""
+    return float(np.mean([scales[name].gain for name in kin]))
+
+
+def _with_gain(p: JointProblem, numbers: Sequence[Number], mean: float) -> tuple[Number, ...]:
+    """Numbers with the prior of the servo's gain at that of like servos."""
+    main = "kv" if p.drive.velocity else "kp"
+    return tuple(dataclasses.replace(n, prior=(mean, SPREAD)) if n.slot == main else n for n in numbers)
+
+
 def _borrow(searches: Sequence[JointSearch], scales: dict[str, Scale]) -> dict[str, str]:
     """Fit joints whose scale is not told with the gain of joints whose servo is the same in the file; say so, by joint."""
     out = {}
@@ -167,19 +203,18 @@ def _borrow(searches: Sequence[JointSearch], scales: dict[str, Scale]) -> dict[s
             out[p.name] = "The load of the links, by the masses of the file, sets the scale of torques."
             continue
         main = "kv" if p.drive.velocity else "kp"
-        kin = [x for x in searches if scales[x.problem.name].told and _same_servo(x.problem, p)]
+        kin = _kin(p, [x.problem for x in searches], scales)
         ratios = "Command and position tell only ratios here (friction / kp, damping / kp, kp / inertia)"
         if not kin:
             out[p.name] = (
                 f"{ratios}: the scale follows the armature of the file, to a factor of three. A known load at this joint tells."
             )
             continue
-        mean = float(np.mean([scales[x.problem.name].gain for x in kin]))
-        numbers = tuple(dataclasses.replace(n, prior=(mean, SPREAD)) if n.slot == main else n for n in s.numbers)
-        refit_with(s, numbers)
-        names = ", ".join(x.problem.name for x in kin)
+        mean = _mean_gain(kin, scales)
+        refit_with(s, _with_gain(p, s.numbers, mean))
         out[p.name] = (
-            f"{ratios}: {main} is taken to be that of {names} ({math.exp(mean):.3g}), whose servos are the same in the file."
+            f"{ratios}: {main} is taken to be that of {', '.join(kin)} ({math.exp(mean):.3g}), whose servos are the same in the "
+            "file."
         )
     return out
 
