@@ -1,6 +1,4 @@
-"""SO-101, six position servos: the published model beside the corrected one, on recordings that were not fitted.
-
-    python -m lab.robot.so101 FOLDER OUT [--without-friction]     # recordings as Parquet
+"""The published MJCF of SO-101 with its six position servos, and which of its recordings are fitted; `lab.proof.so101`.
 
 The chain is the published one (MuJoCo Menagerie, robotstudio_so101, Apache-2.0): numbers only, no meshes. The recordings that
 are fitted
@@ -9,15 +7,11 @@ hold one of each kind of excitation; all others are held out.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 
 from diagnose.robot.result import RobotDiagnosis
-from simgap.robot import diagnose_robot_files
 
-__all__ = ["FITTED", "main", "so101_mjcf", "table"]
+__all__ = ["FITTED", "so101_mjcf", "summary_rows"]
 
 FITTED = ("friction_gravity", "step_response", "chirp_sweep", "prbs_excitation", "oscillation_low_freq", "large_amplitude")
 
@@ -64,7 +58,7 @@ def _end(body: int) -> str:
     return BODIES[body + 1][2] if body + 1 < len(BODIES) else "-.003 -.07 .02"
 
 
-def table(d: RobotDiagnosis) -> list[tuple[str, float, float, int]]:
+def summary_rows(d: RobotDiagnosis) -> list[tuple[str, float, float, int]]:
     """By joint: name, median over the held-out recordings in which it moves of the rms error [mrad] of the file, and of
     corrected.xml,
     all joints together in MuJoCo; and the number of these recordings."""
@@ -74,28 +68,3 @@ def table(d: RobotDiagnosis) -> list[tuple[str, float, float, int]]:
         kept = [r for r in rows if r["role"] == "held_out" and r["moves"]]
         out.append((name, *(1e3 * float(np.median([r[k] for r in kept])) for k in ("nominal_rms", "corrected_rms")), len(kept)))
     return out
-
-
-def main(folder: Path, out: Path, friction: float = 0.052) -> None:
-    """Diagnose the robot, print the table and write the diagnosis to ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
-    model = out / "so101.xml"
-    model.write_text(so101_mjcf(friction), encoding="utf-8")
-    fitted = [folder / f"{name}.parquet" for name in FITTED]
-    held = [p for p in sorted(folder.glob("*.parquet")) if p.stem not in FITTED]
-    d = diagnose_robot_files(fitted, model, out, held, say=print)
-    print(d.summary)
-    for name, nominal, corrected, count in table(d):
-        r = d.joints[name]
-        found = "; ".join(
-            f"{f.effect} " + ", ".join(f"{k} {e.value:.3g} [{e.ci95[0]:.3g}, {e.ci95[1]:.3g}]" for k, e in f.parameters.items())
-            for f in r.findings
-        )
-        alone = 1e3 * r.fit["surrogate"].held_out_rms
-        print(f"{name:14s} {nominal:6.1f} -> {corrected:5.1f} mrad, of {count}; {alone:.1f} alone; {r.verdict.value}: {found}")
-    for line in (*d.changed, *d.notes):
-        print("  ", line)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), 0.0 if "--without-friction" in sys.argv else 0.052)

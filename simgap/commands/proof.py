@@ -10,7 +10,7 @@ from simgap.arguments import Choice, InputFile, OutputFolder, need_folder
 
 __all__ = ["PAGES", "command"]
 
-PAGES = ("emps", "kuka", "concealed", "summary")
+PAGES = ("emps", "kuka", "kuka_robot", "so101", "concealed", "summary")
 
 
 @click.command("proof", epilog="Example: simgap proof emps --out out/proof")
@@ -32,9 +32,10 @@ PAGES = ("emps", "kuka", "concealed", "summary")
 def command(name: str, out: Path, source: Path | None, benchmark: Path | None, jobs: int, as_json: bool) -> None:
     """Write one page of the proof; every number on it is computed by this command.
 
-    emps, kuka: real machines compared with published values. concealed: known physics removed from the model or added to real
-    signals. summary: the results of all pages in OUT and of a benchmark.json, written as proof.md beside OUT; it names what was
-    not run.
+    emps, kuka: real machines compared with published values. kuka_robot: the KUKA's six axes by force. so101: six servos from
+    command and position, from the Parquet files in the folder of --from. concealed: known physics removed from the model or
+    added to real signals. summary: the results of all pages in OUT and of a benchmark.json, written as proof.md beside OUT; it
+    names what was not run.
     """
     import json
 
@@ -58,6 +59,10 @@ def _made(name: str, out: Path, source: Path | None, benchmark: Path | None, job
         from lab.proof.summary import summary_page
 
         return summary_page(out, benchmark)
+    if name == "so101":
+        from lab.proof.so101 import so101_page
+
+        return so101_page(_given(source), say)
     emps, kuka = DATA_SETS["emps"], DATA_SETS["kuka_kr300"]
     if name == "emps":
         from lab.proof.emps import emps_page
@@ -67,6 +72,19 @@ def _made(name: str, out: Path, source: Path | None, benchmark: Path | None, job
         from lab.proof.kuka import kuka_page
 
         return kuka_page(files_of(kuka, source), say, jobs)
+    if name == "kuka_robot":
+        from lab.proof.kuka_robot import kuka_robot_page
+
+        return kuka_robot_page(files_of(kuka, source), say)
     from lab.proof.concealed import concealed_page
 
     return concealed_page(files_of(emps, source), files_of(kuka, source), say, jobs)
+
+
+def _given(source: Path | None) -> Path:
+    """The folder of --from. Raises InputError without one."""
+    from mjsim.errors import InputError
+
+    if source is None or not source.is_dir():
+        raise InputError("--from", "no folder of recordings", "the Parquet files of SO-101", "give their folder by --from")
+    return source

@@ -23,10 +23,12 @@ def test_friction_and_payload_are_found(local_copy, tmp_path):
     a, b = (local_copy("kuka_kr300", f"rec_FF_{x}.mat") for x in "AB")
     d = diagnose_robot_files([a], shipped_model("kuka_kr300"), tmp_path, [b])
     dry = {f.joint: f.parameters["torque_Nm"].value for f in d.findings if f.effect == "coulomb_friction"}
-    assert {"axis1", "axis2", "axis4", "axis5", "axis6"} <= set(dry)
+    assert set(dry) == {f"axis{k}" for k in range(1, 7)}
     assert dry["axis1"] == pytest.approx(350, rel=0.1)
+    assert dry["axis3"] == pytest.approx(AXES[2].coulomb * AXES[2].ratio, rel=0.1)
     assert dry["axis4"] == pytest.approx(AXES[3].coulomb * AXES[3].ratio, rel=0.1)
     assert any("link6" in line for line in d.changed)
     for joint in dry:
         fit = d.joints[joint].fit
-        assert fit["corrected"].held_out_nrmse < 0.8 * fit["refitted"].held_out_nrmse
+        lower = 0.85 if joint == "axis2" else 0.67  # on axis 2 the held-out recording visits other poses
+        assert fit["corrected"].held_out_nrmse < lower * fit["refitted"].held_out_nrmse
