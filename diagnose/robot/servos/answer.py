@@ -28,6 +28,7 @@ LEAST_LOAD = (
 SMALL = 0.01  # relative change of a number that is not said: the kernel's step and the smoothed motion err by as much
 KNOWN = 0.25  # standard deviation of a gain's logarithm below which the data tell the gain, and not only its ratios
 AT_NOISE = 1.5  # times the noise: the largest rms of an error that is taken for noise
+UNTOLD = math.log(1e3)  # half interval of a ratio's logarithm above which the ratio is not given
 DRAWN = 20_000  # points of a trace at most
 OWN = {
     "kp": ("kp", Quantity.STIFFNESS), "kv": ("kv", Quantity.DAMPING), "damp": ("kv + damping", Quantity.DAMPING),
@@ -140,6 +141,8 @@ def _ratios(s: JointSearch, V: np.ndarray, motion: Motion) -> dict[str, Estimate
         if slot in at and s.now.fit.numbers[at[slot]].log:
             i, k = at[slot], at["kp"]
             half = 1.96 * math.sqrt(max(V[i, i] + V[k, k] - 2 * V[i, k], 0.0))
+            if half > UNTOLD:
+                continue
             value = float(s.now.fit.x[i] - s.now.fit.x[k])
             out[name] = Estimate(math.exp(value), (math.exp(value - half), math.exp(value + half)), unit.unit(motion))
     return out

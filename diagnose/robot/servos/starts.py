@@ -15,7 +15,7 @@ __all__ = ["THIN", "own_numbers", "regressed", "start_fit"]
 
 THIN = 4000  # samples on which starts are compared and finalists fitted first
 INERTIA_PRIOR = math.log(3.0)  # of the armature's logarithm: a rotor's inertia is known to a factor of three
-GAIN_PRIOR = math.log(30.0)  # of a gain's logarithm: the file may be far off, but not by any factor
+GAIN_PRIOR = math.log(30.0)  # of the logarithm of a gain, or of dry friction: the file may be far off, but not by any factor
 FAR = (1.0, 0.3, 0.1, 0.03, 0.01)  # gains over those of the file, from which the fit without effects starts
 
 
@@ -46,7 +46,8 @@ def own_numbers(problem: JointProblem) -> tuple[Number, ...]:
             inertia,
             Number("zero", False, 0.01 * float(np.ptp(problem.angle)) + 1e-12),
         ]
-    return (*numbers, *([Number("friction")] if p[SLOT["friction"]] > 0 else []))
+    loss = float(p[SLOT["friction"]])
+    return (*numbers, *([Number("friction", prior=(math.log(loss), GAIN_PRIOR))] if loss > 0 else []))
 
 
 def _links(problem: JointProblem) -> float:
