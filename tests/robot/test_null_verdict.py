@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from diagnose.robot.servos.answer import AT_NOISE, _at_noise
+from diagnose.robot.servos.answer import AT_NOISE, UNTOLD, _at_noise, _ratios
+from diagnose.robot.servos.fit import Number
+from mjsim.quantity import Motion
 
 
 @pytest.mark.parametrize(("level", "at_noise"), [(0.99 * AT_NOISE, True), (1.01 * AT_NOISE, False)])
@@ -15,3 +18,16 @@ def test_noise_is_asked_of_fitted_and_held_out_samples(level, at_noise, where):
     p = SimpleNamespace(noise=2e-4, fitted="fitted", held="held")
     fit = SimpleNamespace(rms=lambda mask: (level if mask == where else 1.0) * p.noise)
     assert _at_noise(SimpleNamespace(problem=p), fit) is at_noise
+
+
+def test_a_ratio_that_is_not_told_is_left_out():
+    """A friction that the data put at nothing has a logarithm of any size: no interval can be printed of it."""
+    numbers = (Number("kp"), Number("damp"), Number("friction"))
+    fit = SimpleNamespace(numbers=numbers, x=np.log([10.0, 0.5, 1e-11]))
+    V = np.diag([0.01, 0.01, 1e6])
+    out = _ratios(SimpleNamespace(now=SimpleNamespace(fit=fit)), V, Motion.HINGE)
+    assert list(out) == ["(kv + damping) / kp"]
+    assert out["(kv + damping) / kp"].value == pytest.approx(0.05)
+    for half, told in ((0.99 * UNTOLD, True), (1.01 * UNTOLD, False)):
+        V[2, 2] = (half / 1.96) ** 2 - 0.01
+        assert ("friction / kp" in _ratios(SimpleNamespace(now=SimpleNamespace(fit=fit)), V, Motion.HINGE)) is told
