@@ -136,6 +136,7 @@ NAMES_AN_EFFECT = {
     "lab/proof/concealed.py": "conceals known effects in real recordings",
     "lab/proof/emps.py": "published values of named effects",
     "lab/proof/kuka.py": "published values of named effects",
+    "lab/proof/kuka_robot.py": "published values of named effects",
     "lab/proof/summary.py": "published values of named effects",
 }
 
