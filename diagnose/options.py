@@ -17,7 +17,7 @@ class Options:
     structure_p: least part of the held-out squared error that must be predictable, and its p-value, for structure to remain;
     missed: least mean square of missed motion over that of the noise; left: least part of the mismatch that must be left where
     the noise is not known, closed: of the rms error above the noise, the part that must be closed where it is
-    (docs/decisions/evidence.md).
+    (docs/decisions/evidence.md). by_recording: fit friction to each recording by itself as well.
     """
 
     judge: str | None = None
@@ -32,3 +32,4 @@ class Options:
     missed: float = 0.05
     left: float = 0.01
     closed: float = 0.97
+    by_recording: bool = False

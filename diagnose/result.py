@@ -46,15 +46,37 @@ class Verdict(enum.Enum):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its 95 % interval and unit."""
+    """A number with its 95 % interval and unit; at_bound: it stands at a bound of its range, where the interval is one-sided."""
 
     value: float
     ci95: tuple[float, float]
     unit: str
+    at_bound: bool = False
 
     def as_dict(self) -> dict[str, Any]:
-        """As in the contract."""
-        return {"value": self.value, "ci95": list(self.ci95), "unit": self.unit}
+        """As in the contract, and ``at_bound`` where it is."""
+        told = {"value": self.value, "ci95": list(self.ci95), "unit": self.unit}
+        return told | ({"at_bound": True} if self.at_bound else {})
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """How well the data determine the numbers of a fit, by its Jacobian with columns of length one.
+
+    numbers, rank: how many there are, and how many of them the data tell apart; condition: largest singular value over the
+    smallest; undetermined: those beyond the rank, each a combination of the others to the data.
+    """
+
+    numbers: int
+    rank: int
+    condition: float
+    undetermined: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """By name."""
+        return {
+            "numbers": self.numbers, "rank": self.rank, "condition": self.condition, "undetermined": list(self.undetermined)
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -246,7 +268,8 @@ class Diagnosis:
 
     channel, unit: what the models are judged on; mismatch: on the first recording, mismatches: on every one; log: what the check
     of the recordings found. fit: errors, those of nominal and corrected as MuJoCo steps the files where ``surrogate`` is given:
-    the same by the fitting engine.
+    the same by the fitting engine. friction: its sizes fitted to one recording, by the recording's hash; conditioning: of the
+    chosen structure.
     """
 
     verdict: Verdict
@@ -280,6 +303,8 @@ class Diagnosis:
     surrogate: Mapping[str, FitFigures] = field(default_factory=dict)
     refusals: tuple[Refused, ...] = ()
     stretches: tuple[Mapping[str, Any], ...] = ()
+    friction: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    conditioning: Conditioning | None = None
 
     def shares(self) -> tuple[float, ...]:
         """Each recording's share of the residual energy above noise of all of them."""
@@ -330,6 +355,7 @@ class Diagnosis:
             ],
             "refusals": [r.as_dict() for r in self.refusals],
             "stretches": [dict(s) for s in self.stretches],
+            "conditioning": self.conditioning.as_dict() if self.conditioning is not None else None,
             "failed": dict(self.failed),
             "notes": list(self.notes),
             "next_experiment": self.next_experiment,

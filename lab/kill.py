@@ -27,7 +27,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-__all__ = ["Outcome", "contents", "differences", "kill", "main"]
+__all__ = ["Outcome", "contents", "differences", "kill", "main", "write_log"]
 
 MODEL = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbody><body name="rod">
 <joint name="hinge" axis="0 1 0" damping="0.05"/><geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass="1"/></body>
@@ -47,13 +47,13 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
 
 
-def _log(path: Path, friction: float, seed: int) -> None:
-    """4 s at 250 Hz of a pendulum with Coulomb friction, stepped by plain MuJoCo."""
+def write_log(path: Path, friction: float, seed: int, rows: int = 1000) -> None:
+    """So many rows at 250 Hz of a pendulum with Coulomb friction, stepped by plain MuJoCo."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(MODEL.replace('damping="0.05"', f'damping="0.05" frictionloss="{friction}"'))
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
-    t = 0.004 * np.arange(1000)
+    t = 0.004 * np.arange(rows)
     torque = 1.5 * np.sin(2 * np.pi * (0.3 + 0.3 * t) * t)
     motion = np.empty((len(t), 2))
     for i, u in enumerate(torque):
@@ -66,13 +66,13 @@ def _log(path: Path, friction: float, seed: int) -> None:
 
 
 def _diagnose(folder: Path) -> list[str]:
-    _log(folder / "a.npz", 0.15, 0)
+    write_log(folder / "a.npz", 0.15, 0)
     return ["diagnose", "a.npz", "--model", "pendulum.xml", "--effects", "coulomb_friction"]
 
 
 def _fleet(folder: Path) -> list[str]:
     for i in range(4):
-        _log(folder / f"logs/robot{i % 2}/2026-01-0{1 + i // 2}.npz", 0.1 + 0.05 * (i % 2), i)
+        write_log(folder / f"logs/robot{i % 2}/2026-01-0{1 + i // 2}.npz", 0.1 + 0.05 * (i % 2), i)
     return ["fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", "coulomb_friction", "--quiet"]
 
 

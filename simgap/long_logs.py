@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from diagnose.data.stretches import Stretches, choose
+from diagnose.result import Estimate
 from diagnose.thresholds import LONGEST
+from diagnose.verdict.friction_over_time import trends
 from mjsim.errors import InputError
 from mjsim.readers import digest
 from mjsim.readers.stream import row_count, windows
 from mjsim.recording import Recording, find_binding, from_table, load
 
-__all__ = ["Loaded", "load_all"]
+__all__ = ["Loaded", "load_all", "told", "trend_sentences"]
 
 
 @dataclass(frozen=True)
@@ -66,3 +69,21 @@ def _stretches(path: Path, model: Path, joint: str | None, prefer: str | None, h
         return choose(path.name, digest(path), recordings, held_out=held)
     except InputError as error:
         raise (errors or [error])[0] from None
+
+
+def told(stretches: Sequence[Stretches], friction: Mapping[str, Mapping[str, Estimate]]) -> tuple[dict[str, Any], ...]:
+    """The stretches for ``diagnosis.json``, each with the friction that was fitted to it alone (by the hash of its samples)."""
+    return tuple(
+        {**s.as_dict(), "friction": {name: e.as_dict() for name, e in friction.get(r.sha256, {}).items()}}
+        for part in stretches for s, r in zip(part.chosen, part.recordings, strict=True)
+    )  # fmt: skip
+
+
+def trend_sentences(stretches: Sequence[Stretches], friction: Mapping[str, Mapping[str, Estimate]]) -> list[str]:
+    """Which numbers of friction change over the time of each long recording."""
+    out = []
+    for part in stretches:
+        times = [s.start_s for s in part.chosen]
+        numbers = [friction.get(r.sha256, {}) for r in part.recordings]
+        out += [f"{part.chosen[0].file}: {line.sentence()}" for line in trends(times, numbers) if line.significant]
+    return out

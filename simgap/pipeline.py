@@ -38,7 +38,7 @@ from mjsim.recording import Recording
 from simgap.either_friction import by_either_friction
 from simgap.following import following
 from simgap.judging import before_search, write_judged
-from simgap.long_logs import load_all
+from simgap.long_logs import load_all, told, trend_sentences
 
 __all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
@@ -134,6 +134,7 @@ def diagnose_recordings(
     ``stretches``: of which long recordings those are parts.
     """
     options = options or Options()
+    options = dataclasses.replace(options, by_recording=bool(stretches))
     said = [part.sentence() for part in stretches]
     if not is_whole(model):
         said.append(IN_ONE_FILE.format(given=model.name))
@@ -169,7 +170,10 @@ def diagnose_recordings(
     finally:
         ledger.close()
     result = dataclasses.replace(
-        result, log=log, notes=(*said, *result.notes), stretches=tuple(s.as_dict() for part in stretches for s in part.chosen)
+        result,
+        log=log,
+        notes=(*said, *trend_sentences(stretches, result.friction), *result.notes),
+        stretches=told(stretches, result.friction),
     )
     result = _written(result, nominal, model, out, truth, page, given, options.jobs)
     ledger.discard()

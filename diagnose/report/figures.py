@@ -66,11 +66,11 @@ def estimate(e: Estimate) -> str:
 
 
 def interval(e: Estimate) -> str:
-    """``low … high``, with the digits of the value; a dash when there is none."""
+    """``low … high``, with the digits of the value; said where the value is at a bound."""
     if not all(map(math.isfinite, e.ci95)):
         return "not determined"
     low, high = (_print(v, *_decimals(e)) for v in e.ci95)
-    return f"{low} … {high}"
+    return f"{low} … {high}" + (", at a bound" if e.at_bound else "")
 
 
 def percent(share: float | None, digits: int = 2) -> str:

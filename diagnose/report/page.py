@@ -71,6 +71,7 @@ def render_report(
         places=tables.place_table(d) if placed(d) else None, findings=[_finding(f, d.unit) for f in d.findings],
         map=_map(d, drawn.get("map")), linear=tables.linear_table(d), errors=tables.error_table(d) if d.fit else None,
         horizons=any(f.ahead for f in d.fit.values()), rivals=leading, more_rivals=others, more=count,
+        stretches=tables.stretch_table(d), conditioning=tables.conditioning_sentence(d),
         refusals=tables.refusal_table(d.refusals), unexcited=tables.unexcited(d), better=_better(d),
         failed=[(structure_name(tuple(k.split("+"))), why) for k, why in d.failed.items()], false_alarm=false_alarm(d),
         equivalents=[

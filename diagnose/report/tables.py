@@ -72,6 +72,34 @@ def parameter_table(f: Finding, about: Mapping[str, str]) -> Markup:
     return table(columns, rows, f"Parameters of {effect_name(f.effect)}")
 
 
+def stretch_table(d: Diagnosis) -> Markup | None:
+    """Friction fitted to each stretch of a long recording; None where there is none."""
+    parts = [s for s in d.stretches if s.get("friction")]
+    names = list(dict.fromkeys(name for s in parts for name in s["friction"]))
+    if not names:
+        return None
+    units = {name: e["unit"] for s in parts for name, e in s["friction"].items()}
+    columns = [Column("Stretch from"), Column("Role"), *(Column(f"{name} [{units[name]}]", numeric=True) for name in names)]
+    rows = []
+    for s in parts:
+        found = [s["friction"].get(name) for name in names]
+        told = [Estimate(e["value"], tuple(e["ci95"]), e["unit"], e.get("at_bound", False)) if e else None for e in found]
+        values = [f"{estimate(e)} ({interval(e)})" if e else "–" for e in told]
+        rows.append((f"{number(s['start_s'])} s", str(s["role"]).replace("_", "-"), *values))
+    return table(columns, rows, "Friction of each stretch by itself, with 95 % intervals; all other numbers are held")
+
+
+def conditioning_sentence(d: Diagnosis) -> str | None:
+    """How well the data determine the numbers of the fit; None for a diagnosis without one."""
+    c = d.conditioning
+    if c is None:
+        return None
+    if c.rank < c.numbers:
+        names = ", ".join(c.undetermined)
+        return f"The data tell {c.rank} of {c.numbers} fitted numbers apart; not {names}, which follow the nominal model."
+    return f"The data tell all {c.numbers} fitted numbers apart: rank {c.rank}, condition {number(c.condition)}."
+
+
 def linear_table(d: Diagnosis) -> Markup | None:
     """The nominal model's own numbers, as given and as identified; None when there are none."""
     numbers: list[tuple[str, str, float | None, Estimate | None]] = [

@@ -10,7 +10,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
 from diagnose.result import Estimate, Verdict
 from diagnose.structure.search import Search
-from diagnose.thresholds import EQUIVALENT, TWO_SIDED
+from diagnose.thresholds import EQUIVALENT, ROUNDING, TWO_SIDED
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.effects import Effect
 
@@ -51,13 +51,16 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
     errors = fitted.standard_errors(fitter.noise)
     out = {}
     motion = fitter.nominal.chain.motion
-    for e, x, s in zip(fitted.hypothesis.entries, fitted.fit.x, errors, strict=True):
+    rows = zip(fitted.hypothesis.entries, fitted.fit.x, errors, *fitted.hypothesis.bounds, strict=True)
+    for e, x, s, low, high in rows:
         if e.owner != owner or e.recording > 0 or e.name == "initial_velocity":
             continue
         value = e.si(float(x))
         if e.name == "phase_rad":
             value = math.remainder(value, 2 * math.pi)
-        out[e.name] = Estimate(value, (value - TWO_SIDED * float(s), value + TWO_SIDED * float(s)), e.quantity.unit(motion))
+        half = TWO_SIDED * float(s)
+        bound = not low + ROUNDING < x < high - ROUNDING
+        out[e.name] = Estimate(value, (value - half, value + half), e.quantity.unit(motion), bound)
     return out
 
 

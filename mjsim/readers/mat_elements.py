@@ -25,6 +25,7 @@ CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
 COMPLEX = 0x800  # flag of an array with an imaginary part
 DEPTH = 100  # matrices inside matrices
 LONGEST_NAMES = 2**20  # bytes of the names of a struct's fields
+MOST_EMPTY = 2**16  # structs without a field: no data bound their number, and SciPy makes each
 BLOCK = 2**20
 
 
@@ -157,9 +158,11 @@ def _parts(source: _Source, order: str, kind: int, count: int, depth: int) -> No
         length = _element(source, order, NUMBERS, 8)
         names = _element(source, order, TEXT, LONGEST_NAMES)
         width = int.from_bytes(length[:4], "little" if order == "<" else "big", signed=True)
-        if width <= 0:
-            raise ValueError("the names of a struct's fields have no length")
+        if width <= 0 or len(names) % width:
+            raise ValueError(f"names of a struct's fields of {width} bytes each do not fill {len(names)} bytes")
         fields = len(names) // width
+        if not fields and count > MOST_EMPTY:
+            raise ValueError(f"{count} structs without a field")
     for _ in range(count * fields):
         _inner(source, order, depth)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 import zipfile
 
 import numpy as np
@@ -245,4 +246,24 @@ def test_a_type_that_a_number_cannot_have(kind, tmp_path):
     at = data.index(np.arange(0.5, 9).tobytes()) - 8
     path.write_bytes(data[:at] + bytes([kind]) + data[at + 1 :])
     with pytest.raises(InputError, match=f"an element has the type {kind}"):
+        read_table(path)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("rows", "width", "said"), [(117_569_280, 32, "structs without"), (1, 31, "do not fill"), (1, 0, "do not fill")]
+)
+def test_a_struct_whose_size_nothing_bounds(rows, width, said, tmp_path):
+    """SciPy makes every struct of an array that has no fields, though the file holds 200 bytes."""
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"s": {"x": np.arange(3.0)}})
+    data = path.read_bytes()
+    dims = data.index(struct.pack("<IIii", 5, 8, 1, 1)) + 8
+    data = data[:dims] + struct.pack("<i", rows) + data[dims + 4 :]
+    at = data.index(struct.pack("<HH", 5, 4), dims)
+    data = data[: at + 4] + struct.pack("<i", width) + data[at + 8 :]
+    if rows > 1:  # and no names
+        data = data[: at + 8] + struct.pack("<II", 1, 0)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=said):
         read_table(path)
