@@ -2,11 +2,13 @@
 
     python -m lab.kill diagnose --count 100
     python -m lab.kill fleet --count 20
+    python -m lab.kill study --count 20
+    python -m lab.kill benchmark --count 20
 
 The command runs in a session of its own, which gets SIGKILL after a uniform random part of the time that a whole run takes.
 After each kill, a file under a final name has the bytes of the reference (a run that was let alone) but for times. The next
-run continues in the
-same folder; each that ends gives all files of the reference, and the folder is emptied. Exit code 1 where something differs.
+run continues in the same folder; each that ends gives all files of the reference, and the folder is emptied. Two runs that
+are let alone are compared first. Exit code 1 where something differs.
 """
 
 from __future__ import annotations
@@ -76,7 +78,17 @@ def _fleet(folder: Path) -> list[str]:
     return ["fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", "coulomb_friction", "--quiet"]
 
 
-COMMANDS: Mapping[str, Callable[[Path], list[str]]] = {"diagnose": _diagnose, "fleet": _fleet}
+def _study(_: Path) -> list[str]:
+    return ["study", "--quick", "--jobs", "1"]
+
+
+def _benchmark(_: Path) -> list[str]:
+    return ["benchmark", "--levels", "nothing:1,plain:1", "--jobs", "1", "--budget", "0"]
+
+
+COMMANDS: Mapping[str, Callable[[Path], list[str]]] = {
+    "diagnose": _diagnose, "fleet": _fleet, "study": _study, "benchmark": _benchmark
+}  # fmt: skip
 
 
 def contents(out: Path) -> dict[str, object]:
@@ -122,14 +134,17 @@ def kill(name: str, count: int, limit: float, seed: int, folder: Path) -> Outcom
         outcome.ended += 1
         shutil.rmtree(out, ignore_errors=True)
 
+    before: dict[str, object] = {}
     reference: dict[str, object] = {}
     for _ in range(2):  # the first one compiles what a machine compiles once
+        before = contents(out)
         shutil.rmtree(out, ignore_errors=True)
         began = time.perf_counter()
         if start().wait():
             raise click.ClickException(f"{name} does not run to its end on this machine")
         outcome.whole_s = time.perf_counter() - began
     reference = contents(out)
+    outcome.wrong += [f"two runs that were let alone: {d}" for d in differences(before, reference, whole=True)]
     shutil.rmtree(out)
     began = time.perf_counter()
     while outcome.kills < count and time.perf_counter() - began < limit:
@@ -151,7 +166,7 @@ def kill(name: str, count: int, limit: float, seed: int, folder: Path) -> Outcom
 @click.option("--limit", default=3600.0, show_default=True, help="Stop after so many seconds.")
 @click.option("--seed", default=0, show_default=True, help="Of the moments.")
 def main(name: str, count: int, limit: float, seed: int) -> None:
-    """Kill COMMAND (diagnose or fleet) at random moments; prints one line of JSON."""
+    """Kill COMMAND at random moments; prints one line of JSON."""
     with tempfile.TemporaryDirectory() as folder:
         outcome = kill(name, count, limit, seed, Path(folder))
     click.echo(json.dumps(asdict(outcome)))

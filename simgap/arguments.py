@@ -27,6 +27,7 @@ __all__ = [
     "need_file",
     "need_folder",
     "spare_inputs",
+    "take_folder",
 ]
 
 ADVICE = "choose another --out"
@@ -146,6 +147,16 @@ def need_folder(out: Path, advice: str = ADVICE) -> None:
         raise InputError(out, f"{there.name!r} is a file", "a folder", advice)
     if not os.access(there, os.W_OK | os.X_OK):
         raise InputError(out, f"the folder {str(there)!r} cannot be written", "a writable place", advice)
+
+
+def take_folder(out: Path) -> None:
+    """`need_folder`, and hold the folder until the command of the click context ends. Raises InputError where it is held."""
+    from simgap.sole import sole
+
+    need_folder(out)
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.with_resource(sole(out))
 
 
 def need_file(out: Path, advice: str = ADVICE) -> None:

@@ -9,6 +9,7 @@ import importlib
 import os
 import select
 import sys
+import warnings
 from collections.abc import MutableMapping
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ __all__ = ["main"]
 
 HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # where no command is given; click < 8.2 ends the program itself
 COMPILING = "simgap: compiling the simulation, once on this machine: this takes up to three minutes ..."
+OWN = ("mjsim", "ident", "diagnose", "simgap", "lab")  # packages of this project
+REPORT = "report it with the input: it is a fault of simgap"
 CLOSED = 141  # exit code when nobody reads standard output any more: that of a program ended by SIGPIPE, 128 + 13
 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
@@ -123,6 +126,7 @@ def main() -> None:
     gc.set_threshold(*COLLECT)
     atexit.register(gc.freeze)  # without it the interpreter scans every object once more as it ends, which takes half a second
     defer_rendering(os.environ)
+    refuse_numerical_warnings()
     tell_compiling(lambda: click.echo(COMPILING, err=True))
     code = _outcome()
     with contextlib.suppress(OSError):
@@ -141,6 +145,15 @@ def defer_rendering(environ: MutableMapping[str, str]) -> None:
     if wanted is not None and wanted.lower() != "disable":
         environ["SIMGAP_GL"] = wanted
         environ["MUJOCO_GL"] = "disable"
+
+
+def refuse_numerical_warnings() -> None:
+    """Make a warning of NumPy out of this project's code (overflow, division by zero, NaN) an error: its result is no number.
+
+    Warnings of other libraries' code stay warnings.
+    """
+    for package in OWN:
+        warnings.filterwarnings("error", category=RuntimeWarning, module=rf"{package}\.")
 
 
 def _outcome() -> int:
@@ -167,6 +180,16 @@ def _outcome() -> int:
         return CLOSED if _nobody_reads() else _tell(one_line(str(error)), 2)
     except OSError as error:
         return _tell(one_line(file_error(error)), 2)
+    except RuntimeWarning as warning:
+        return _tell(one_line(f"{warning} in {_place_of(warning)}; the numbers are no result; {REPORT}"), 1)
+
+
+def _place_of(error: BaseException) -> str:
+    """Module and line in which an exception arose."""
+    import traceback
+
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{'/'.join(frame.filename.split(os.sep)[-2:])}:{frame.lineno}"
 
 
 def _usage(error: click.UsageError) -> str:

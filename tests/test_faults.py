@@ -6,13 +6,17 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mjsim.errors import InputError
 from mjsim.models import shipped_model
 from simgap import cli
+from simgap.sole import sole
 
 ROOT = Path(cli.__file__).resolve().parent.parent
 N = 600
@@ -213,3 +217,53 @@ def test_the_choice_of_a_renderer_is_kept_for_what_draws():
     assert environ["SIMGAP_GL"] == "osmesa"
     cli.defer_rendering(empty := {})
     assert empty == {}
+
+
+def test_two_runs_into_one_folder(simgap):
+    """The second is refused while the first holds the folder, also under another name of it, and not afterwards."""
+    with sole(Path("out")):
+        refused(simgap("run", "step", "--duration", "0.1", "--out", "./out"), "out", "another run writes")
+        assert not Path("out").exists()
+        Path("out").mkdir()
+        Path("link").symlink_to("out")
+        refused(simgap("run", "step", "--duration", "0.1", "--out", "link"), "link", "another run writes")
+        assert simgap("run", "step", "--duration", "0.1", "--out", "other")[0] == 0
+    assert simgap("run", "step", "--duration", "0.1", "--out", "out")[0] == 0
+
+
+def test_a_run_that_was_killed_does_not_hold_its_folder(tmp_path):
+    holds = f"from simgap.sole import sole\nwith sole(Path({str(tmp_path / 'out')!r})):\n print(1, flush=True)\n time.sleep(60)"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    words = [sys.executable, "-c", f"import time\nfrom pathlib import Path\n{holds}"]
+    first = subprocess.Popen(words, stdout=subprocess.PIPE, env=environment)
+    assert first.stdout is not None
+    assert first.stdout.readline() == b"1\n"
+    with pytest.raises(InputError, match="another run"), sole(tmp_path / "out"):
+        pass
+    first.kill()
+    first.wait()
+    first.stdout.close()
+    with sole(tmp_path / "out"):
+        pass
+
+
+def test_a_folder_for_locks_that_is_not_there_stops_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    with sole(tmp_path / "out"), sole(tmp_path / "out"):
+        pass
+
+
+@pytest.mark.parametrize(("package", "code"), [("mjsim", 1), ("elsewhere", 0)])
+def test_a_numerical_warning_of_this_code_is_no_result(simgap, monkeypatch, package, code):
+    """NumPy warns of an overflow in a module of this project: one line and exit code 1; in another one the command goes on."""
+    made = {"np": np, "__name__": f"{package}.made"}
+    exec("def overflow(*_, **__):\n    return np.float64(1e300) * np.float64(1e300)", made)
+    monkeypatch.setattr("simgap.commands.effects.command.callback", made["overflow"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ended, _, err = simgap("effects")
+    assert ended == code, err
+    if code:
+        assert len(err.splitlines()) == 1
+        assert "overflow" in err
+        assert "no result" in err

@@ -10,13 +10,19 @@ import numpy as np
 
 from mjsim.errors import InputError
 
-__all__ = ["MOST_COPIES", "MOST_KEYS", "need_finite", "need_sizes"]
+__all__ = ["MOST_BYTES", "MOST_COPIES", "MOST_FILES", "MOST_KEYS", "need_finite", "need_sizes"]
 
 MOST_COPIES = 10_000
 """Largest number of copies by nested ``<replicate>``: MuJoCo compiles so many bodies within seconds."""
 MOST_KEYS = 10_000
 """Largest number of keyframes; the compiler's time grows with its square."""
 
+MOST_FILES = 200
+"""Largest number of ``<include>`` elements, those of included files among them."""
+MOST_BYTES = 2**26
+"""Largest size of a model with all files that it includes [bytes]."""
+
+_INCLUDE = re.compile(rb"""<include\b[^>]*?\bfile\s*=\s*["']([^"']+)["'][^>]*?>""")
 _REPLICATE = re.compile(rb"</replicate\s*>|<replicate\b[^>]*?(/?)>")
 _COUNT = re.compile(rb"""\bcount\s*=\s*["']\s*([0-9.eE+]+)""")
 _FILE = re.compile(rb"""\bfile\s*=\s*["']([^"']+)["']""")
@@ -30,11 +36,11 @@ _NUMBERS = (
 
 
 def need_sizes(path: Path) -> None:
-    """Raise InputError for a file that expands beyond the limits, or that refers to something that is no regular file."""
-    try:
-        text = re.sub(rb"<!--.*?-->", b"", path.read_bytes(), flags=re.DOTALL)
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", "an MJCF model", "check the path") from None
+    """Raise InputError for a file that expands beyond the limits, with all that it includes.
+
+    As well for one that refers to something that is no regular file, or includes a file outside its own folder.
+    """
+    text = _expanded(path, path, [], [0, 0])
     copies = _copies(text)
     if copies > MOST_COPIES:
         raise InputError(path, f"<replicate> makes {copies:.3g} copies", f"at most {MOST_COPIES}", "lower its count")
@@ -47,6 +53,38 @@ def need_sizes(path: Path) -> None:
             file = folder / name.decode(errors="replace")
             if file.exists() and not file.is_file():
                 raise InputError(path, f"{str(file)!r} is not a regular file", "a file", "name a file")
+
+
+def _expanded(path: Path, model: Path, within: list[Path], read: list[int]) -> bytes:
+    """The text of a file without comments, its includes replaced by what they include.
+
+    within: the files that include this one; read: how many files and bytes so far. What is missing, and a file that includes
+    itself, are left to MuJoCo, which names them.
+    """
+    try:
+        text = re.sub(rb"<!--.*?-->", b"", path.read_bytes(), flags=re.DOTALL)
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", "an MJCF model", "check the path") from None
+    read[0] += 1
+    read[1] += len(text)
+    if read[0] > MOST_FILES + 1 or read[1] > MOST_BYTES:
+        most = f"{MOST_FILES} files or {MOST_BYTES / 2**20:.3g} MB"
+        raise InputError(model, f"it includes more than {most}", "a smaller model", "merge the files")
+
+    def included(found: re.Match[bytes]) -> bytes:
+        name = found.group(1).decode(errors="replace")
+        for folder in dict.fromkeys((model.parent, path.parent)):
+            file = folder / name
+            if not file.exists():
+                continue
+            if not file.resolve().is_relative_to(model.parent.resolve()):
+                raise InputError(model, f"it includes {name!r} outside its folder", "a file beside it", "copy it there")
+            if not file.is_file():
+                raise InputError(model, f"{str(file)!r} is not a regular file", "a file", "name a file")
+            return found.group() if file in (*within, path) else _expanded(file, model, [*within, path], read)
+        return found.group()
+
+    return _INCLUDE.sub(included, text)
 
 
 def _copies(text: bytes) -> float:

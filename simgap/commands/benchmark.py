@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, OutputFolder, need_folder
+from simgap.arguments import Choice, OutputFolder, take_folder
 
 if TYPE_CHECKING:
     from lab.benchmark.arms import Arm
@@ -105,7 +105,7 @@ def command(
     from lab.benchmark.score_table import summarise
     from lab.benchmark.seal import open_envelope
 
-    need_folder(out)
+    take_folder(out)
     counts, arms = parse_levels(levels, grade), parse_arms(arm_list)
     digest = seal(out, counts, seed, jobs or min(2, os.cpu_count() or 1))
     click.echo(f"Truth written before the first diagnosis: SHA-256 {digest}", err=as_json)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import OutputFolder, need_folder
+from simgap.arguments import OutputFolder, take_folder
 
 __all__ = ["command"]
 
@@ -38,7 +38,7 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     from simgap.pipeline import diagnose_files, model_diff
     from simgap.show import show_diagnosis
 
-    need_folder(out)
+    take_folder(out)
     recordings, truth_file = out / "recordings", out / "envelope" / "truth.json"
     digest = write_cases(recordings, truth_file, {level: 1}, seed)
     if not as_json:

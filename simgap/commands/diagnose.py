@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, need_folder, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, spare_inputs, take_folder
 
 __all__ = ["command"]
 
@@ -71,7 +71,7 @@ def command(
     """Locate, name, model and prove the mismatch between RECORDINGS and a nominal model."""
     import json
 
-    need_folder(out)
+    take_folder(out)
     written = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html", "summary.md")
     spare_inputs([out / name for name in written], [*recordings, *held_out, model])
     only = tuple(e.strip() for e in effects.split(",") if e.strip())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputPattern, ModelFile, OutputFolder, need_folder
+from simgap.arguments import InputPattern, ModelFile, OutputFolder, take_folder
 
 __all__ = ["command"]
 
@@ -43,7 +43,7 @@ def command(
     import json
     import math
 
-    need_folder(out)
+    take_folder(out)
     from mjsim.mjcf.compile import compile_file
     from simgap.fleet.page import headline, write_page
     from simgap.fleet.plan import Settings, jobs

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mjsim.errors import InputError
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, need_folder, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, spare_inputs, take_folder
 from simgap.terminal import printable
 
 __all__ = ["command"]
@@ -117,7 +117,7 @@ def command(
     grid = _scan(scan) if scan else range(0)
     from simgap.api.identifying import identify
 
-    need_folder(out)
+    take_folder(out)
     names = ("identification.json", "identification.html", "bode.png", "residuals.png", "orders.png")
     spare_inputs([out / name for name in names], [recording, validate, level, model])
     if model is not None and not (model.is_file() or model.with_suffix(".toml").is_file()):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, ModelFile, NamedSource, OutputFolder, need_folder, spare_inputs
+from simgap.arguments import Choice, ModelFile, NamedSource, OutputFolder, spare_inputs, take_folder
 from simgap.terminal import printable
 
 __all__ = ["command"]
@@ -51,7 +51,7 @@ def command(
         return
     if scenario is None or out is None:
         raise click.UsageError("name a SCENARIO and --out DIR (simgap run --list shows the shipped ones)")
-    need_folder(out)
+    take_folder(out)
     chosen = load_scenario(
         scenario,
         engine=engine,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputFile, OutputFolder, need_folder
+from simgap.arguments import InputFile, OutputFolder, take_folder
 
 __all__ = ["command"]
 
@@ -36,7 +36,7 @@ def command(out: Path, jobs: int | None, recording: Path | None, quick: bool, do
     from lab.study.show import progress, show, write_docs
     from mjsim.errors import InputError
 
-    need_folder(out)
+    take_folder(out)
     if docs is not None and docs.is_dir():
         raise InputError(docs, "it is a folder", "a Markdown file", f"name {docs / 'study.md'}")
     count = jobs or min(2, os.cpu_count() or 1)

@@ -70,3 +70,43 @@ def test_a_carried_text_that_is_not_utf_8_is_refused(tmp_path):
     path.write_bytes(path.read_bytes().replace(b'"AB"', b'"\x88"'))
     with pytest.raises(InputError, match="is not UTF-8"):
         load_model(path)
+
+
+def test_limits_hold_for_what_is_included(tmp_path):
+    (tmp_path / "part.xml").write_text('<mujocoinclude><replicate count="5000"><site/></replicate></mujocoinclude>')
+    path = written(tmp_path, world='<replicate count="3"><include file="part.xml"/></replicate>')
+    with pytest.raises(InputError, match=r"1\.5e\+04 copies"):
+        load_model(path)
+
+
+def test_an_included_file_outside_the_folder_is_refused(tmp_path):
+    (tmp_path / "secret.xml").write_text("<mujocoinclude/>")
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "link.xml").symlink_to(tmp_path / "secret.xml")
+    for name in ("../secret.xml", str(tmp_path / "secret.xml"), "link.xml"):
+        path = written(tmp_path / "model", world=f'<include file="{name}"/>')
+        with pytest.raises(InputError, match="outside its folder"):
+            load_model(path)
+    (tmp_path / "model" / "own.xml").write_text("<mujocoinclude><site/></mujocoinclude>")
+    load_model(written(tmp_path / "model", world='<include file="own.xml"/>'))
+
+
+def test_the_limit_of_included_files(monkeypatch, tmp_path):
+    (tmp_path / "a.xml").write_text('<mujocoinclude><include file="b.xml"/></mujocoinclude>')
+    (tmp_path / "b.xml").write_text("<mujocoinclude/>")
+    path = written(tmp_path, world='<include file="a.xml"/>')
+    monkeypatch.setattr(limits, "MOST_FILES", 2)
+    limits.need_sizes(path)
+    monkeypatch.setattr(limits, "MOST_FILES", 1)
+    with pytest.raises(InputError, match="more than 1 files"):
+        limits.need_sizes(path)
+
+
+def test_an_included_pipe_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "part.xml")
+    with pytest.raises(InputError, match="not a regular file"):
+        load_model(written(tmp_path, world='<include file="part.xml"/>'))
+
+
+def test_an_include_in_a_comment_is_none(tmp_path):
+    load_model(written(tmp_path, world='<!-- <include file="../secret.xml"/> -->'))
