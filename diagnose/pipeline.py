@@ -13,7 +13,6 @@ from diagnose.data.channels import with_common_channels
 from diagnose.data.experiment import corrected, without_derived_velocity
 from diagnose.data.servo import as_servo
 from diagnose.data.split import Split, split
-from diagnose.evidence.conditioning import conditioning
 from diagnose.evidence.predictable import remaining_structure
 from diagnose.explain.locate import locate
 from diagnose.explain.torque_map import fit_map
@@ -29,7 +28,6 @@ from diagnose.verdict.assemble import diagnosis, unit_of
 from diagnose.verdict.decide import decide
 from diagnose.verdict.determined import determined
 from diagnose.verdict.findings import findings, merged
-from diagnose.verdict.friction_over_time import friction_by_recording
 from diagnose.verdict.notes import DERIVED, SHARED, Outcome
 from diagnose.verdict.witnesses import remaining_error, repeated_rows
 from mjsim.axis import Axis
@@ -102,11 +100,8 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     verdict = decide(search, base, best, remaining)
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     rows = repeated_rows(fitter, best)
-    friction = friction_by_recording(fitter, best) if options.by_recording else {}
     outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined)
-    return dataclasses.replace(
-        diagnosis(outcome, base, mapped, mismatches, options, began), friction=friction, conditioning=conditioning(best)
-    )
+    return diagnosis(outcome, base, mapped, mismatches, options, began)
 
 
 def _only_held_out_shows(result: Diagnosis) -> bool:

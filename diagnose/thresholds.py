@@ -125,9 +125,6 @@ LONGEST = _number(
     "LONGEST", COST, 240_000, "samples", "2 min at 2 kHz: 2 GB; of a longer recording stretches are fitted", "stretches"
 )
 STRETCH_COUNT = _number("STRETCH_COUNT", COST, 12, "stretches", "eight fitted, four held out: 5 s each at 2 kHz", "stretches")
-FEWEST_STRETCHES = _number(
-    "FEWEST_STRETCHES", LEVEL, 4, "stretches", "of a trend: two more than a line has numbers", "friction_over_time"
-)
 FURTHER = _number("FURTHER", COST, 3.0, "times the travel", "an experiment that goes further is not proposed", "flow")
 LEAST_SAMPLES = _number("LEAST_SAMPLES", COST, 5000, "samples", "that tell a screened candidate: a noise rms to 1 %", "screening")
 SHOWN = _number("SHOWN", COST, 8, "rivals", "whose held-out error and refusal are reported", "report/test_page")

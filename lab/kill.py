@@ -29,12 +29,13 @@ from pathlib import Path
 import click
 import numpy as np
 
-__all__ = ["Outcome", "contents", "differences", "kill", "main", "write_log"]
+__all__ = ["EFFECT", "Outcome", "contents", "differences", "kill", "main", "write_log"]
 
 MODEL = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbody><body name="rod">
 <joint name="hinge" axis="0 1 0" damping="0.05"/><geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass="1"/></body>
 </worldbody>
 <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+EFFECT = "coulomb_friction"
 TIMES = ((rb'"seconds": ?[0-9.e+-]+', b'"seconds": 0'), (rb"; [0-9.]+ s; python", b"; 0 s; python"))
 
 
@@ -69,13 +70,13 @@ def write_log(path: Path, friction: float, seed: int, rows: int = 1000) -> None:
 
 def _diagnose(folder: Path) -> list[str]:
     write_log(folder / "a.npz", 0.15, 0)
-    return ["diagnose", "a.npz", "--model", "pendulum.xml", "--effects", "coulomb_friction"]
+    return ["diagnose", "a.npz", "--model", "pendulum.xml", "--effects", EFFECT]
 
 
 def _fleet(folder: Path) -> list[str]:
     for i in range(4):
         write_log(folder / f"logs/robot{i % 2}/2026-01-0{1 + i // 2}.npz", 0.1 + 0.05 * (i % 2), i)
-    return ["fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", "coulomb_friction", "--quiet"]
+    return ["fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", EFFECT, "--quiet"]
 
 
 def _study(_: Path) -> list[str]:

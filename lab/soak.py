@@ -24,7 +24,7 @@ import click
 import numpy as np
 from scipy.stats import theilslopes
 
-from lab.kill import MODEL, write_log
+from lab.kill import EFFECT, MODEL, write_log
 
 __all__ = ["Growth", "growth", "main", "resident"]
 
@@ -79,7 +79,7 @@ def _diagnoses(folder: Path, count: int, limit: float) -> list[tuple[float, floa
     for i in range(count):
         if i >= FEWEST and time.perf_counter() - began > limit:
             break
-        simgap.diagnose(logs[i % len(logs)], folder / "pendulum.xml", effects=("coulomb_friction",), seed=i)
+        simgap.diagnose(logs[i % len(logs)], folder / "pendulum.xml", effects=(EFFECT,), seed=i)
         curve.append((i + 1.0, float(resident(os.getpid()))))
     return curve
 
@@ -88,7 +88,7 @@ def _fleet(folder: Path, count: int, workers: int) -> list[tuple[float, float]]:
     for i in range(count):
         write_log(folder / f"logs/robot{i % 10}/{i:06d}.npz", 0.1 + 0.01 * (i % 10), i, 250)
     words = [
-        sys.executable, "-m", "simgap", "fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", "coulomb_friction",
+        sys.executable, "-m", "simgap", "fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", EFFECT,
         "--out", "out", "--workers", str(workers), "--quiet",
     ]  # fmt: skip
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parents[1]), *sys.path])}

@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mjsim.errors import InputError, nearest
-from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table
+from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table, table_of
 from mjsim.hold import HOLDS
 
 __all__ = ["DEFAULT_COLUMNS", "NAMES", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
@@ -153,14 +153,14 @@ class Binding:
         need_no_misspelt_table(table, path)
         if not {"recording", "experiment", "joints"} & set(table):
             return None
-        given, experiment = _table(table, "recording", path), _table(table, "experiment", path)
+        given, experiment = table_of(table, "recording", path), table_of(table, "experiment", path)
         own: dict[str, Any] = {k: given[k] for k in ("dt", "hold", "jitter") if k in given}
         channels = _channels(
             {k: v for k, v in given.items() if k not in own}, f"{path}: [recording]", (*cls.CHANNELS, "dt", "hold", "jitter")
         )
         joints = {
-            name: _channels(_table(_table(table, "joints", path), name, path), f"{path}: [joints.{name}]", cls.CHANNELS)
-            for name in _table(table, "joints", path)
+            name: _channels(table_of(table_of(table, "joints", path), name, path), f"{path}: [joints.{name}]", cls.CHANNELS)
+            for name in table_of(table, "joints", path)
         }
         need_known_experiment(experiment, path)
         for key, choices in (("loop", ("open", "closed")), ("judge", ("motion", "force"))):
@@ -197,13 +197,6 @@ class Binding:
         """The binding of one joint of ``joints``, with what all joints share (the time)."""
         shared = {k: c for k, c in self.channels.items() if k in ("time", "command_time")}
         return dataclasses.replace(self, channels={**shared, **self.joints[name]}, joints={}, named=True)
-
-
-def _table(table: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: {key}", f"{value!r}", f"a table [{key}]", "correct it")
-    return value
 
 
 def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> dict[str, Channel]:

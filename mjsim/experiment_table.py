@@ -11,7 +11,15 @@ from typing import Any
 
 from mjsim.errors import InputError, nearest
 
-__all__ = ["CHANNEL_KEYS", "EXPERIMENT_KEYS", "TABLES", "need_known", "need_known_experiment", "need_no_misspelt_table"]
+__all__ = [
+    "CHANNEL_KEYS",
+    "EXPERIMENT_KEYS",
+    "TABLES",
+    "need_known",
+    "need_known_experiment",
+    "need_no_misspelt_table",
+    "table_of",
+]
 
 EXPERIMENT_KEYS = ("loop", "judge", "varies", "kp", "kv", "supply_V", "payload")
 
@@ -30,6 +38,14 @@ def need_known(given: Collection[str], known: Collection[str], where: str, other
         if key not in known:
             advice = (otherwise or {}).get(key) or nearest(key, known, "rename or remove it")
             raise InputError(where, f"key {key!r} is not known", ", ".join(known), advice)
+
+
+def table_of(tables: Mapping[str, Any], key: str, path: object) -> dict[str, Any]:
+    """The table of this name, empty where there is none. Raises InputError where the value is no table."""
+    value = tables.get(key, {})
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: {key}", f"{value!r}", f"a table [{key}]", "correct it")
+    return value
 
 
 def need_no_misspelt_table(tables: Collection[str], path: object) -> None:

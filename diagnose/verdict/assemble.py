@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Mapping
 
+from diagnose.evidence.conditioning import conditioning
 from diagnose.explain.next_experiment import next_experiment
 from diagnose.explain.torque_map import Mapped
 from diagnose.fit.fitted import Fitted
@@ -17,6 +18,7 @@ from diagnose.verdict.calibration import false_alarm_rate
 from diagnose.verdict.decide import estimates, only_repeated_rows
 from diagnose.verdict.figures import error_figures, figures, rivals, traces
 from diagnose.verdict.findings import nominal_effect
+from diagnose.verdict.friction_over_time import friction_by_recording
 from diagnose.verdict.notes import Outcome, notes
 from diagnose.verdict.refusals import refusals
 from diagnose.verdict.summary import REPEATED_ROWS, summary
@@ -70,6 +72,8 @@ def diagnosis(
         ),
         hypotheses=search.tested,
         simulations=fitter.runs,
+        friction=friction_by_recording(fitter, best) if options.by_recording else {},
+        conditioning=conditioning(best),
         false_alarm=false_alarm_rate(),
         seed=options.seed,
         seconds=time.monotonic() - began,

@@ -22,7 +22,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.hypothesis import Entry
 from diagnose.result import Estimate
-from diagnose.thresholds import ALPHA, FEWEST_STRETCHES, TWO_SIDED
+from diagnose.thresholds import ALPHA, TWO_SIDED
 from diagnose.verdict.decide import estimates
 
 __all__ = ["Trend", "friction_by_recording", "trends"]
@@ -96,8 +96,8 @@ class Trend:
         )
 
 
-def trends(times: Sequence[float], numbers: Sequence[Mapping[str, Estimate]]) -> tuple[Trend, ...]:
-    """Weighted lines y = a + b t of each number that at least `FEWEST_STRETCHES` recordings have, weights 1 / s_i^2.
+def trends(times: Sequence[float], numbers: Sequence[Mapping[str, Estimate]], fewest: int = 4) -> tuple[Trend, ...]:
+    """Weighted lines y = a + b t of each number that at least ``fewest`` recordings have, weights 1 / s_i^2.
 
     The standard error of b is scaled by the scatter about the line where that exceeds the intervals (Birge ratio; R. T. Birge,
     Phys. Rev. 40 (1932) 207), with Student's distribution of n - 2 degrees of freedom.
@@ -105,17 +105,17 @@ def trends(times: Sequence[float], numbers: Sequence[Mapping[str, Estimate]]) ->
     lines = []
     for name in dict.fromkeys(n for each in numbers for n in each):
         rows = [(t, each[name]) for t, each in zip(times, numbers, strict=True) if name in each]
-        line = _line(name, rows)
+        line = _line(name, rows, fewest)
         if line is not None:
             lines.append(line)
     return _by_holm(lines)
 
 
-def _line(name: str, rows: Sequence[tuple[float, Estimate]]) -> Trend | None:
+def _line(name: str, rows: Sequence[tuple[float, Estimate]], fewest: int) -> Trend | None:
     from scipy.stats import t as student
 
     rows = [(at, e) for at, e in rows if np.isfinite(e.ci95).all() and e.ci95[1] > e.ci95[0]]
-    if min(len(rows), len({at for at, _ in rows})) < FEWEST_STRETCHES:
+    if min(len(rows), len({at for at, _ in rows})) < fewest:
         return None
     at = np.array([t for t, _ in rows])
     y = np.array([e.value for _, e in rows])

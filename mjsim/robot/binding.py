@@ -11,7 +11,7 @@ from typing import Any
 
 from mjsim.binding import Binding, Channel
 from mjsim.errors import InputError, nearest
-from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table
+from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table, table_of
 from mjsim.hold import HOLDS
 from mjsim.readers import part_of
 
@@ -61,7 +61,7 @@ class RobotBinding:
     def from_tables(cls, table: Mapping[str, Any], path: Path) -> RobotBinding | None:
         """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
         need_no_misspelt_table(table, path)
-        recording, experiment = table.get("recording", {}), table.get("experiment", {})
+        recording, experiment = table_of(table, "recording", path), table_of(table, "experiment", path)
         need_known(recording, (*Binding.CHANNELS, "dt", "hold", "jitter"), f"{path}: [recording]")
         need_known_experiment(experiment, path)
         if (
@@ -71,7 +71,7 @@ class RobotBinding:
         ):
             return None
         joints: dict[str, dict[str, tuple[str, float, int | None]]] = {}
-        for name, channels in table.get("joints", {}).items():
+        for name, channels in table_of(table, "joints", path).items():
             where = f"{path}: [joints.{name}]"
             if not isinstance(channels, dict):
                 raise InputError(where, "no table", "command, torque, angle, ...", "correct it")

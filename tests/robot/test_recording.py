@@ -8,6 +8,7 @@ import pytest
 
 from lab.robot.arm import three_axes
 from mjsim.errors import InputError
+from mjsim.robot.binding import RobotBinding
 from mjsim.robot.model import robot_from
 from mjsim.robot.recording import joints_named, load_robot_recording
 
@@ -117,3 +118,12 @@ def test_commands_of_joints_that_are_swapped_are_found(log, robot):
     one, two = commands["joint1__command_rad"], commands["joint2__command_rad"]
     with pytest.raises(InputError, match="command of joint1 goes with the position of joint2"):
         load_robot_recording(log(**commands | {"joint1__command_rad": two, "joint2__command_rad": one}), robot)
+
+
+@pytest.mark.parametrize("name", ["recording", "experiment", "joints"])
+@pytest.mark.parametrize("value", ["3", "[{time = 1}]"])
+def test_a_value_in_place_of_a_table_is_refused(tmp_path, name, value):
+    path = tmp_path / "log.toml"
+    path.write_text(f"{name} = {value}\n")
+    with pytest.raises(InputError, match=rf"a table \[{name}\]"):
+        RobotBinding.from_toml(path)
