@@ -47,7 +47,7 @@ Switched off one by one at commit {one[commit]}, on {one[cases]} cases that were
 | --- | --- | --- | --- | --- | --- |
 {rules}
 
-{together[what]} At commits {together[commit]},
+{together[what]} At commit {together[commit]},
 on {together[cases]} cases ({together[known]} with a truth): right {pair[right]},
 median of the simulations {pair[median]}, 95th percentile {pair[percentile_95]}. Growing horizons keep their ratio of 1.6:
 with a ratio of two a pendulum that goes over the top is left in a wrong minimum.
