@@ -108,8 +108,8 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
         errors, own,
         {**nominal}, remains, refused, tuple(_traces(s, given)),
     )  # fmt: skip
-    if verdict is Verdict.PARAMETERS_ONLY and _at_noise(s, given) and not changed(s, result, scale):
-        # no number that can be told differs, and the file leaves noise
+    if verdict is Verdict.PARAMETERS_ONLY and _is_met(s, given) and not changed(s, result, scale):
+        # no number that can be told differs, and the file leaves noise, or nothing that a black-box model predicts
         told = _sentence(Verdict.NO_MISMATCH, errors["corrected"], remains, borrowed, p.slide)
         return dataclasses.replace(result, verdict=Verdict.NO_MISMATCH, summary=told)
     return result
@@ -119,6 +119,14 @@ def _at_noise(s: JointSearch, f: Fit) -> bool:
     """Whether a fit leaves an error near the noise, on fitted and held-out samples."""
     p = s.problem
     return f.rms(p.held) < AT_NOISE * p.noise and f.rms(p.fitted) < AT_NOISE * p.noise
+
+
+def _is_met(s: JointSearch, f: Fit) -> bool:
+    """Whether a fit leaves an error near the noise, or one of which a black-box model predicts no more than it may."""
+    if _at_noise(s, f):
+        return True
+    share, p_value = black_box(s.problem, f)
+    return share <= s.options.remains or p_value >= 0.05
 
 
 def _file_value(s: JointSearch, n: Number) -> float:
