@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnose.robot.servos.answer import AT_NOISE, UNTOLD, _at_noise, _ratios
+from diagnose.robot.servos.answer import AT_NOISE, UNTOLD, _at_noise, _is_met, _ratios
 from diagnose.robot.servos.fit import Number
 from mjsim.quantity import Motion
 
@@ -31,3 +31,11 @@ def test_a_ratio_that_is_not_told_is_left_out():
     for half, told in ((0.99 * UNTOLD, True), (1.01 * UNTOLD, False)):
         V[2, 2] = (half / 1.96) ** 2 - 0.01
         assert ("friction / kp" in _ratios(SimpleNamespace(now=SimpleNamespace(fit=fit)), V, Motion.HINGE)) is told
+
+
+@pytest.mark.parametrize(("share", "p_value", "is_met"), [(0.05, 1e-3, True), (0.06, 1e-3, False), (0.06, 0.05, True)])
+def test_an_error_above_the_noise_is_met_where_nothing_predicts_it(monkeypatch, share, p_value, is_met):
+    monkeypatch.setattr("diagnose.robot.servos.answer.black_box", lambda problem, fit: (share, p_value))
+    p = SimpleNamespace(noise=2e-4, fitted="fitted", held="held")
+    s = SimpleNamespace(problem=p, options=SimpleNamespace(remains=0.05))
+    assert _is_met(s, SimpleNamespace(rms=lambda mask: 3.0 * p.noise)) is is_met
