@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from diagnose.data.noise import channel_noise, coloured_noise_level, white_noise_level
 from diagnose.thresholds import FAR, FEWEST, NO_SENSOR, SMALL
@@ -25,6 +26,7 @@ __all__ = [
     "middle",
     "plain_step",
     "prepare",
+    "smooth_velocity",
     "start_angle",
     "whole_step",
     "without_derived_velocity",
@@ -67,6 +69,26 @@ def measured_velocity(recording: Recording) -> np.ndarray:
         return recording.velocity
     assert recording.angle is not None
     return np.gradient(recording.angle, recording.dt)
+
+
+def smooth_velocity(recording: Recording) -> np.ndarray:
+    """The velocity channel (N,), or slopes of parabolas through the angle where there is none [rad/s | m/s].
+
+    A parabola takes the fewest samples, 1 + 2^k, for which the standard error of its slope by the noise of the angle is below a
+    twentieth of the rms slope (A. Savitzky, M. J. E. Golay, Anal. Chem. 36 (1964) 1627).
+    """
+    if recording.velocity is not None or recording.angle is None:
+        return measured_velocity(recording)
+    q, dt = recording.angle, recording.dt
+    noise = max(white_noise_level(q), plain_step(q) / math.sqrt(12.0))
+    slope, n = np.gradient(q, dt), 3
+    while n < len(q) / 4:
+        error = noise / (dt * math.sqrt(n * (n * n - 1) / 12.0))
+        if error < SMALL * math.sqrt(float(np.mean(slope**2))):
+            break
+        n = 2 * n - 1
+        slope = savgol_filter(q, n, 2, deriv=1, delta=dt)
+    return np.asarray(slope)
 
 
 def middle(recording: Recording) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, whole_step
+from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, smooth_velocity, whole_step
 from diagnose.data.runs import free_run
 from diagnose.thresholds import LINE, TURNS
 from mjsim.axis import Axis
@@ -36,7 +36,7 @@ def _drive(axis: Axis, r: Recording, run: Trajectory | None) -> np.ndarray:
     if chain.servo is None:
         return chain.gain * r.torque
     if run is None:
-        return np.asarray(chain.bodies[0].inertia * np.gradient(measured_velocity(r), r.dt))
+        return np.asarray(chain.bodies[0].inertia * np.gradient(smooth_velocity(r), r.dt))
     s = assemble(axis)
     return np.asarray(
         s.gain * (chain.servo.scale * r.input - chain.servo.zero) - s.servo[0] * run.q[:, 0] - s.servo[1] * run.v[:, 0]
@@ -93,7 +93,7 @@ def scales_by_place(
     """
     r = experiment.recording
     chain = axis.chain
-    v = measured_velocity(r)
+    v = smooth_velocity(r)
     q = measured_angle(r)
     n = len(chain.bodies)
     drive = np.zeros(len(v))
@@ -113,7 +113,7 @@ def scales_by_place(
     out = {}
     force = np.abs(drive / chain.gain)
     asked = (float(np.max(force)), *(float(x) for x in np.quantile(force, (0.9, 0.7)))) if np.any(force) else ()
-    steps = value_steps(v, experiment.sigma)
+    steps = value_steps(measured_velocity(r), experiment.sigma)
     turning = turning and chain.motion is Motion.HINGE and len(orders) > 0
     turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
     for place in PLACES:

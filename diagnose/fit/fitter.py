@@ -21,7 +21,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
 from diagnose.problem.problem import Problem, Residual, bounded
 from diagnose.problem.view import View
-from diagnose.thresholds import ANEW, FAR, SAME
+from diagnose.thresholds import ANEW, FAR, SAME, SMALL
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.system import assemble
@@ -232,7 +232,7 @@ class Fitter:
 
         ``neighbour``: a fitted structure whose sensitivities are used for the shared parameters in the first iteration.
         ``secant``: later iterations update the Jacobian and do not difference it anew, but for the columns of the owners
-        ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise its cost to SAME is
+        ``fresh``. ``rival``: it is fitted to be compared: while it leaves more than FAR times the noise, a small part of SAME is
         enough, unless bodies stick or strike in it: a rough cost falls slowly. ``slow``: a cost, and the relative gain of an
         iteration that is enough above it.
         """
@@ -242,7 +242,9 @@ class Fitter:
         key = self._key(h, start, how, neighbour) if self.engine.ledger is not None else ""
         known = self.engine.ledger.recall(key) if self.engine.ledger is not None else None
         counted = Counted(self.engine.threads)
-        coarse = (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), SAME) if rival and not slow[1] else slow
+        coarse = (
+            (FAR * sum(int(np.sum(self.counted(e))) for e in self.experiments), SMALL * SAME) if rival and not slow[1] else slow
+        )
 
         def solve() -> Fit:
             lent = self._from_neighbour(h, start, neighbour, step, counted.run) if neighbour is not None else None

@@ -33,7 +33,7 @@ from diagnose.structure.race import Race
 from diagnose.structure.selection import Selection
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
-from diagnose.thresholds import FAR, LEADING, SAME, TWICE, UNEXPLAINED
+from diagnose.thresholds import FAR, LEADING, SAME, SMALL, TWICE, UNEXPLAINED
 
 __all__ = ["Search"]
 
@@ -130,7 +130,7 @@ class Search:
             self.progress.stage("search", f"{move.name} {' + '.join(move.base.key) or 'the nominal model'}")
             self.race.run(move.base, move.entrants, move.floor)
             best = self._relaxed(current, self.selection.best(current))
-            if best.key == current.key and best.chi2 > (1.0 - SAME) * current.chi2:
+            if best.key == current.key and best.chi2 > (1.0 - SMALL * SAME) * current.chi2:
                 continue
             changed = best.key != current.key
             current = best
@@ -229,7 +229,7 @@ class Search:
             return fitted
         better = self.fitter.fit(
             fitted.hypothesis, fitted.fit.x, iterations=12 if fitted.rough else 40, tolerance=1e-6 if fitted.rough else 1e-8,
-            slow=(self.fitter.noise.cost_at(FAR, fitted.n), SAME),
+            slow=(self.fitter.noise.cost_at(FAR, fitted.n), SMALL * SAME),
         )  # fmt: skip
         if better.ok and better.chi2 <= fitted.chi2:
             self.keep(better)

@@ -100,9 +100,14 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
 def no_better(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]) -> bool:
     """Whether changed numbers alone make the file no better than the one as given, which is at the noise.
 
-    Numbers that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings.
+    Numbers that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings; what
+    these leave unexplained the file does not.
     """
-    if result.verdict is not Verdict.PARAMETERS_ONLY or result.findings or not at_noise(nominal.cases, nominal.runs):
+    if (
+        result.verdict not in (Verdict.PARAMETERS_ONLY, Verdict.UNEXPLAINED)
+        or result.findings
+        or not at_noise(nominal.cases, nominal.runs)
+    ):
         return False
     parts = ("estimation", "held_out")
     return all(chi_square(nominal.cases, nominal.runs, p)[0] <= chi_square(nominal.cases, runs, p)[0] for p in parts)

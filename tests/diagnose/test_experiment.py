@@ -14,9 +14,11 @@ from diagnose.data.experiment import (
     hold_out_blocks,
     measured_velocity,
     prepare,
+    smooth_velocity,
     without_derived_velocity,
 )
 from diagnose.data.noise import white_noise_level
+from diagnose.data.scales import reversals
 from diagnose.pipeline import Options, diagnose
 from diagnose.result import Verdict
 from mjsim.errors import InputError
@@ -197,3 +199,17 @@ def test_a_diagnosis_says_that_the_velocity_is_the_angle(robot, record):
     assert result.channel == "velocity"
     assert any("difference of the angle column" in note for note in result.notes)
     assert result.verdict is Verdict.PARAMETERS_ONLY
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+def test_a_smooth_velocity_is_that_of_the_motion_and_not_of_the_noise(noise):
+    t = 5e-4 * np.arange(12000)
+    rng = np.random.default_rng(3)
+    angle = 0.2 * np.sin(2 * np.pi * 0.8 * t) + noise * rng.standard_normal(len(t))
+    r = Recording(t, np.zeros(len(t)), None, angle, 5e-4)
+    expected = 0.2 * 2 * np.pi * 0.8 * np.cos(2 * np.pi * 0.8 * t)
+    size = np.sqrt(np.mean(expected**2))
+    assert np.sqrt(np.mean((smooth_velocity(r) - expected) ** 2)) < 0.12 * size
+    assert reversals(smooth_velocity(r)) == pytest.approx(2 * 0.8 * t[-1], abs=1)
+    if noise == 1e-3:
+        assert np.sqrt(np.mean((measured_velocity(r) - expected) ** 2)) > size

@@ -352,6 +352,7 @@ def test_numbers_that_make_the_file_no_better_are_not_changed(judged):
     assert no_better(result, given, given.runs)
     assert no_better(result, given, worse)
     assert not no_better(result, dataclasses.replace(given, runs=worse), given.runs)
+    assert no_better(dataclasses.replace(result, verdict=Verdict.UNEXPLAINED), given, worse)
     assert not no_better(dataclasses.replace(result, verdict=Verdict.MISSING_PHYSICS), given, worse)
     far = [dataclasses.replace(r, velocity=r.velocity + SIGMA) for r in given.runs]
     assert not no_better(result, dataclasses.replace(given, runs=far), far)
