@@ -9,6 +9,7 @@ import pytest
 
 from diagnose.check import LogVerdict, Machine, Problem, Severity, check_log
 from diagnose.check.context import Context
+from diagnose.check.faults.spike import spikes
 from diagnose.check.registry import check, checks
 from diagnose.check.thresholds import ACTUATOR_DELAY, CLIPPED_SHARE, MODE_RATE, RANGE_FIX, SKEW_FIX
 from mjsim.mjcf import load_model
@@ -58,7 +59,14 @@ def late_velocity(r, samples=10):
     return change(r.slice(0, n), velocity=r.velocity[:n], angle=r.angle[samples:], torque=r.torque[samples:])
 
 
+def spiked(r, value=1e9):
+    velocity = r.velocity.copy()
+    velocity[700] = value
+    return change(r, velocity=velocity)
+
+
 TWINS = {
+    "spike": lambda log: spiked(log()),
     "constant_input": lambda log: change(log(), torque=np.full(len(log()), 0.3)),
     "same_column": lambda log: change(log(), velocity=2.0 * log().torque),
     "jitter": lambda log: change(log(), time=log().time + 0.2 * log().dt * np.random.default_rng(1).uniform(-1, 1, len(log()))),
@@ -261,3 +269,19 @@ def test_a_servo_log_without_torque_is_checked_by_its_channels(log, checked):
     r = log()
     result = checked(change(r, torque=np.full(len(r), np.nan)))
     assert not names(result) & {"sign", "unit", "skew", "constant_input"}
+
+
+def test_spikes_at_their_threshold():
+    """A single sample counts from the range of all others on; a step, and a pulse of two samples, do not."""
+    x = np.sin(0.01 * np.arange(1000))
+    spread = np.ptp(x)
+    for factor, found in ((1.02, [500]), (0.98, [])):
+        y = x.copy()
+        y[500] = max(y[499], y[501]) + factor * spread
+        assert spikes(y).tolist() == found
+    step = np.where(np.arange(1000) < 500, x, x + 100)
+    pulse = x.copy()
+    pulse[500:502] += 100
+    assert spikes(step).size == spikes(pulse).size == spikes(np.zeros(1000)).size == 0
+    assert spikes(np.array([0.0, 9.0, 0.0])).tolist() == [1]
+    assert spikes(np.array([0.0, 9.0])).size == 0

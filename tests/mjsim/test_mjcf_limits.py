@@ -29,6 +29,7 @@ def test_the_model_itself_loads(tmp_path):
     ("changed", "said"),
     [
         ({"damping": "nan"}, r"dof_damping\[0\] is not finite"),
+        ({"body": ' pos="0 0 inf"'}, r"body_pos\[1, 2\] is not finite"),
         ({"body": ' pos="nan 0 0"'}, r"body_pos\[1, 0\] is not finite"),
         ({"world": '<replicate count="100000000"><site/></replicate>'}, "1e\\+08 copies"),
         ({"world": '<replicate count="2000"><replicate count="2000"><site/></replicate></replicate>'}, "4e\\+06 copies"),

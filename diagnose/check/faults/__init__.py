@@ -15,6 +15,7 @@ from diagnose.check.faults import sample_rate as sample_rate
 from diagnose.check.faults import side as side
 from diagnose.check.faults import sign as sign
 from diagnose.check.faults import skew as skew
+from diagnose.check.faults import spike as spike
 from diagnose.check.faults import stamps as stamps
 from diagnose.check.faults import unit as unit
 from diagnose.check.faults import unknown_scale as unknown_scale
