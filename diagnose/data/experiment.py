@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from diagnose.data.noise import channel_noise, coloured_noise_level, white_noise_level
 from diagnose.thresholds import FAR, FEWEST, NO_SENSOR, SMALL
@@ -79,6 +78,8 @@ def smooth_velocity(recording: Recording) -> np.ndarray:
     """
     if recording.velocity is not None or recording.angle is None:
         return measured_velocity(recording)
+    from scipy.signal import savgol_filter  # takes half a second to load
+
     q, dt = recording.angle, recording.dt
     noise = max(white_noise_level(q), plain_step(q) / math.sqrt(12.0))
     slope, n = np.gradient(q, dt), 3
