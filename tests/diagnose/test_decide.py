@@ -41,7 +41,7 @@ def structure(*effects, chi2=1000.0, n=1000, numbers=0, criterion=0.0):
     entries = tuple(Entry(owner="", name=f"p{i}") for i in range(numbers))
     return SimpleNamespace(
         effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=n, criterion=criterion,
-        hypothesis=SimpleNamespace(entries=entries),
+        hypothesis=SimpleNamespace(entries=entries, bounds=(np.full(len(entries), -99.0), np.full(len(entries), 99.0))),
     )  # fmt: skip
 
 
@@ -110,7 +110,7 @@ def test_intervals_of_one_owner_in_si_units():
         Entry(owner="f", name="initial_velocity"),
     ]  # fmt: skip
     fitted = SimpleNamespace(
-        hypothesis=SimpleNamespace(entries=entries),
+        hypothesis=SimpleNamespace(entries=entries, bounds=(np.full(6, -99.0), np.full(6, 99.0))),
         fit=SimpleNamespace(x=np.array([1.0, 3.0, phase, 4.0, 5.0, 6.0])),
         standard_errors=lambda noise: np.full(6, 0.5),
     )

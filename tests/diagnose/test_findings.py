@@ -28,7 +28,8 @@ def structure(*effects, chi2=1000.0, criterion=0.0, ok=True):
     return SimpleNamespace(
         effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=1000, criterion=criterion, ok=ok,
         linear={}, own={},
-        hypothesis=SimpleNamespace(entries=()), fit=SimpleNamespace(x=np.zeros(0)), standard_errors=lambda noise: np.zeros(0),
+        hypothesis=SimpleNamespace(entries=(), bounds=(np.zeros(0), np.zeros(0))), fit=SimpleNamespace(x=np.zeros(0)),
+        standard_errors=lambda noise: np.zeros(0),
     )  # fmt: skip
 
 
@@ -160,7 +161,8 @@ def test_parameters_of_a_nominal_effect_that_no_sample_shows_are_left_out(robot)
     J = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 5.0]])
     best = SimpleNamespace(
         fit=SimpleNamespace(residual=np.zeros(3), J=J, x=np.array([0.2, 0.3])),
-        hypothesis=SimpleNamespace(entries=entries, told=(1, 3), prior_terms=(1, 3)), standard_errors=lambda noise: np.ones(2),
+        hypothesis=SimpleNamespace(entries=entries, told=(1, 3), prior_terms=(1, 3), bounds=(np.full(2, -9.0), np.full(2, 9.0))),
+        standard_errors=lambda noise: np.ones(2),
     )  # fmt: skip
     search = search_of(robot)
     found = nominal_effect(search.fitter, best, STRIBECK)

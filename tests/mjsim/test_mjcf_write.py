@@ -131,9 +131,8 @@ def test_assets_are_found_from_another_directory(tmp_path):
     (home / "meshes").mkdir(parents=True)
     corners = ("v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1", "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4")
     (home / "meshes" / "box.obj").write_text("\n".join(corners) + "\n")
-    (home / "joints.xml").write_text('<mujoco><sensor><jointvel name="v" joint="j"/></sensor></mujoco>')
     (home / "m.xml").write_text(
-        '<mujoco><compiler meshdir="meshes" angle="radian"/><include file="joints.xml"/><option gravity="0 0 0"/>'
+        '<mujoco><compiler meshdir="meshes" angle="radian"/><option gravity="0 0 0"/>'
         '<asset><mesh name="box" file="box.obj"/></asset><worldbody>'
         '<body name="b"><joint name="j" damping="1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
         '<geom type="mesh" mesh="box" contype="0" conaffinity="0"/></body></worldbody>'

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from diagnose.data.scales import reversals
+from diagnose.fit.least_squares import Status
 from diagnose.verdict.determined import determined
 from mjsim.effects import Scales, effect_class, registered
 
@@ -91,14 +92,16 @@ class _Search:
         self.pruning = SimpleNamespace(
             without=lambda best, effect: bare, simplified=lambda best, effect: [], limits=lambda best: []
         )
+        self.options, self.nominal = SimpleNamespace(width=10), lambda: bare
+        self.context = SimpleNamespace(gain=lambda before, after: before.chi2 - after.chi2)
         self.state = SimpleNamespace(admitted=lambda ids: True)
         self.fits = {f.key: f for f in (self.fitted((ripple,), 10.0), *rivals)}
         self.significance = SimpleNamespace(significant=lambda before, after: after.chi2 < 40.0)
 
     @staticmethod
     def fitted(effects, chi2=100.0):
-        hypothesis = SimpleNamespace(entries=())
-        fit = SimpleNamespace(x=np.zeros(0))
+        hypothesis = SimpleNamespace(entries=(), bounds=(np.zeros(0), np.zeros(0)))
+        fit = SimpleNamespace(x=np.zeros(0), status=Status.CONVERGED)
         return SimpleNamespace(
             effects=effects, key=tuple(e.key for e in effects), chi2=chi2, ok=True, hypothesis=hypothesis, fit=fit,
             standard_errors=lambda noise: np.zeros(0),
