@@ -1,4 +1,4 @@
-"""The search by the kind of dry friction that recordings bear: one that holds at rest, or MuJoCo's, which is soft.
+"""The search with the kind of dry friction that fits the recordings: one that holds at rest, or MuJoCo's, which is soft.
 
 The nominal structure chooses between the two where the file has friction (`diagnose.verdict.reference_stage`). Friction that the
 file lacks, or physics that hides the difference, leaves the choice open: where the first kind does not lead to the noise, the
@@ -31,7 +31,7 @@ def by_either_friction(
     given: Nominal, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
     say: Callable[[Step], None], ledger: Ledger,
 ) -> tuple[Axis, Nominal, Diagnosis]:  # fmt: skip
-    """The nominal axis whose friction the recordings bear, its runs, and the diagnosis beside it."""
+    """The nominal axis with the friction that fits the recordings, its runs, and the diagnosis beside it."""
     began = time.monotonic()
     first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections())
     left = options.seconds - (time.monotonic() - began)
@@ -50,11 +50,11 @@ def _soft(axis: Axis) -> bool:
 
 
 def _open(result: Diagnosis, axis: Axis) -> bool:
-    """Whether friction is in the model or the answer, and the answer does not reach the noise."""
+    """Whether friction is in the model or the answer, and the answer leaves more than noise or does not explain it."""
     physics = [effect_class(f.law) for f in result.findings if f.kind == "physics"]
     friction = any(family == "friction" for family in (*(c.family for c in physics), *(e.family for e in axis.effects)))
     far = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2
-    return friction and (result.verdict is Verdict.UNEXPLAINED or (result.verdict is Verdict.MISSING_PHYSICS and far))
+    return friction and (far or result.verdict is Verdict.UNEXPLAINED)
 
 
 def _better(second: Diagnosis, first: Diagnosis, n: int) -> bool:
