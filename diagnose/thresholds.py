@@ -111,7 +111,7 @@ HALVINGS = _number(
 )
 MOST_FILTERS = _number("MOST_FILTERS", COST, 2, "searches", "on whitened errors", "passes")
 ABOUT = _number("ABOUT", COST, 0.25, "log of a ratio", "spread of further starts of the nominal structure", "horizons")
-LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals that are told", "graph")
+LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals reported", "graph")
 SECOND_SPLIT = _number(
     "SECOND_SPLIT",
     COST,

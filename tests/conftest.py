@@ -130,7 +130,7 @@ def run_cli(monkeypatch, capsys, tmp_path):
     monkeypatch.delenv("SIMGAP_DATA", raising=False)
 
     def call(*words):
-        monkeypatch.setattr(sys, "argv", ["simgap", *words])
+        monkeypatch.setattr(sys, "argv", ["simgap", *map(str, words)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as ended:
             cli.main()

@@ -14,9 +14,9 @@ from diagnose.robot.laws import law_parameters
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.problem import JOINT_PARAMETERS, Problem, Term
 from diagnose.robot.result import BaseParameter, RobotFinding
-from diagnose.robot.select import ALIKE
 from diagnose.robot.solve import Solution, covariance, held_out, normal, solve, told_apart, unpacked
 from diagnose.robot.state import Selection, replaced, screen
+from diagnose.thresholds import EQUIVALENT
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.inertia import NAMES, SIZE
 
@@ -91,7 +91,7 @@ def findings(search: Selection, V: np.ndarray, slices: Sequence[slice]) -> dict[
 
 
 def _equivalents(search: Selection, without: Solution, term: Term) -> tuple[str, ...]:
-    """Laws that could stand in the place of a term: within `ALIKE` of it on fitted and held-out samples, less the price."""
+    """Laws that could stand in the place of a term: within `EQUIVALENT` of it on fitted and held-out samples, less the price."""
     s = search.solution
     commons = {law.id for law in search.problem.laws[term.joint] if law.common}
     out = [x for x in term.law.holds if x not in commons] if term.law.is_sum else []  # beside the common one, the same torque
@@ -100,7 +100,7 @@ def _equivalents(search: Selection, without: Solution, term: Term) -> tuple[str,
             continue
         trial = search.solve(replaced(without.terms, other))
         refines = term.law.id in other.law.holds  # a law that contains it and gains nothing is no equivalent
-        if trial.sane(other) and not refines and search.step(s, trial, term.joint).total > -ALIKE:
+        if trial.sane(other) and not refines and search.step(s, trial, term.joint).total > -EQUIVALENT:
             out.append(other.law.id)
     return tuple(dict.fromkeys(out))
 

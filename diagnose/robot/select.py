@@ -19,8 +19,9 @@ from diagnose.robot.physical import physical
 from diagnose.robot.problem import Problem, Term
 from diagnose.robot.solve import Solution, covariance, solve, weigh
 from diagnose.robot.state import Refusal, Selection, replaced, screen, size
+from diagnose.thresholds import EQUIVALENT
 
-__all__ = ["ALIKE", "select"]
+__all__ = ["select"]
 
 FINALISTS = 5  # laws of a joint that are refitted: those with the largest gain in the screening
 PROMISING = 0.5  # of what is needed to enter: a promise is the gain of one row alone
@@ -28,7 +29,6 @@ ROUNDS = 40  # moves at most: each lowers the criterion, so that it ends by itse
 UNSIGNED = ("phase_rad", *(f"coefficient_{k}" for k in range(5)))  # zero is a value like any other
 NOT_PHYSICAL = "its coefficients are not physical"
 STAYS = 5.0  # times the level to enter, at which a term stays: what enters at 1 % may stay at 5 %
-ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart (a likelihood ratio of 150)
 
 
 def select(problem: Problem, options: RobotOptions) -> Selection:
@@ -143,7 +143,7 @@ def _exchange(s: Selection) -> bool:
             if other.law.key == term.law.key or any(t.joint == term.joint and t.law.id == other.law.id for t in rest.terms):
                 continue
             trial = s.solve(replaced(rest.terms, other))
-            if s.step(s.solution, trial, term.joint).total > -2 * ALIKE:
+            if s.step(s.solution, trial, term.joint).total > -2 * EQUIVALENT:
                 trial = _refined(s, trial, other)
             if trial.sane(other) and not s.known(trial) and _better(s, trial, other):
                 s.solution = trial
@@ -163,8 +163,8 @@ def _better(s: Selection, trial: Solution, new: Term) -> bool:
     if more < 0:
         return step.total > 0.0
     if more == 0:
-        return step.total > ALIKE and min(s.raw_gain(s.solution, trial), step.likelihood) > 0.0
-    return step.total > ALIKE and not s.why_not(step, new.law, more)
+        return step.total > EQUIVALENT and min(s.raw_gain(s.solution, trial), step.likelihood) > 0.0
+    return step.total > EQUIVALENT and not s.why_not(step, new.law, more)
 
 
 def _remove(s: Selection) -> bool:

@@ -112,16 +112,16 @@ def finding(cause: Cause, place: str, before: float, after: float, p_value: floa
 
 
 def _soft_note(nominal: Nominal) -> str:
-    """What is told of soft friction that the recordings bear, so that the search has it."""
+    """Note on soft friction that the recordings support and the search therefore has; empty where there is none."""
     if nominal.soft <= APART or not any(b.softness for b in nominal.axis.chain.bodies):
         return ""
     sentence = next(s.sentence for s in SETTINGS if s.id == "soft_friction")
     size = f"It moves the nominal file's run by {nominal.soft:.2g} times the noise."
-    return f"{sentence} {size} The recordings bear it; it is no physics."
+    return f"{sentence} {size} The recordings agree with it; it is not physics."
 
 
 def note(cause: Cause | None, nominal: Nominal) -> str:
-    """What is told of a difference between simulator and equations that is no finding; empty where there is none."""
+    """Note on a difference between simulator and equations that is not a finding; empty where there is none."""
     if nominal.apart <= APART:
         return _soft_note(nominal)
     size = "diverges" if not math.isfinite(nominal.apart) else f"differs by {nominal.apart:.2g} times the noise"

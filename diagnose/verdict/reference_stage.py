@@ -43,7 +43,7 @@ APART = math.sqrt(UNEXPLAINED - 1)  # of the noise rms: a difference that adds s
 class Nominal:
     """The nominal file on the recordings, in MuJoCo and in the fitting engine.
 
-    axis: of the file, with dry friction that is soft as in MuJoCo where the recordings bear that; other: the same with the other
+    axis: of the file, with dry friction that is soft as in MuJoCo where that fits the recordings better; other: with the other
     kind of friction, None where MuJoCo holds a joint at rest; soft: how far the softness moves the file's run, over the noise.
     runs, engine: of each case, both free; apart: rms difference of the two over the noise, the largest of the recordings;
     simulator: whether the recordings bear the simulator's numerics rather than the engine's; shifts: to add to the velocity of
@@ -88,7 +88,7 @@ def compare_nominal(
         soft = as_servo(softer, recordings, held_out)[0]
         creeping = [run_surrogate(soft, case, start, locked=False) for case, start in zip(cases, starts, strict=True)]
         softness = apart(cases, creeping, engine)
-        if softness > 0 and _bears(soft, axis, cases, starts):
+        if softness > 0 and _soft_fits(soft, axis, cases, starts):
             given, other, axis, engine = softer, given, soft, creeping
     nominal = Nominal(path, given, other, softness, plant, cases, runs, engine, apart(cases, runs, engine))
     if not APART < nominal.apart < math.inf:
@@ -130,8 +130,8 @@ def by_other_friction(nominal: Nominal) -> Nominal:
     )  # fmt: skip
 
 
-def _bears(soft: Axis, hard: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> bool:
-    """Whether recordings bear soft friction rather than one that holds at rest, the nominal numbers refitted with both."""
+def _soft_fits(soft: Axis, hard: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> bool:
+    """Whether soft friction fits the recordings as well as one that holds at rest, the nominal numbers refitted with both."""
     fits = [refit_in_engine(axis, cases, starts) for axis in (soft, hard)]
     chi2 = [math.inf if f is None else f.chi2 for f in fits]
     return chi2[0] < math.inf and chi2[0] <= chi2[1]

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 
 import numpy as np
 import pytest
-
-from simgap import cli
 
 MODEL = """<mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/></default>
 <worldbody><body name="bob"><joint name="pivot" axis="0 1 0" damping="0.08" frictionloss="0.1"/>
@@ -33,18 +30,9 @@ def files(tmp_path, log):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
+def run(run_cli):
     """``run("check", ...)`` -> (exit code, standard output, standard error)."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["simgap", *map(str, words)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
-
-    return call
+    return run_cli
 
 
 def turned(recording):

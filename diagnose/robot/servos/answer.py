@@ -41,7 +41,7 @@ OWN = {
 class Scale:
     """Whether the data tell the torque scale of a joint; gain: coded kp (kv of a velocity servo) and its standard deviation."""
 
-    told: bool
+    identifiable: bool
     gain: float
     error: float
 
@@ -250,11 +250,11 @@ def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...
             or bounded
             or abs(e.value - was) < SMALL * abs(was)
             or e.ci95[0] <= was <= e.ci95[1]
-            or (not scale.told and n.slot == "armature")
+            or (not scale.identifiable and n.slot == "armature")
             or not _matters(s, n, was)
         ):
             continue
-        only = "" if scale.told or n.slot == "zero" else " (by the scale that is assumed)"
+        only = "" if scale.identifiable or n.slot == "zero" else " (by the scale that is assumed)"
         out.append(f"{name} of {result.joint}: {was:.4g} -> {e.value:.4g} {e.unit} [{e.ci95[0]:.4g}, {e.ci95[1]:.4g}]{only}")
     return tuple(out)
 

@@ -18,11 +18,11 @@ from diagnose.robot.servos.fit import MOST, fit
 from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.state import JointSearch, Structure, free_numbers
+from diagnose.thresholds import EQUIVALENT
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["TOLD", "Clock", "clocks"]
+__all__ = ["Clock", "clocks"]
 
-TOLD = 10.0  # twice a log-likelihood ratio beyond which one of the two is told
 FEW = 3  # joints with a delay, up to which every set of late columns is tried; else none, each and all
 ROUNDS = 2  # times that the positions are moved by the delay that was fitted before
 
@@ -41,17 +41,17 @@ class Clock:
     @property
     def log(self) -> bool:
         """Whether the column is late."""
-        return self.evidence > TOLD
+        return self.evidence > EQUIVALENT
 
     @property
-    def told(self) -> bool:
-        """Whether the two are told apart."""
-        return abs(self.evidence) > TOLD
+    def distinguishable(self) -> bool:
+        """Whether the data distinguish the two hypotheses."""
+        return abs(self.evidence) > EQUIVALENT
 
     @property
     def sentence(self) -> str:
         """For the finding."""
-        if not self.told:
+        if not self.distinguishable:
             return "A late servo and a late column of positions cannot be told apart here: check the stamps of the log."
         which, other = ("the column of positions is late", "servo") if self.log else ("the servo is late", "column")
         ratio = f"twice the log-likelihood ratio over a late {other} is {abs(self.evidence):.0f}"

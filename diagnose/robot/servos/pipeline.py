@@ -108,7 +108,7 @@ def _by_clock(
     searches: tuple[JointSearch, ...], series: Callable[[Mapping[str, float]], list[JointProblem]], options: RobotOptions,
     jobs: int, say: Callable[[str], None],
 ) -> tuple[JointSearch, ...]:  # fmt: skip
-    """The searches with each delay told as one of the servo or of the log (`diagnose.robot.servos.clocks`).
+    """The searches with each delay assigned to the servo or to the log (`diagnose.robot.servos.clocks`).
 
     Where columns are late, all joints are searched again with what they carry computed from positions moved earlier.
     """
@@ -125,7 +125,7 @@ def _by_clock(
         searches = _searched(series(lates), options, jobs, say, without)
     for s in searches:
         if s.problem.name in own:
-            s.note_clock(own[s.problem.name].sentence, own[s.problem.name].told)
+            s.note_clock(own[s.problem.name].sentence, own[s.problem.name].distinguishable)
     return searches
 
 
@@ -170,7 +170,7 @@ def _starts(problems: Sequence[JointProblem], each: Callable[..., list[Fit]]) ->
     again = []
     for k, p in enumerate(problems):
         kin = _kin(p, problems, scales)
-        if kin and not scales[p.name].told:
+        if kin and not scales[p.name].identifiable:
             numbers[k] = _with_gain(p, numbers[k], _mean_gain(kin, scales))
             again.append(k)
     for k, f in zip(again, each(start_fit, [problems[k] for k in again], [numbers[k] for k in again]), strict=True):
@@ -179,8 +179,8 @@ def _starts(problems: Sequence[JointProblem], each: Callable[..., list[Fit]]) ->
 
 
 def _kin(p: JointProblem, problems: Sequence[JointProblem], scales: Mapping[str, Scale]) -> list[str]:
-    """Joints whose scale is told and whose servo is that of a joint in the file."""
-    return [x.name for x in problems if scales[x.name].told and _same_servo(x, p)]
+    """Joints whose torque scale is identifiable and whose servo is that of a joint in the file."""
+    return [x.name for x in problems if scales[x.name].identifiable and _same_servo(x, p)]
 
 
 def _mean_gain(kin: Sequence[str], scales: Mapping[str, Scale]) -> float:
@@ -195,11 +195,11 @@ def _with_gain(p: JointProblem, numbers: Sequence[Number], mean: float) -> tuple
 
 
 def _borrow(searches: Sequence[JointSearch], scales: dict[str, Scale]) -> dict[str, str]:
-    """Fit joints whose scale is not told with the gain of joints whose servo is the same in the file; say so, by joint."""
+    """Fit joints of unidentifiable torque scale with the gain of joints of the same servo in the file; say so, by joint."""
     out = {}
     for s in searches:
         p, scale = s.problem, scales[s.problem.name]
-        if scale.told:
+        if scale.identifiable:
             out[p.name] = "The load of the links, by the masses of the file, sets the scale of torques."
             continue
         main = "kv" if p.drive.velocity else "kp"

@@ -19,11 +19,11 @@ from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.starts import THIN, regressed
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, cleared, free_numbers, replaced
+from diagnose.thresholds import EQUIVALENT
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["ALIKE", "carry_payload", "refit_with", "search_joint"]
+__all__ = ["carry_payload", "refit_with", "search_joint"]
 
-ALIKE = 10.0  # twice a log-likelihood ratio within which two laws are not told apart
 MERGING = 25  # iterations of a law that takes the place of several, which starts far from its optimum
 FINALISTS = 5  # laws that are fitted: those with the largest gain in the screening
 PROMISING = 0.25  # of what is needed to enter: a promise is that of one start alone
@@ -64,7 +64,7 @@ def search_joint(
 def _rivals(s: JointSearch) -> None:
     """For each law that stands: the structure without it, and the laws that could stand in its place as well.
 
-    A rival is one that is physical and within `ALIKE` on fitted and held-out samples together. One that takes the place of
+    A rival is one that is physical and within `EQUIVALENT` on fitted and held-out samples together. One that takes the place of
     several laws is a rival of each of them.
     """
     s.visited.clear()
@@ -78,14 +78,14 @@ def _rivals(s: JointSearch) -> None:
             if frozenset(x.key for x in begun.laws) == s.now.key or len(begun.laws) != len(s.now.laws):
                 continue
             trial = s.fitted(begun.laws, begun.fit.slots)
-            if s.sane(trial) and s.step(s.now, trial).total > -ALIKE:
+            if s.sane(trial) and s.step(s.now, trial).total > -EQUIVALENT:
                 found[law.key].append(other.id)
     for other, taken, trial in _merged(s):
-        if s.step(s.now, trial).total > -ALIKE:
+        if s.step(s.now, trial).total > -EQUIVALENT:
             for law in taken:
                 found[law.key].append(other.id)
     for law, parts, trial in _split(s):
-        if s.step(s.now, trial).total > -ALIKE:
+        if s.step(s.now, trial).total > -EQUIVALENT:
             found[law.key] += [x.id for x in parts]
     s.alike |= {key: tuple(dict.fromkeys(names)) for key, names in found.items()}
 
@@ -299,7 +299,7 @@ def _exchange(s: JointSearch) -> bool:
                 continue
             step = s.step(s.now, trial)
             more = len(trial.fit.numbers) - len(s.now.fit.numbers)
-            wanted = 0.0 if more < 0 else ALIKE
+            wanted = 0.0 if more < 0 else EQUIVALENT
             shown = step.held.relative_gain > s.options.material and step.held.p_value < s.options.p_enter
             if step.total > wanted and step.likelihood > 0.0 and (more <= 0 or shown):
                 s.now = trial
