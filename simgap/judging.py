@@ -38,6 +38,7 @@ from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
 from simgap.plain_friction import plainer_friction, refit_to_noise
+from simgap.weakest_effect import without_weakest
 
 __all__ = ["before_search", "write_judged"]
 
@@ -98,6 +99,9 @@ def write_judged(
             trial.replace(out)
             result, form, runs = fewer
         trial.unlink(missing_ok=True)
+    less = None if found or fewer is not None else without_weakest(given, axis, result, nominal, form, runs, out, threads)
+    if less is not None:
+        result, axis, runs = less
     if no_better(result, nominal, runs):
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
@@ -105,7 +109,7 @@ def write_judged(
     files = Files(
         runs, form.lacks, form.form, found, notes,
         not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(bench, out, runs),
-        fewer is not None,
+        fewer is not None or less is not None,
     )  # fmt: skip
     return by_simulator(result, nominal, files)
 

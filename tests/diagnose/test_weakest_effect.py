@@ -1,0 +1,114 @@
+"""The weakest of several effects is left out where the user's simulator follows the recordings as well without it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.result import Estimate, Finding
+from diagnose.thresholds import SMALL
+from diagnose.verdict.reference_fit import refit_in_simulator
+from diagnose.verdict.reference_runs import run_files, starts_of
+from diagnose.verdict.reference_stage import compare_nominal
+from mjsim.effects import effect_class
+from mjsim.mjcf import load_axis
+from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
+from mjsim.plant import MujocoPlant
+from mjsim.recording import Recording
+from simgap.weakest_effect import without_weakest
+
+DT, SIGMA = 5e-3, 0.005
+SLED = """<mujoco><option timestep="0.005" integrator="Euler" gravity="0 0 0"/><worldbody><body name="rotor">
+  <joint name="hinge" axis="0 0 1" damping="0.4" stiffness="{stiffness}"/>
+  <geom type="cylinder" size=".2 .05" mass="5"/></body></worldbody>
+  <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+
+
+def log(seed, *, drag=0.0):
+    """A recording by plain MuJoCo of a rotor on a spring; ``drag``: coefficient of friction by the square of the velocity."""
+    m = mujoco.MjModel.from_xml_string(SLED.format(stiffness=3.0))
+    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
+    t = DT * np.arange(1200)
+    u = 2.0 * np.sin(2 * np.pi * (0.4 + 0.2 * t) * t + seed) * np.minimum(t, 1.0)
+    q, v = np.empty(len(t)), np.empty(len(t))
+    for k in range(len(t)):
+        q[k], v[k] = d.qpos[0], d.qvel[0]
+        d.ctrl[0] = u[k] - drag * v[k] * abs(v[k])
+        mujoco.mj_step(m, d)
+    noise = rng.standard_normal((2, len(t)))
+    return Recording(t, u, v + SIGMA * noise[0], q + 1e-4 * noise[1], DT, source=f"log_{seed}.csv")
+
+
+def finding(effect, before, after):
+    parameters = {name: Estimate(value, (0.9 * value, 1.1 * value), "") for name, value in effect.values.items()}
+    evidence = {"held_out_error_before": before, "held_out_error_after": after}
+    return Finding(effect.id, effect.place, "hinge", "", parameters, evidence)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What of a diagnosis is looked at."""
+
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
+
+
+@pytest.fixture
+def asked(tmp_path):
+    """Asks about drag beside a spring: (without_weakest, file before, file after)."""
+
+    def ask(drag, share, in_log=0.0):
+        path, out = tmp_path / "sled.xml", tmp_path / "corrected.xml"
+        path.write_text(SLED.format(stiffness=0.0), encoding="utf-8")
+        given = load_axis(path)
+        spring = effect_class("joint_spring")(stiffness_Nm_rad=2.9, torque_at_zero_Nm=0.0)
+        weak = effect_class("quadratic_friction")(coefficient_Nm_s2_rad2=drag)
+        axis = given.with_effects([*given.effects, spring, weak])
+        nominal = compare_nominal(path, given, [log(1, drag=in_log)], [log(2, drag=in_log)], 1)
+        assert nominal is not None
+        write = partial(write_as_author, path)
+        form = Faithful(AUTHOR, math.nan, write(axis, out), write)
+        runs = refitted(axis, write, nominal, tmp_path)
+        before = out.read_bytes()
+        found = Found((finding(spring, 1.0, 0.1), finding(weak, 1.0, math.sqrt(1.0 - share))))
+        return without_weakest(given, axis, found, nominal, form, runs, out, 1), before, out.read_bytes()
+
+    return ask
+
+
+def refitted(axis, write, nominal, folder):
+    """Runs of the file with both effects at the numbers that MuJoCo asks for."""
+    best = refit_in_simulator(axis, write, "both.xml", nominal.cases, starts_of(axis, nominal.cases), 1)
+    write(best.axis, folder / "both.xml")
+    return run_files([MujocoPlant.load(folder / "both.xml")], nominal.cases, 1)[0]
+
+
+def test_a_stand_in_for_how_the_simulator_steps_is_left_out(asked):
+    less, before, after = asked(0.002, 0.5 * SMALL)
+    assert less is not None
+    result, axis, runs = less
+    assert [f.effect for f in result.findings] == ["joint_spring"]
+    assert [e.id for e in axis.effects] == ["joint_spring"]
+    stiffness = result.findings[0].parameters["stiffness_Nm_rad"]
+    assert stiffness.value == pytest.approx(3.0, rel=0.01)
+    assert stiffness.ci95[0] < 3.0 < stiffness.ci95[1]
+    assert "quadratic friction at the motor is not named" in result.notes[0].lower()
+    assert after != before
+    assert all(r is not None for r in runs)
+
+
+def test_an_effect_that_is_in_the_recordings_stays(asked):
+    less, before, after = asked(0.05, 0.5 * SMALL, in_log=0.05)
+    assert less is None
+    assert after == before
+
+
+def test_an_effect_that_explains_more_than_a_little_is_not_asked_about(asked):
+    less, before, after = asked(0.002, 1.01 * SMALL)
+    assert less is None
+    assert after == before
