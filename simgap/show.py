@@ -106,7 +106,8 @@ def show_check(check: LogCheck) -> None:
     console.print("[bold]Understood[/bold]")
     for topic, text in check.understood.items():
         console.print(f"  {escape(topic)}: {escape(text)}")
-    console.print("[bold]Excitation[/bold]")
+    if check.excitation:
+        console.print("[bold]Excitation[/bold]")
     for e in check.excitation:
         console.print(f"  {escape(e.family)}: {'yes' if e.identifiable else 'no'}, {escape(e.sentence)}")
     if check.problems:

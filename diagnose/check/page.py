@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from diagnose.check.context import torque_of
-from diagnose.check.registry import checks
 from diagnose.check.types import LogCheck, LogVerdict
 from diagnose.report.document import document
 from diagnose.report.figures import number, prose, unit
@@ -27,7 +26,7 @@ WORDS = {
     LogVerdict.LIMITS: ("Usable with limits", "warn"),
     LogVerdict.FIX: ("Fix first", "alarm"),
 }  # fmt: skip
-_CHANNELS = ("torque", "velocity", "angle")
+_CHANNELS = ("command", "torque", "velocity", "angle")
 
 
 def write_check(check: LogCheck, recordings: Sequence[Recording | RobotRecording], model: str, out: Path) -> None:
@@ -63,14 +62,15 @@ def render_check(check: LogCheck, recordings: Sequence[Recording | RobotRecordin
     template = environment.from_string((files("diagnose.check") / "page.html.j2").read_text(encoding="utf-8"))
     word, colour = WORDS[check.verdict]
     drawn = [
-        (r.source, _of_joints(r, i) if isinstance(r, RobotRecording) else _charts(check, r, i)) for i, r in enumerate(recordings)
+        (r.source, _of_joints(check, r, i) if isinstance(r, RobotRecording) else _charts(check, r, i))
+        for i, r in enumerate(recordings)
     ]
     columns = [Column("Family"), Column("Identifiable"), Column("Why", wide=True)]
     excitation = [(prose(e.family), "yes" if e.identifiable else "no", prose(e.sentence)) for e in check.excitation]
     names = ", ".join(r.source for r in recordings)
     body = template.render(
         check=check, word=word, colour=colour, sentence=check.sentence, model=model, names=names, many=len(recordings) > 1,
-        questions=[c.question for c in checks().values()], theme=theme_button(), excitation=table(columns, excitation),
+        theme=theme_button(), excitation=table(columns, excitation),
         drawn=[(source, [chart_figure(chart, prose(caption)) for chart, caption in charts]) for source, charts in drawn],
     )  # fmt: skip
     charts = [chart for _, found in drawn for chart, _ in found]
@@ -82,7 +82,7 @@ def _charts(check: LogCheck, recording: Recording, index: int) -> list[tuple[Cha
     out: list[tuple[Chart, str]] = []
     mine = [p for p in check.problems if p.recording == recording.source]
     for channel in _CHANNELS:
-        values = torque_of(recording) if channel == "torque" else recording.velocity if channel == "velocity" else recording.angle
+        values = torque_of(recording) if channel == "torque" else getattr(recording, channel)
         if values is None:
             continue
         shown = [p for p in mine if p.marks and p.channel in (channel, "time")]
@@ -107,19 +107,21 @@ def _charts(check: LogCheck, recording: Recording, index: int) -> list[tuple[Cha
     return out
 
 
-def _of_joints(recording: RobotRecording, index: int) -> list[tuple[Chart, str]]:
+def _of_joints(check: LogCheck, recording: RobotRecording, index: int) -> list[tuple[Chart, str]]:
     """Position of each joint over time with its command, and its torque."""
     out: list[tuple[Chart, str]] = []
     for k, name in enumerate(recording.joints):
+        length = check.measured[recording.source][name]["unit"]
         lines = [Line("position", recording.time, recording.angle[:, k], "measured", 1.6)]
         if recording.command is not None and recording.has("command", name):
             lines.append(Line("command", recording.time, recording.command[:, k], "corrected", 1.1))
         out.append(
-            (_chart(f"c{index}-{k}-angle", name, "", recording.source, tuple(lines), ()), f"{name}: position and command.")
+            (_chart(f"c{index}-{k}-angle", name, length, recording.source, tuple(lines), ()), f"{name}: position and command.")
         )
         if recording.torque is not None and recording.has("torque", name):
             torque = (Line("torque", recording.time, recording.torque[:, k], "corrected", 1.1),)
-            out.append((_chart(f"c{index}-{k}-torque", name, "", recording.source, torque, ()), f"{name}: torque."))
+            force = "N" if length == "m" else "N m"
+            out.append((_chart(f"c{index}-{k}-torque", name, force, recording.source, torque, ()), f"{name}: torque."))
     return out
 
 

@@ -43,7 +43,8 @@ def check_log(machine: Machine, recordings: Sequence[Recording]) -> LogCheck:
             c.recording.source: TorqueTrace(c.fit.time, c.fit.target, c.fit.target - c.fit.residual)
             for c in contexts if c.fit is not None
         }  # fmt: skip
-    return LogCheck(told, tuple(found), tuple(can), measured, torque, time.monotonic() - began)
+    asked = tuple(c.question for c in checks().values())
+    return LogCheck(told, tuple(found), tuple(can), measured, torque, time.monotonic() - began, asked)
 
 
 def _measured(context: Context) -> dict[str, Any]:

@@ -91,7 +91,7 @@ class LogCheck:
     """Outcome of a check: what was understood (topic -> sentence), the problems, and what the excitation allows.
 
     measured: per recording, the estimates that the checks rest on (delay, ratios, noise), for the JSON; torque: per recording,
-    for the page; seconds: how long the check took.
+    for the page; seconds: how long the check took; asked: the questions that were examined, in words.
     """
 
     understood: Mapping[str, str]
@@ -100,6 +100,7 @@ class LogCheck:
     measured: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     torque: Mapping[str, TorqueTrace] = field(default_factory=dict)
     seconds: float = math.nan
+    asked: Sequence[str] = ()
 
     @property
     def verdict(self) -> LogVerdict:

@@ -10,7 +10,6 @@ import mujoco
 
 from diagnose.check import Machine, check_log
 from diagnose.check.types import LogCheck
-from mjsim.errors import InputError
 from mjsim.mjcf import load_model
 from mjsim.recording import Recording
 from simgap.api.model import Model
@@ -32,7 +31,8 @@ def check(
 
     ``recordings``: one, or several in a list; each a file, columns by name, a DataFrame or a `Recording`. ``out``: a folder for
     check.json and check.html. Returns the verdict (``ready``, ``limits`` or ``fix``), the problems with what to do about each,
-    and which families of effects the excitation can show. Raises `InputError` for a model that is one axis driven by a servo.
+    and, where a torque drives the axis, which families of effects the excitation can show. The position of a servo is compared
+    with its command. Raises `InputError` for a log without the input that the model's actuator takes.
 
     >>> import numpy as np
     >>> import simgap
@@ -52,13 +52,13 @@ def check(
     if is_robot(given, subject.path):
         return _check_robot(given, subject, out)
     source = load_model(subject.path)
-    if source.axis.chain.servo is not None:
-        raise InputError(
-            subject.path, f"actuator {source.axis.chain.actuator!r} is a servo", "a model that is driven by a torque",
-            "simgap diagnose takes the log of a servo as it is",
-        )  # fmt: skip
     group = [r for r in (loaded(x, subject, uniform=False) for x in listed(recordings)) if isinstance(r, Recording)]
-    result = check_log(Machine.of(source), group)
+    if source.axis.chain.servo is not None:
+        from diagnose.robot.check.axis import check_servo_axis
+
+        result = check_servo_axis(source.axis.chain, subject.robot, group)
+    else:
+        result = check_log(Machine.of(source), group)
     if out is not None:
         from diagnose.check.page import write_check
 

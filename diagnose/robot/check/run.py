@@ -71,7 +71,20 @@ def check_robot(robot: Robot, recordings: Sequence[RobotRecording]) -> LogCheck:
         understood |= {f"{r.source}, {topic}" if len(recordings) > 1 else topic: text for topic, text in told.items()}
         measured[r.source] = numbers
     problems.sort(key=lambda p: p.severity is not Severity.FIX)
-    return LogCheck(understood, tuple(problems), (), measured, {}, time.monotonic() - began)
+    return LogCheck(understood, tuple(problems), (), measured, {}, time.monotonic() - began, _asked(recordings))
+
+
+def _asked(recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
+    """The questions that these recordings allow, in words."""
+    several = any(len(r.joints) > 1 for r in recordings)
+    by_command, by_torque = (any(getattr(r, c) is not None for r in recordings) for c in ("command", "torque"))
+    return (
+        "Are the stamps uniform, without gaps, and in seconds?", "Does every row hold a measurement of its own?",
+        "Does each joint move, within its range?", "Are the channels off their limits, and finer than their steps?",
+        *(("Do the channels of each joint belong to it?",) if several else ()),
+        *(("Does each position follow its command: sign, unit, delay?",) if by_command else ()),
+        *(("Does each torque move its joint as the model does: sign, unit?",) if by_torque else ()),
+    )  # fmt: skip
 
 
 def _one(robot: Robot, r: RobotRecording) -> tuple[list[Problem], dict[str, str], dict[str, Any]]:
@@ -88,7 +101,7 @@ def _one(robot: Robot, r: RobotRecording) -> tuple[list[Problem], dict[str, str]
         found, text, relations = _joint(log, name, name in crossed)
         problems += found
         told[name] = text
-        numbers[name] = {k: dataclasses.asdict(v) for k, v in relations.items()}
+        numbers[name] = {"unit": "m" if log.slide(name) else "rad", **{k: dataclasses.asdict(v) for k, v in relations.items()}}
         sound &= not any(p.severity is Severity.FIX for p in found)
     if sound:  # a run on commands of another unit or joint tells nothing
         problems += _in_milliseconds(log, _delays(log, numbers))
@@ -190,7 +203,7 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
     if command is not None:
         if np.ptp(command) == 0:
             return [still(name, "command")]
-        found = relate(command, log.dz[:, j] if velocity else log.angle(name), r.dt)
+        found = relate(_target(log, name, command), log.dz[:, j] if velocity else log.angle(name), r.dt)
         if found is not None:
             relations["angle over command"] = found
             out += scaled("angle", name, found, RATES if velocity else units, f"the command of {name}")
@@ -206,6 +219,12 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
             out += scaled("torque", name, found, TORQUES, f"the torque that the motion of {name} needs by the model")
             out += clipped_torque(name, torque, needed, log.dz[:, j], "N" if log.slide(name) else "N m", r.time)
     return out
+
+
+def _target(log: Log, name: str, command: np.ndarray) -> np.ndarray:
+    """The position or velocity (N,) at the joint that the servo makes of its command: gear, scale and range of the actuator."""
+    drive = joint_drives(log.robot)[log.robot.joints.index(name)]
+    return command if drive is None else drive.target(command, log.r.dt, float(log.angle(name)[0]))
 
 
 def _delays(log: Log, numbers: dict[str, Any]) -> list[Problem]:
@@ -232,7 +251,7 @@ def _delays(log: Log, numbers: dict[str, Any]) -> list[Problem]:
         found = numbers[name]["angle over command"]
         if command is None or drive.velocity or not np.isfinite(model).all() or found["explained"] < FOLLOWED:
             continue
-        own = relate(command, model, r.dt)
+        own = relate(_target(log, name, command), model, r.dt)
         if own is None or own.explained < FOLLOWED:
             continue
         numbers[name]["model's delay_s"] = own.delay
@@ -248,7 +267,8 @@ def _in_milliseconds(log: Log, problems: list[Problem]) -> list[Problem]:
         return problems
     r = dataclasses.replace(log.r, time=log.r.time / 1e3, dt=log.r.dt / 1e3)
     faster = Log(log.robot, r, *smoothed(log.robot, r))
-    relations = {n: relate(c, log.angle(n), r.dt) for n in r.joints if (c := log.channel("command", n)) is not None}
+    commands = {n: c for n in r.joints if (c := log.channel("command", n)) is not None}
+    relations = {n: relate(_target(log, n, c), log.angle(n), r.dt) for n, c in commands.items()}
     numbers: dict[str, Any] = {
         n: {} if x is None else {"angle over command": dataclasses.asdict(x)} for n, x in relations.items()
     }

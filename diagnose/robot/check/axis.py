@@ -1,0 +1,89 @@
+"""Check the log of one axis under a servo: the check of a robot's joint, with the axis' own names of channels.
+
+A servo's log has a command and a position and no torque, so that the checks of `diagnose.check`, which compare a torque with
+the motion, do not apply; those of a robot's joint compare the position with the command.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.check.types import LogCheck, Problem
+from diagnose.check.unused import unused_channels
+from diagnose.robot.check.run import check_robot
+from mjsim.axis import Chain
+from mjsim.errors import InputError
+from mjsim.quantity import Motion
+from mjsim.recording import Recording
+from mjsim.robot.model import Robot
+from mjsim.robot.recording import RobotRecording
+
+__all__ = ["check_servo_axis"]
+
+
+def check_servo_axis(chain: Chain, robot: Robot, recordings: Sequence[Recording]) -> LogCheck:
+    """Check recordings of an axis whose chain has a servo; ``robot``: the same file as a robot, for MuJoCo's run.
+
+    Channels of the problems are those of the axis: angle, velocity, command, time. Raises InputError for a log without a
+    command or an angle.
+    """
+    name = _driven(robot)
+    found = check_robot(robot, [_as_robot(chain, robot, name, r) for r in recordings])
+    told = {"chain": _chain(chain), "servo": _servo(chain)}
+    for topic, text in found.understood.items():
+        if topic != "robot":
+            told[topic.replace(name, "axis") if topic == name else topic] = text
+    unused = unused_channels(recordings, servo=True)
+    if unused:
+        told["channels not fitted"] = " ".join(unused)
+    measured = {source: {key.replace(name, "axis") if key == name else key: v for key, v in numbers.items()}
+                for source, numbers in found.measured.items()}  # fmt: skip
+    return dataclasses.replace(
+        found, understood=told, problems=tuple(_renamed(p, name) for p in found.problems), measured=measured
+    )
+
+
+def _driven(robot: Robot) -> str:
+    """The independent joint that the servo drives."""
+    return robot.joints[int(np.flatnonzero(robot.driven)[0])]
+
+
+def _as_robot(chain: Chain, robot: Robot, name: str, r: Recording) -> RobotRecording:
+    if r.command is None:
+        raise InputError(
+            r.source, f"no command, and {chain.actuator!r} of the model is a servo", "a column command_rad",
+            "bind it ([recording] command = ...), or drive the model by <motor>",
+        )  # fmt: skip
+    if r.angle is None:
+        raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
+    torque = None if np.isnan(r.torque).any() else r.torque[:, None]
+    held = tuple((j, float(robot.model.qpos0[robot.leading(k)])) for k, j in enumerate(robot.joints) if j != name)
+    return RobotRecording(
+        r.time, (name,), r.dt, r.angle[:, None], torque=torque, command=r.command[:, None],
+        velocity=None if r.velocity is None else r.velocity[:, None], source=r.source, sha256=r.sha256, hold=r.hold, held_at=held,
+        notes=r.notes,
+    )  # fmt: skip
+
+
+def _renamed(problem: Problem, name: str) -> Problem:
+    """A problem in the names of the axis: ``angle`` for ``JOINT.angle``."""
+    return dataclasses.replace(
+        problem, channel=problem.channel.removeprefix(f"{name}."), advice=problem.advice.replace(f"{name}.", "")
+    )
+
+
+def _chain(chain: Chain) -> str:
+    unit = "kg" if chain.motion is Motion.SLIDE else "kg m^2"
+    bodies = ", ".join(f"{b.place} (joint {b.joint!r}, inertia {b.inertia:.4g} {unit})" for b in chain.bodies)
+    return f"{len(chain.bodies)} {'inertia' if len(chain.bodies) == 1 else 'inertias'}: {bodies}."
+
+
+def _servo(chain: Chain) -> str:
+    servo = chain.servo
+    assert servo is not None
+    limit = f", force at most {servo.limit:.4g}" if np.isfinite(servo.limit) else ""
+    kp = "" if servo.kp == 0 else f"kp {servo.kp:.4g}, "
+    return f"actuator {chain.actuator!r} takes the {servo.target.value} of the joint: {kp}kv {servo.kv:.4g}{limit}."
