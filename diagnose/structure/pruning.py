@@ -72,11 +72,11 @@ class Pruning:
     def _stands(self, smaller: Fitted, current: Fitted) -> bool:
         return self.significance.significant(smaller, current) or self.significance.better_law(smaller, current)
 
-    def fit_confounders(self, best: Fitted, effect: Effect) -> None:
-        """Fit, from the best structure, the confounders of one of its effects in its place."""
+    def fit_confounders(self, best: Fitted, effect: Effect) -> list[Fitted]:
+        """Fits, from the best structure, of the confounders of one of its effects in its place; they are recorded."""
         state, fitter = self.state, self.state.fitter
         if not fitter.noise.absolute:
-            return
+            return []
         # a fit that was stopped is no further from the best than it has come
         alike = [f for f in state.fits.values() if len(f.effects) == len(best.effects) and f.key != best.key]
         stopped = [f for f in alike if f.fit.status is Status.BUDGET and math.log(f.chi2 / best.chi2) < 10 * SAME]
@@ -86,5 +86,7 @@ class Pruning:
             wanted = known is None or state.context.ahead(best, known) > EQUIVALENT
             if wanted and state.admitted([s.candidate.id, *(e.id for e in others)]):
                 tasks.append(partial(fitter.fit, fitter.hypothesis((*others, s.effect), best.linear, best.own), rival=True))
-        for f in fitter.map(tasks):
+        fits = fitter.map(tasks)
+        for f in fits:
             state.keep(f)
+        return fits

@@ -26,7 +26,7 @@ from diagnose.thresholds import COARSE, LEAST_SAMPLES, MOST, SMALL, UNEXPLAINED
 from mjsim.effects import Effect, effect_class
 from mjsim.system import STEP, assemble
 
-__all__ = ["Screening", "screening_of"]
+__all__ = ["Screening", "most_decimation", "screening_of"]
 
 
 def _decimated(e: Experiment, every: int) -> Experiment:
@@ -191,8 +191,8 @@ def _on_rows(base: Fitted, rows: np.ndarray, every: int) -> Fitted:
     return Fitted(base.hypothesis, fit, len(rows))
 
 
-def screening_of(fitter: Fitter, base: Fitted) -> Screening:
-    """The screening of the neighbours of a fitted structure, by as few samples as give the same answer."""
+def most_decimation(fitter: Fitter, base: Fitted) -> int:
+    """Of how many samples one may do where the neighbours of a fitted structure are screened; 1: all are needed."""
     view = fitter.view
     if (
         not isinstance(view, MotionView)
@@ -201,11 +201,17 @@ def screening_of(fitter: Fitter, base: Fitted) -> Screening:
         or any(e.recording.velocity is None or e.recording.command is not None for e in fitter.experiments)
         or not base.fit.J.any()
     ):
-        return Screening(fitter, base, fitter)
+        return 1
     fastest = max(e.recording.dt for e in fitter.experiments) * assemble(fitter.nominal).omega
     samples = sum(int(np.sum(fitter.counted(e))) for e in fitter.experiments)
-    most = min(int(COARSE / max(fastest, STEP / 10)), samples // LEAST_SAMPLES)
-    for every in range(most, 1, -1):
+    return max(1, min(int(COARSE / max(fastest, STEP / 10)), samples // LEAST_SAMPLES))
+
+
+def screening_of(fitter: Fitter, base: Fitted) -> Screening:
+    """The screening of the neighbours of a fitted structure, by as few samples as give the same answer."""
+    view = fitter.view
+    for every in range(most_decimation(fitter, base), 1, -1):
+        assert isinstance(view, MotionView)
         coarse = dataclasses.replace(view, step=COARSE)
         experiments = tuple(_decimated(e, every) for e in fitter.experiments)
         part = fitter.related(fitter.problem.decimated(experiments, coarse, every), remembers=True)

@@ -24,15 +24,18 @@ def ablate(
 ) -> dict[str, Comparison]:
     """Run the cases with everything on, then with each rule off; by rule, the comparison of the latter with the former.
 
+    The first run counts in which cases each rule acts: one that never acts cannot change a case, which then keeps its answer.
     Each run is resumed as any other. ``out/RULE/comparison.md`` says the changed answers, ``out/ablation.json`` all figures.
     Raises InputError where a rule no longer fits the code.
     """
-    base = run_cases(cases, out / BASE, setting, jobs, say).records
+    watching = dataclasses.replace(setting, watched={rule.name: rule.patches for rule in rules})
+    base = run_cases(cases, out / BASE, watching, jobs, say).records
     found: dict[str, Comparison] = {}
     for rule in rules:
-        say(f"without {rule.name}: {rule.what}")
+        changing = [c for c in cases if c.id in base and base[c.id].acted.get(rule.name)]
+        say(f"without {rule.name} ({rule.what}), which acts in {len(changing)} of {len(base)} cases")
         less = dataclasses.replace(setting, patches=rule.patches, rule=rule.name)
-        records = run_cases(cases, out / rule.name, less, jobs, say).records
+        records = {**base, **(run_cases(changing, out / rule.name, less, jobs, say).records if changing else {})}
         found[rule.name] = compare(base, records)
         write_atomic(out / rule.name / "comparison.md", markdown(found[rule.name], "all on", f"without {rule.name}"))
         said = {name: c.as_dict() for name, c in found.items()}

@@ -1,8 +1,8 @@
 """Diagnoses case after case in one process, with the code of the checkout that PYTHONPATH names.
 
 It is run by its path and knows nothing of the project but ``simgap.pipeline.diagnose_files``, the files of its contract, and
-where simulations are counted, so that it runs in any commit. Its argument is JSON: ``tree``, the checkout, and ``patches``. It
-answers a line of JSON on standard output to a line of JSON on standard input.
+where simulations are counted, so that it runs in any commit. Its argument is JSON: ``tree``, the checkout, ``patches``, and
+``watched``, the rules whose acts are counted. It answers a line of JSON on standard output to a line of JSON on standard input.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["main", "resolve", "switched_off"]
+__all__ = ["main", "resolve", "switched_off", "watched"]
 
 
 def resolve(target: str) -> tuple[Any, str]:
@@ -44,7 +44,8 @@ def resolve(target: str) -> tuple[Any, str]:
 def _neutral(patch: Mapping[str, Any], old: Any) -> Any:
     """What takes the place of ``old``.
 
-    A ``value``; or a function that ``returns`` a value, a list anew at each call, or an ``argument``, or a tuple of some.
+    A ``value``; or a function that ``returns`` a value, a list anew at each call, what stands under a dotted path (``named``), or
+    an ``argument``, or a tuple of some.
     """
     if "value" in patch:
         if callable(old):
@@ -57,7 +58,48 @@ def _neutral(patch: Mapping[str, Any], old: Any) -> Any:
         if isinstance(place, list):
             return lambda *given, **_: tuple(given[k] for k in place)
         return lambda *given, **_: given[place]
+    if "named" in patch:
+        owner, name = resolve(patch["named"])
+        return lambda *_, **__: getattr(owner, name)
     return lambda *_, **__: copy.copy(patch["returns"])
+
+
+def _same(found: Any, neutral: Any) -> bool:
+    """Whether an answer is the neutral one: the object itself, or an equal number or list."""
+    return found is neutral or (isinstance(neutral, int | float | list) and type(found) is type(neutral) and found == neutral)
+
+
+@contextlib.contextmanager
+def watched(rules: Mapping[str, Sequence[Mapping[str, Any]]], counts: dict[str, int]) -> Iterator[None]:
+    """Count, by rule, the calls of its functions whose answer is not the neutral one; everything is as it was at the end.
+
+    A rule that is a constant is not counted. Raises LookupError when a name no longer exists or is of another kind.
+    """
+    found = []
+    for rule, patches in rules.items():
+        for patch in patches:
+            owner, name = resolve(patch["target"])
+            kept = vars(owner)[name] if isinstance(owner, type) else getattr(owner, name)
+            neutral = _neutral(patch, kept)
+            if "value" not in patch:
+                found.append((owner, name, kept, neutral, rule))
+
+    def counting(old: Callable[..., Any], neutral: Callable[..., Any], rule: str) -> Callable[..., Any]:
+        def call(*given: Any, **named: Any) -> Any:
+            answer = old(*given, **named)
+            if not _same(answer, neutral(*given, **named)):
+                counts[rule] = counts.get(rule, 0) + 1
+            return answer
+
+        return call
+
+    try:
+        for owner, name, old, neutral, rule in found:
+            setattr(owner, name, counting(old, neutral, rule))
+        yield
+    finally:
+        for owner, name, old, *_ in reversed(found):
+            setattr(owner, name, old)
 
 
 @contextlib.contextmanager
@@ -141,10 +183,12 @@ def main() -> None:
             raise LookupError(f"simgap is imported from {where.parent}, not from the checkout")
         count = _counter()
         _without_page()
-        with switched_off(asked["patches"]):
+        acted: dict[str, int] = {}
+        with switched_off(asked["patches"]), watched(asked.get("watched", {}), acted):
             print(json.dumps({"ready": True}), file=answers, flush=True)
             for line in sys.stdin:
-                print(json.dumps(_diagnose(json.loads(line), count)), file=answers, flush=True)
+                acted.clear()
+                print(json.dumps({**_diagnose(json.loads(line), count), "acted": acted}), file=answers, flush=True)
     except (LookupError, ImportError) as error:
         print(json.dumps({"ready": False, "error": str(error)}), file=answers, flush=True)
 

@@ -48,7 +48,8 @@ class Record:
     the unit that was judged; ``noise``: rms of the noise that the diagnosis found, same unit; ``simulations``: None where the
     commit does not count them; ``seconds``: elapsed, ``cpu_seconds``: of the processor; ``error``: why there is no answer;
     ``inside``: of the parameters that could be compared with the truth, how many intervals hold it, and how many there are;
-    ``errors``: relative errors of these parameters, of a phase in rad.
+    ``errors``: relative errors of these parameters, of a phase in rad; ``acted``: how often each watched rule gave an answer that
+    is not the neutral one.
     """
 
     case: str
@@ -67,6 +68,7 @@ class Record:
     inside: tuple[int, int] = (0, 0)
     errors: tuple[float, ...] = ()
     error: str = ""
+    acted: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def good(self) -> bool | None:
@@ -116,6 +118,7 @@ def record_of(case: str, hash: str, commit: str, content: Content, reply: Mappin
     error = str(reply.get("error", ""))
     common: dict[str, Any] = {
         "case": case, "hash": hash, "commit": commit, "null": null, "simulations": reply.get("simulations"),
+        "acted": dict(reply.get("acted", {})),
         "seconds": round(float(reply.get("seconds", 0.0)), 3), "cpu_seconds": round(float(reply.get("cpu_seconds", 0.0)), 3),
     }  # fmt: skip
     if error:

@@ -37,31 +37,28 @@ def _passes(name: str, what: str, argument: int | list[int], *targets: str) -> R
     return Rule(name, what, tuple({"target": t, "argument": argument} for t in targets))
 
 
-def _value(name: str, what: str, value: Any, target: str) -> Rule:
-    """Off when a constant has a value."""
-    return Rule(name, what, ({"target": target, "value": value},))
+def _test(name: str, what: str, target: str) -> Rule:
+    """Off when a test of evidence has nothing against any structure."""
+    return Rule(name, what, ({"target": f"{SIGNIFICANCE}.{target}", "named": "diagnose.evidence.outcome.PASS"},))
 
 
 _ALL = (
     # screening and races
-    _value("decimation", "neighbours are screened on a part of the samples", 10**9, "diagnose.structure.screening.LEAST_SAMPLES"),
+    _returns("decimation", "neighbours are screened on a part of the samples", 1, "diagnose.structure.screening.most_decimation"),
     _returns("race_bound", "a fit leaves a race when its sensitivities predict too little gain", True,
              "diagnose.structure.race.Race.may_gain"),
     # neighbours in the graph of structures
     _returns("model_variants", "other laws of an effect are tried in its place", [], "diagnose.structure.moves.Moves._laws"),
     _returns("other_orders", "a position-locked effect is tried at the orders that stand out now", [], f"{GRAPH}.other_orders"),
-    _returns("confounders", "confounders of each finding are fitted before it is reported", None,
+    _returns("confounders", "confounders of each finding are fitted before it is reported", [],
              "diagnose.structure.pruning.Pruning.fit_confounders"),
     _passes("growing_horizon", "nonsmooth structures are fitted to all recordings over growing horizons", 1,
             "diagnose.fit.validation.over_horizons"),
     # evidence
-    _returns("encoder_rival", "an encoder that errs over its turn is a rival of each effect", None,
-             f"{SIGNIFICANCE}.no_error_of_the_encoder"),
-    _returns("servo_rival", "the answer of a servo is a rival where the noise is not known", None,
-             f"{SIGNIFICANCE}.no_answer_of_a_servo"),
-    _returns("few_periods_rival", "an order of few periods must explain more", None, f"{SIGNIFICANCE}.no_slow_error"),
-    _returns("events_rival", "another order of events is a rival beside nonsmooth effects", None,
-             f"{SIGNIFICANCE}.no_moment_of_an_event"),
+    _test("encoder_rival", "an encoder that errs over its turn is a rival of each effect", "no_error_of_the_encoder"),
+    _test("servo_rival", "the answer of a servo is a rival where the noise is not known", "no_answer_of_a_servo"),
+    _test("few_periods_rival", "an order of few periods must explain more", "no_slow_error"),
+    _test("events_rival", "another order of events is a rival beside nonsmooth effects", "no_moment_of_an_event"),
     _returns("held_out_blocks", "stretches of the estimation recording judge where held-out data cannot", None,
              f"{CONTEXT}.compared_in_blocks"),
     _returns("law_margin", "a gain must exceed the error of a law", 0.0, f"{CONTEXT}.law_error"),

@@ -32,7 +32,7 @@ class Setting:
 
     ``tree``: the code; ``cache``: folder of the files of cases; ``patches``, ``rule``: what is switched off, and its name;
     ``limit``: [s] until a case is an error; ``again``: errors of an earlier run are no answers; ``environment``: variables of the
-    process that diagnoses.
+    process that diagnoses; ``watched``: the patches of each rule whose acts are counted.
     """
 
     tree: Tree
@@ -42,12 +42,14 @@ class Setting:
     limit: float = LIMIT
     again: bool = False
     environment: Mapping[str, str] = field(default_factory=dict)
+    watched: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
 
     @property
     def stamp(self) -> str:
         """What an answer follows from besides its case."""
         own = f" {json.dumps(dict(self.environment), sort_keys=True)}" if self.environment else ""
-        return f"{self.tree.stamp} {json.dumps(list(self.patches), sort_keys=True)}{own}"
+        seen = f" {json.dumps(dict(self.watched), sort_keys=True)}" if self.watched else ""
+        return f"{self.tree.stamp} {json.dumps(list(self.patches), sort_keys=True)}{own}{seen}"
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,9 @@ class _Run:
 
     def _serve(self, number: int, todo: queue.SimpleQueue[Case], makers: ProcessPoolExecutor, total: int) -> None:
         worker = Worker(
-            self.setting.tree, self.out / "log" / f"worker_{number}.txt", self.setting.patches, self.setting.environment
-        )
+            self.setting.tree, self.out / "log" / f"worker_{number}.txt", self.setting.patches, self.setting.environment,
+            self.setting.watched,
+        )  # fmt: skip
         self._workers.append(worker)
         try:
             while not (self._failed or self._stopped):

@@ -30,12 +30,14 @@ class Worker:
     """`driver.py` in a process of its own: one thread for the linear algebra, one job a diagnosis.
 
     ``log``: file that what the process prints is appended to; ``patches``: what is switched off in it; ``environment``: its
-    further variables.
+    further variables; ``watched``: the patches of each rule whose acts are counted.
     """
 
     def __init__(
-        self, tree: Tree, log: Path, patches: Sequence[Mapping[str, Any]] = (), environment: Mapping[str, str] | None = None
-    ) -> None:
+        self, tree: Tree, log: Path, patches: Sequence[Mapping[str, Any]] = (), environment: Mapping[str, str] | None = None,
+        watched: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
+    ) -> None:  # fmt: skip
+        self._watched = dict(watched or {})
         self._tree, self._log, self._patches, self._environment = tree, log, list(patches), dict(environment or {})
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] | None = None
@@ -79,7 +81,7 @@ class Worker:
         self._log.parent.mkdir(parents=True, exist_ok=True)
         self._stderr = self._log.open("ab")
         single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-        asked = json.dumps({"tree": str(self._tree.folder), "patches": self._patches})
+        asked = json.dumps({"tree": str(self._tree.folder), "patches": self._patches, "watched": self._watched})
         self._process = subprocess.Popen(
             [sys.executable, "-P", driver.__file__, asked], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._stderr,
             cwd=self._tree.folder, start_new_session=True,

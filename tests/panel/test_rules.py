@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from lab.panel.driver import resolve, switched_off
+from lab.panel.driver import resolve, switched_off, watched
 from lab.panel.rules import RULES, rules_of
 from mjsim.errors import InputError
 
@@ -43,6 +43,26 @@ def test_constants_functions_and_methods_are_replaced_and_come_back(module):
         Thing().listed().append(1)
         assert Thing().listed() == []
     assert (module.LIMIT, module.work, vars(Thing)["same"], vars(Thing)["listed"]) == kept
+
+
+def test_acts_of_rules_are_counted_and_nothing_else_changes(module):
+    module.NOTHING, module.judged = object(), None
+    module.judged = lambda x: module.NOTHING if x else x
+    kept = module.work, vars(Thing)["listed"], module.judged
+    counts: dict[str, int] = {}
+    rules = {
+        "work": [{"target": "panel_probe.work", "argument": 0}],
+        "listed": [{"target": "panel_probe.Thing.listed", "returns": []}],
+        "judged": [{"target": "panel_probe.judged", "named": "panel_probe.NOTHING"}],
+        "limit": [{"target": "panel_probe.LIMIT", "value": 9}],
+    }  # fmt: skip
+    with watched(rules, counts):
+        assert [module.work(a, 2) for a in (3, 0)] == [6, 0]  # the second is the argument itself
+        assert Thing().listed() == [1]
+        assert (module.judged(1), module.judged(0)) == (module.NOTHING, 0)
+        assert module.LIMIT == 5
+    assert counts == {"work": 1, "listed": 1, "judged": 1}
+    assert (module.work, vars(Thing)["listed"], module.judged) == kept
 
 
 def test_everything_comes_back_after_an_error(module):
