@@ -109,7 +109,6 @@ HALVINGS = _number(
     "how many go on, for how long, how far behind",
     "search",
 )
-MOST_FILTERS = _number("MOST_FILTERS", COST, 2, "searches", "on whitened errors", "passes")
 ABOUT = _number("ABOUT", COST, 0.25, "log of a ratio", "spread of further starts of the nominal structure", "horizons")
 LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals reported", "graph")
 SECOND_SPLIT = _number(
@@ -125,9 +124,7 @@ LONGEST = _number(
     "LONGEST", COST, 240_000, "samples", "2 min at 2 kHz: 2 GB; of a longer recording stretches are fitted", "stretches"
 )
 STRETCH_COUNT = _number("STRETCH_COUNT", COST, 12, "stretches", "eight fitted, four held out: 5 s each at 2 kHz", "stretches")
-FURTHER = _number("FURTHER", COST, 3.0, "times the travel", "an experiment that goes further is not proposed", "flow")
 LEAST_SAMPLES = _number("LEAST_SAMPLES", COST, 5000, "samples", "that tell a screened candidate: a noise rms to 1 %", "screening")
-SHOWN = _number("SHOWN", COST, 8, "rivals", "whose held-out error and refusal are reported", "report/test_page")
 
 # Numerics: tolerances, grids and filters
 FASTEST = _number("FASTEST", NUMERIC, 0.85, "of Nyquist", "above it a smooth motion has no power: noise alone", "noise")
@@ -165,9 +162,7 @@ FINER = _number("FINER", NUMERIC, 3, "parts of a block", "0.08 s of 10 s: longer
 COARSE = _number("COARSE", NUMERIC, 0.33, "rad", "a step of the fastest motion when candidates are screened", "screening")
 INTERVALS = _number("INTERVALS", NUMERIC, (12, 5), "intervals", "of a map of one variable, and of each of two", "torque_map")
 FOLDS = _number("FOLDS", NUMERIC, 5, "folds", "of a cross-validation", "torque_map")
-RIDGE = _number("RIDGE", NUMERIC, 1e-06, "of a column's square", "what other stretches do not show stays zero", "torque_map")
 AHEAD_SECONDS = _number("AHEAD_SECONDS", NUMERIC, (0.005, 0.05, 0.25), "s", "how far ahead predictions are judged", "ahead")
-TWO_SIDED = _number("TWO_SIDED", NUMERIC, 1.96, "standard errors", "half a 95 % interval of a normal distribution", "intervals")
 OBSERVER_GAINS = _number(
     "OBSERVER_GAINS",
     NUMERIC,
@@ -183,6 +178,3 @@ FEW_TAPS = _number("FEW_TAPS", NUMERIC, 8, "taps", "ahead, between sensors; to l
 BLOCKS = _number("BLOCKS", NUMERIC, 40, "blocks", "of a recording, for paired tests and cross-validation", "second_encoder")
 ROUNDING = _number("ROUNDING", NUMERIC, 1e-10, "relative", "of a sum of squares or a second difference: rounding", "torque_map")
 FEWEST = _number("FEWEST", NUMERIC, 200, "samples", "of a recording, or of its first part", "experiment")
-NO_SENSOR = _number(
-    "NO_SENSOR", NUMERIC, 1e-5, "of a channel's spread", "noise that no sensor of a machine reaches: 17 bits", "experiment"
-)

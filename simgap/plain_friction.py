@@ -14,8 +14,8 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
+from diagnose.evidence.intervals import half_width
 from diagnose.result import Diagnosis, Estimate, Finding
-from diagnose.thresholds import TWO_SIDED
 from diagnose.verdict.reference import Case, Run, at_noise, figures, noise_level
 from diagnose.verdict.reference_fit import Refit, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files, starts_of
@@ -116,7 +116,7 @@ def _finding(f: Finding, better: Refit, simplest: Effect | None, given: Axis, he
     for spec in simplest.specs():
         name = f"{simplest.key}.{spec.name}"
         value = values[spec.name] = better.values.get(name, simplest.values[spec.name])
-        half = TWO_SIDED * abs(value) * better.errors.get(name, math.nan)
+        half = half_width(1.0) * abs(value) * better.errors.get(name, math.nan)
         numbers[spec.name] = Estimate(value, (value - half, value + half), spec.unit(motion))
     return dataclasses.replace(
         f, effect=simplest.name(), form="", sentence=simplest.with_values(values).describe(motion), parameters=numbers,

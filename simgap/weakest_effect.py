@@ -11,9 +11,10 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from diagnose.evidence.intervals import half_width
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Diagnosis, Estimate, Finding
-from diagnose.thresholds import SMALL, TWO_SIDED
+from diagnose.thresholds import SMALL
 from diagnose.verdict.reference import Run, at_noise, chi_square
 from diagnose.verdict.reference_fit import Refit, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files, starts_of
@@ -98,6 +99,6 @@ def _refitted(f: Finding, better: Refit) -> Finding:
         key = f"{f.law}@{f.place}.{name}"
         if key in better.values and key in better.errors:
             value = better.values[key]
-            half = TWO_SIDED * abs(value) * better.errors[key]
+            half = half_width(1.0) * abs(value) * better.errors[key]
             numbers[name] = Estimate(value, (value - half, value + half), before.unit)
     return dataclasses.replace(f, parameters=numbers)

@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnose.check.thresholds import CONTENT_DROP, EDGE_DROP, EDGE_SLOPE, FLOOR_SLOPE, INTERPOLATED, STRAIGHT
 from diagnose.data.noise import white_noise_level
-from diagnose.thresholds import NO_SENSOR
+from diagnose.thresholds import ROUNDING
 from mjsim.signals import welch
 
 __all__ = ["content_end"]
@@ -43,7 +43,7 @@ def content_end(x: np.ndarray, dt: float) -> float | None:
     top = float(np.median(density[(share > 0.85) & (share < 0.97)]))
     low = float(np.median(density[(share > 0.15) & (share < 0.25)]))
     if slope > FLOOR_SLOPE or top > CONTENT_DROP * low:
-        return _edge(f[1:], density) if white_noise_level(x) < NO_SENSOR * _spread(x, length) else None
+        return _edge(f[1:], density) if white_noise_level(x) < math.sqrt(ROUNDING) * _spread(x, length) else None
     edge = _edge(f[1:], density)
     return float(f[1:][np.flatnonzero(density >= low)[-1]]) if edge is None else edge
 

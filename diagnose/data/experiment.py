@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.data.noise import channel_noise, coloured_noise_level, white_noise_level
-from diagnose.thresholds import FAR, FEWEST, NO_SENSOR, SMALL
+from diagnose.thresholds import FAR, FEWEST, ROUNDING, SMALL
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.signals import limits
@@ -36,7 +36,7 @@ __all__ = [
 class Experiment:
     """A recording and the part of it that a fit counts.
 
-    counts (N) bool; sigma: noise rms of the judged output, at least `NO_SENSOR` of its spread (weights recordings against
+    counts (N) bool; sigma: noise rms of the judged output, at least sqrt(ROUNDING) of its spread (weights recordings against
     each other); moving: the axis is not at rest at the first sample; before: torque held ahead of it; correction (N): added to
     the measured velocity where motion is compared; kept: signals that views computed, by their arguments.
     """
@@ -218,7 +218,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
             raise InputError(recording.source, "a command and no angle", "the angle of the joint", "record or bind it")
         noise = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))
         spread = float(np.std(recording.angle))
-    return Experiment(recording, counts, max(noise, NO_SENSOR * spread), moving, before)
+    return Experiment(recording, counts, max(noise, math.sqrt(ROUNDING) * spread), moving, before)
 
 
 def _need_one_motion(recording: Recording, window: float = 0.02) -> None:

@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
+from scipy.special import ndtri
+
 from diagnose.fit.fitted import Fitted
 from diagnose.problem.noise_model import NoiseModel
-from diagnose.thresholds import ROUNDING, TWO_SIDED
+from diagnose.thresholds import ROUNDING
 from mjsim.effects import Effect
 
-__all__ = ["Open", "at_bounds", "open_sizes", "sizes_of"]
+__all__ = ["Open", "at_bounds", "half_width", "open_sizes", "sizes_of"]
 
 
 @final
@@ -23,6 +25,11 @@ class Open:
     name: str
     value: float
     ci95: tuple[float, float]
+
+
+def half_width(error: float) -> float:
+    """Half of a 95 % interval of a normal distribution with a standard error."""
+    return float(ndtri(0.975)) * error
 
 
 def sizes_of(effect: Effect) -> tuple[str, ...]:
@@ -38,7 +45,7 @@ def open_sizes(f: Fitted, noise: NoiseModel, sizes: Mapping[str, tuple[str, ...]
     for entry, x, error in zip(f.hypothesis.entries, f.fit.x, f.standard_errors(noise), strict=True):
         if entry.owner not in effects or entry.name not in asked.get(entry.owner, ()):
             continue
-        value, half = entry.si(float(x)), TWO_SIDED * float(error)
+        value, half = entry.si(float(x)), half_width(float(error))
         if not abs(value) >= half:
             out.append(Open(effects[entry.owner], entry.name, value, (value - half, value + half)))
     return tuple(out)

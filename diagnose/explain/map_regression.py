@@ -7,17 +7,16 @@ over the model's own numbers a and the map's coefficients c'.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from diagnose.fit.least_squares import orthonormal
-from diagnose.thresholds import FOLDS, RIDGE, ROUNDING, SAME
+from diagnose.thresholds import FOLDS, ROUNDING, SAME
 from mjsim.torque_map import TorqueMap
 
-__all__ = ["LAMBDAS", "Regression", "Solution", "roughness", "solve"]
-
-LAMBDAS = np.geomspace(1e-4, 1e8, 25)  # times the mean diagonal of the regression
+__all__ = ["Regression", "Solution", "roughness", "solve"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,24 +72,30 @@ def solve(p: Regression, without: float) -> Solution:
     rough, bent = np.zeros(X.shape[1]), np.zeros(X.shape[1])
     rough[k:] = np.where(bends > ROUNDING * bends.max(initial=0.0), bends, 0.0)
     bent[k:] = np.where(rough[k:] > 0.0, V.T @ (p.S.T @ (p.S @ p.c)), 0.0)
-    scale = 1.0 / max(float(np.mean(bends)) if len(bends) else 0.0, 1e-300)
+    scale = 1.0 / max(float(np.mean(bends)) if len(bends) else 0.0, 1e-290)
     grams = [X[p.fold == f].T @ X[p.fold == f] for f in range(-1, FOLDS)]
     slopes = [X[p.fold == f].T @ p.r[p.fold == f] for f in range(-1, FOLDS)]
     squares = [float(p.r[p.fold == f] @ p.r[p.fold == f]) for f in range(FOLDS)]
     total_gram, total_slope = sum(grams), sum(slopes)
-    costs = np.zeros(len(LAMBDAS))
-    for i, penalty in enumerate(LAMBDAS):
+    # in half decades, from what changes no coefficient to what rounding leaves of one
+    decades = round(-math.log10(ROUNDING))
+    penalties = 10.0 ** np.arange(-decades, decades + 0.5, 0.5)
+    costs = np.zeros(len(penalties))
+    for i, penalty in enumerate(penalties):
         for f in range(FOLDS):
             b = _ridged(total_gram - grams[f + 1], penalty * scale * rough, total_slope - slopes[f + 1] + penalty * scale * bent)
             costs[i] += squares[f] + 2 * float(slopes[f + 1] @ b) + float(b @ grams[f + 1] @ b)
     best = int(np.argmin(costs))
-    penalty = float(LAMBDAS[best] * scale)
+    penalty = float(penalties[best] * scale)
     b = _ridged(total_gram, penalty * rough, total_slope + penalty * bent)
     return Solution(penalty, float(costs[best] / max(without, 1e-300)), V, p.c + V @ b[k:])
 
 
 def _ridged(gram: np.ndarray, penalties: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of least squares by its normal equations, each with a penalty of its own (k,)."""
-    A = gram + np.diag(penalties + RIDGE)
+    """Coefficients (k,) of least squares by its normal equations, each with a penalty of its own (k,).
+
+    A ridge of sqrt(ROUNDING) of a column's square is added: what the other stretches do not show stays zero.
+    """
+    A = gram + np.diag(penalties + math.sqrt(ROUNDING))
     size = np.sqrt(np.diag(A))
     return np.asarray(-np.linalg.solve(A / np.outer(size, size), slope / size) / size)

@@ -12,7 +12,7 @@ from diagnose.data.experiment import measured_angle, start_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding
-from diagnose.thresholds import FURTHER
+from diagnose.thresholds import TWICE
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError, simulate
 from mjsim.recording import Recording
@@ -41,7 +41,7 @@ def next_experiment(fitter: Fitter, rivals: Iterable[Fitted], best: Fitted, find
         scores = {}
         for label, (drive, load) in trials.items():
             told_apart = _apart(r, (best.axis, rival.axis), drive, load)
-            if told_apart is not None and told_apart[1] < FURTHER * travel:
+            if told_apart is not None and told_apart[1] < TWICE * travel:
                 scores[label] = told_apart[0] / fitter.experiments[0].sigma
         pair = f"{finding.effect.replace('_', ' ')} from {name.replace('_', ' ')}"
         label = max(scores, key=lambda k: scores[k], default="")

@@ -25,6 +25,7 @@ import numpy as np
 
 from diagnose.data.experiment import Experiment, middle
 from diagnose.evidence.held_out import compare
+from diagnose.evidence.intervals import half_width
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.explain.map_regression import Regression, Solution, roughness, solve
 from diagnose.explain.map_shapes import shapes, variables, words
@@ -36,7 +37,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.problem import bounded
 from diagnose.progress import Progress
 from diagnose.result import MapResult, MapVariable
-from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEADING, LEAST_SAMPLES, MATERIAL, SAME, SMALL, TWO_SIDED
+from diagnose.thresholds import ALPHA, BLOCKS, FOLDS, LEADING, LEAST_SAMPLES, MATERIAL, SAME, SMALL
 from mjsim.axis import Axis
 from mjsim.quantity import Quantity
 from mjsim.signals import lfilter
@@ -294,7 +295,7 @@ def _result(fitter: Fitter, refined: _Refined, before: HeldOut, after: HeldOut, 
     points = [a.points(count) for a in shape.axes]
     rows = shape.row(*(g.ravel() for g in np.meshgrid(*points, indexing="ij")))
     values = rows @ np.array(shape.coefficients)
-    half = TWO_SIDED * np.sqrt(np.maximum(np.sum((rows @ W @ covariance) * (rows @ W), axis=1), 0.0))
+    half = half_width(1.0) * np.sqrt(np.maximum(np.sum((rows @ W @ covariance) * (rows @ W), axis=1), 0.0))
     motion = fitter.nominal.chain.motion
     form = (count,) * len(points)
     rms, seen = _visited(fitter, fitted, shape, points)

@@ -14,7 +14,7 @@ from diagnose.report.figures import estimate, interval, number, percent, prose, 
 from diagnose.report.truth import truth_rows
 from diagnose.report.words import effect_name, linear_name, structure_name
 from diagnose.result import Diagnosis, Estimate, Finding, FitFigures, Refused, Rival
-from diagnose.thresholds import SHOWN
+from diagnose.thresholds import HALVINGS
 
 __all__ = [
     "error_table", "linear_table", "parameter_table", "place_table", "recording_table", "refusal_table", "rival_tables",
@@ -207,7 +207,7 @@ def rival_tables(d: Diagnosis) -> tuple[Markup | None, Markup | None, int]:
     ordered = sorted(d.rivals, key=lambda r: r.criterion if math.isfinite(r.criterion) else math.inf)
     mine = next((r for r in ordered if set(r.effects) == chosen), None)
     reference = (mine if mine is not None and math.isfinite(mine.criterion) else ordered[0]).criterion
-    front = [i < SHOWN or r is mine or not r.effects for i, r in enumerate(ordered)]
+    front = [i < HALVINGS[0][0] or r is mine or not r.effects for i, r in enumerate(ordered)]
     first = [r for r, leads in zip(ordered, front, strict=True) if leads]
     rest = [r for r, leads in zip(ordered, front, strict=True) if not leads]
     caption = "Rivals: every structure was fitted with all its numbers free; the criterion prices each number, less is better"

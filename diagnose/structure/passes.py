@@ -37,7 +37,7 @@ from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
 from diagnose.structure.search import Search
-from diagnose.thresholds import FAR, LEADING, MATERIAL, MOST_FILTERS, SECOND_SPLIT, TWICE
+from diagnose.thresholds import FAR, LEADING, MATERIAL, SECOND_SPLIT, TWICE
 from mjsim.errors import InputError
 
 __all__ = ["searched"]
@@ -209,9 +209,9 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         if settled is None:
             return search, best, False
         best = settled
-    for turn in range(MOST_FILTERS):
+    for again in (False, True):
         spent = fitter.spent
-        if spent and (turn or not best.effects):  # a search that could not look would find nothing
+        if spent and (again or not best.effects):  # a search that could not look would find nothing
             break
         if known and innovation(fitter, best, np.ones(1)) < 1 / TWICE:  # what is below the noise has no colour to be named
             break
@@ -221,7 +221,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         before, found = search, best
         whitened = fitter.relax(whitening=_scaled(fitter, best, filter_))
-        search, best = _search(whitened, options, progress, began, known=best if turn or own_filter else None)
+        search, best = _search(whitened, options, progress, began, known=best if again or own_filter else None)
         fitter = search.fitter
         search.state.tested += before.tested
         if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from diagnose.evidence.intervals import at_bounds
+from diagnose.evidence.intervals import at_bounds, half_width
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
 from diagnose.result import Estimate, Verdict
 from diagnose.structure.search import Search
-from diagnose.thresholds import EQUIVALENT, ROUNDING, TWO_SIDED
+from diagnose.thresholds import EQUIVALENT, ROUNDING
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.effects import Effect
 
@@ -58,7 +58,7 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
         value = e.si(float(x))
         if e.name == "phase_rad":
             value = math.remainder(value, 2 * math.pi)
-        half = TWO_SIDED * float(s)
+        half = half_width(float(s))
         bound = not low + ROUNDING < x < high - ROUNDING
         out[e.name] = Estimate(value, (value - half, value + half), e.quantity.unit(motion), bound)
     return out

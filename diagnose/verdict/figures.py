@@ -16,7 +16,7 @@ from diagnose.fit.least_squares import Fit
 from diagnose.fit.whiten import noise_rms
 from diagnose.result import FitFigures, Rival, Traces
 from diagnose.structure.search import Search
-from diagnose.thresholds import SHOWN
+from diagnose.thresholds import HALVINGS
 from mjsim.axis import Axis
 from mjsim.recording import Recording
 
@@ -70,12 +70,12 @@ def rivals(search: Search, best: Fitted, most: int = 25) -> tuple[Rival, ...]:
     reference = search.criterion(best)
     out: list[Rival] = []
     ranked = sorted(search.fits.values(), key=search.criterion)[:most]
-    lengths = [n * (10.0 if i < SHOWN else 1.0) for i, n in enumerate(search.fitter.lengths(ranked))]
+    lengths = [n * (10.0 if i < HALVINGS[0][0] else 1.0) for i, n in enumerate(search.fitter.lengths(ranked))]
 
     def figures(f: Fitted, judged: bool) -> tuple[HeldOut | None, float]:
         return search.held_out(f) if judged else search.fits.known_held_out(f), _rms(search.fitter, f)
 
-    told = search.fitter.map([partial(figures, f, i < SHOWN) for i, f in enumerate(ranked)], lengths)
+    told = search.fitter.map([partial(figures, f, i < HALVINGS[0][0]) for i, f in enumerate(ranked)], lengths)
     for f, (held, rms) in zip(ranked, told, strict=True):
         out.append(
             Rival(f.key, len(f.hypothesis.entries), rms, held.rms if held else math.nan,

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.data.experiment import Experiment
-from diagnose.evidence.intervals import sizes_of
+from diagnose.evidence.intervals import half_width, sizes_of
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.hypothesis import Entry
 from diagnose.result import Estimate
-from diagnose.thresholds import ALPHA, TWO_SIDED
+from diagnose.thresholds import ALPHA
 from diagnose.verdict.decide import estimates
 
 __all__ = ["Trend", "friction_by_recording", "trends"]
@@ -119,7 +119,7 @@ def _line(name: str, rows: Sequence[tuple[float, Estimate]], fewest: int) -> Tre
         return None
     at = np.array([t for t, _ in rows])
     y = np.array([e.value for _, e in rows])
-    s = np.array([(e.ci95[1] - e.ci95[0]) / (2 * TWO_SIDED) for _, e in rows])
+    s = np.array([(e.ci95[1] - e.ci95[0]) / (2 * half_width(1.0)) for _, e in rows])
     w = 1 / s**2
     middle = float(w @ at / w.sum())
     spread = float(w @ (at - middle) ** 2)

@@ -17,7 +17,7 @@ import numpy as np
 
 from diagnose.thresholds import HORIZONS
 from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
-from diagnose.verdict.reference_runs import ENOUGH, run_files, run_surrogate, run_watched, work_of
+from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, work_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
@@ -31,7 +31,6 @@ FINE = 1e-4  # the same where a slope of an unstable motion is asked, which bend
 DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls
 LARGEST = 0.3  # relative change of a number in a step
 MOST_WORK = 1e6  # of one run of all recordings (`work_of`), some .5 s: files that need more are not refitted
-MOST_SLOPES = 1e5  # the same, up to which MuJoCo's own differences are taken where the engine's Jacobian does not serve
 
 Runs = Sequence[Run | None]
 Runner = Callable[[Axis, float], Runs | None]  # of an axis; may stop short of the end where chi-square exceeds the number
@@ -108,7 +107,7 @@ def _refit(
         if better is not None:
             best, e = better, _residual(cases, better.runs)
             assert e is not None
-        if gained < ENOUGH * max(1.0, best.chi2 / len(e)):
+        if gained < max(1.0, best.chi2 / len(e)):  # a number moves by less than its standard error
             if len(slopes) == 1:
                 break
             slopes = slopes[1:]
@@ -189,7 +188,7 @@ def refit_in_simulator(
         for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
             runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
-            own = work_needed <= MOST_SLOPES and part == HORIZONS[-1]
+            own = work_needed * len(_free(axis)) <= MOST_WORK and part == HORIZONS[-1]  # a run for each slope
             best = _refit(best.axis if best else axis, parts, runs, engine, own_slopes=own, metric=metric)
             if best is None or beyond(whole, best.runs, goal):
                 return None

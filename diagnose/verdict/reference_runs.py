@@ -25,7 +25,6 @@ from mjsim.system import assemble
 
 __all__ = ["run_file", "run_files", "run_surrogate", "run_watched", "starts_of", "too_far", "work_of"]
 
-ENOUGH = 1.0  # fall of chi-square, over chi-square per sample, that moves a start: one of its numbers by a standard error
 OWN_STEP, OWN_ROUNDS, DAMPED = 0.1, 5, (1.0, 0.3)  # standard deviations of a difference, Gauss-Newton steps, parts of a step
 LOOKS = (1 / 64, 1 / 32, *(k / 16 for k in range(1, 17)))  # parts of a recording after which a watched run is looked at
 
@@ -167,7 +166,7 @@ def _tried(plant: MujocoPlant, case: Case, first: Run, shift: _Shift, parts: Seq
     """The run from the start that the slopes promise, at the first part of the way that lowers the cost; else the first run."""
     e = _errors(case, first)
     change, promised = shift.best(e)
-    if promised < ENOUGH * max(1.0, float(e @ e) / len(e)):
+    if promised < max(1.0, float(e @ e) / len(e)):  # no number of the start moves by a standard error
         return first, shift
     for part in parts:
         moved = np.clip(shift.moved + part * change, -SIGMAS, SIGMAS)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from diagnose.fit.fitted import Fitted
 from diagnose.result import Refused
 from diagnose.structure.search import Search
-from diagnose.thresholds import LEADING, SHOWN
+from diagnose.thresholds import HALVINGS, LEADING
 
 __all__ = ["refusals", "refused_in_words"]
 
@@ -31,7 +31,7 @@ def refusals(search: Search, best: Fitted) -> tuple[Refused, ...]:
     A rival that no test was asked about is not good enough by the criterion C: "gain" is how far its C lies below that of the
     answer, "needed" how far it must. Nothing is simulated for this.
     """
-    ranked = sorted((f for f in search.fits.values() if f.key != best.key), key=search.criterion)[:SHOWN]
+    ranked = sorted((f for f in search.fits.values() if f.key != best.key), key=search.criterion)[: HALVINGS[0][0]]
     return tuple(_refused(search, best, f) for f in ranked)
 
 

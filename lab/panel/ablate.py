@@ -11,7 +11,7 @@ from ident.serial import write_atomic
 from lab.benchmark.resume import plain
 from lab.panel.case import Case
 from lab.panel.compare import Comparison, compare, markdown
-from lab.panel.rules import Rule
+from lab.panel.rules import Rule, patches_of
 from lab.panel.run import Setting, run_cases
 
 __all__ = ["ablate", "ablation_table"]
@@ -28,7 +28,7 @@ def ablate(
     Each run is resumed as any other. ``out/RULE/comparison.md`` says the changed answers, ``out/ablation.json`` all figures.
     Raises InputError where a rule no longer fits the code.
     """
-    watching = dataclasses.replace(setting, watched={rule.name: rule.patches for rule in rules})
+    watching = dataclasses.replace(setting, watched=patches_of(rules))
     base = run_cases(cases, out / BASE, watching, jobs, say).records
     found: dict[str, Comparison] = {}
     for rule in rules:

@@ -19,7 +19,7 @@ from lab.panel.catalogue import all_cases, choose, quick_cases, select, strata
 from lab.panel.compare import compare, markdown
 from lab.panel.kernels import KERNELS, differs, under_kernels
 from lab.panel.record import read_answers, write_answers
-from lab.panel.rules import RULES, rules_of
+from lab.panel.rules import RULES, patches_of, rules_of
 from lab.panel.run import LIMIT, Ran, Setting, run_cases
 from lab.panel.tree import Tree, at_commit, checkout, here
 from mjsim.errors import InputError
@@ -86,18 +86,23 @@ def list_(quick: bool) -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the records.")
 @_with_options
 @click.option("--again", is_flag=True, help="Cases that ended with an error are run again.")
+@click.option("--watch", is_flag=True, help="Count in which cases each rule of the search acts.")
 @click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Also write them to this file, one line a case.")
 def run(
     out: Path, quick: bool, names: tuple[str, ...], tree: Path | None, commit: str | None, jobs: int, cache: Path, limit: float,
-    again: bool, answers: Path | None,
+    again: bool, watch: bool, answers: Path | None,
 ) -> None:  # fmt: skip
     """Diagnose the cases; the same call goes on where it was broken off.
 
     Example: python -m lab.panel run --quick --commit HEAD~1 --out out/panel/before
     """
     with _code(tree, commit, cache) as code:
-        ran = run_cases(_cases(quick, names), out, Setting(code, cache, limit=limit, again=again), jobs, _say)
+        setting = Setting(code, cache, limit=limit, again=again, watched=patches_of(RULES.values()) if watch else {})
+        ran = run_cases(_cases(quick, names), out, setting, jobs, _say)
         _summary(ran)
+        for name in RULES if watch else ():
+            cases = sorted(r.case for r in ran.records.values() if r.acted.get(name))
+            click.echo(f"{name} acts in {len(cases)} cases: {', '.join(cases)}")
         if answers is not None:
             write_answers(answers, list(ran.records.values()), {"commit": code.commit})
 

@@ -5,13 +5,13 @@ When a name moves, its row is changed; when the heuristic goes, its row goes. `d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from mjsim.errors import InputError
 
-__all__ = ["RULES", "Rule", "rules_of"]
+__all__ = ["RULES", "Rule", "patches_of", "rules_of"]
 
 SIGNIFICANCE = "diagnose.structure.significance"
 CONTEXT = "diagnose.evidence.context.Context"
@@ -65,6 +65,11 @@ _ALL = (
 )  # fmt: skip
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in _ALL}
+
+
+def patches_of(rules: Iterable[Rule]) -> dict[str, tuple[Mapping[str, Any], ...]]:
+    """What each rule, by its name, is counted by."""
+    return {rule.name: rule.patches for rule in rules}
 
 
 def rules_of(names: tuple[str, ...]) -> list[Rule]:

@@ -10,11 +10,11 @@ import pytest
 from scipy.stats import chi2
 
 from diagnose.evidence.held_out import Comparison
+from diagnose.evidence.intervals import half_width
 from diagnose.options import Options
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Verdict
 from diagnose.structure.budget import SearchOptions
-from diagnose.thresholds import TWO_SIDED
 from diagnose.verdict import decide as decide_module
 from diagnose.verdict.decide import decide, equivalents, estimates, only_repeated_rows, p_values
 from diagnose.verdict.witnesses import RepeatedRows
@@ -117,7 +117,7 @@ def test_intervals_of_one_owner_in_si_units():
     found = estimates(fitted, search().fitter, "f")
     assert list(found) == ["torque_Nm", "phase_rad", "first"]
     assert found["torque_Nm"].value == 3.0 * twice
-    assert found["torque_Nm"].ci95 == pytest.approx((6.0 - TWO_SIDED * 0.5, 6.0 + TWO_SIDED * 0.5))
+    assert found["torque_Nm"].ci95 == pytest.approx((6.0 - half_width(0.5), 6.0 + half_width(0.5)))
     assert found["torque_Nm"].unit == "N m"
     assert found["phase_rad"].value == pytest.approx(0.25), "within half a turn of zero"
     assert list(estimates(fitted, search().fitter, "")) == ["Jm"]
