@@ -14,7 +14,7 @@ from mjsim.quantity import Motion, Quantity
 from mjsim.servo import Servo, Target
 from mjsim.site import Side, Site
 
-__all__ = ["Body", "Chain", "Coupling", "LinearParameter", "Softness"]
+__all__ = ["Body", "Chain", "Coupling", "LinearParameter", "Limit", "Softness"]
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,31 @@ class Softness:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """The range of a joint as MuJoCo limits it softly, by solreflimit and solimplimit.
+
+    Beyond a limit by r > 0 the joint is pushed back by f = max(0, m (a_ref - a)), where all are taken away from the limit: a its
+    acceleration with f, a_ref = K d r - B v, m = J d / (1 - d). ``lower``, ``upper`` [rad | m]; ``stiffness`` K [1/s^2];
+    ``damping`` B [1/s]; ``impedance``: solimp (5), from which d(r) follows. Source: MuJoCo documentation, Computation, Solver
+    parameters.
+    """
+
+    lower: float
+    upper: float
+    stiffness: float
+    damping: float
+    impedance: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ValueError(f"range of a joint is {self.lower} .. {self.upper}; expected lower < upper")
+
+
+@dataclass(frozen=True)
 class Body:
     """An inertia [kg m^2 | kg] with viscous friction to ground [N m s/rad | N s/m]; ``joint`` is its MJCF element.
 
-    ``softness``: of its Coulomb friction, None where that holds the body at rest.
+    ``softness``: of its Coulomb friction, None where that holds the body at rest; ``limit``: of its angle, of the driven body only.
     """
 
     place: str
@@ -42,6 +63,7 @@ class Body:
     viscous: float
     joint: str
     softness: Softness | None = None
+    limit: Limit | None = None
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 conta
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
 and backward; kind 5: soft friction, its parameters impedance,
-rate and both levels), first parameter, state index or -1. ``p``: parameters.
+rate and both levels; kind 6: soft limits of body 0, `mjsim.chain.Limit`), first parameter, state index or -1. ``p``: parameters.
 ``servo`` (6): of the drive at body 0, in its torques: stiffness and damping towards the input, force limit, stall torque, its
 loss per speed, half dead band (`mjsim.system.System.servo`); a drive by torque has none of them.
-``mode`` (5, n): friction mode, gap mode, whether the body has friction; of body 0 only: side of the force limit at which the
-drive stands (0: none), side of the dead band (0: inside). ``z``: local quantities of a law and, behind them,
+``mode`` (6, n): friction mode, gap mode, whether the body has friction; of body 0 only: side of the force limit at which the
+drive stands (0: none), side of the dead band (0: inside), side of the joint limit that it is beyond (0: within both). ``z``: local quantities of a law and, behind them,
 what it writes. ``x`` (3, m): q, v, internal states.
 """
 
@@ -36,7 +36,7 @@ from mjsim.system import SLIDES, TURNS
 
 __all__ = ["KIND_BODY", "KIND_COUPLING", "KIND_FRICTION", "KIND_INERTIA", "KIND_TWIST", "drive", "integrate"]
 
-KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION, KIND_SOFT = 0, 1, 2, 3, 4, 5
+KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION, KIND_SOFT, KIND_LIMIT = 0, 1, 2, 3, 4, 5, 6
 GATED, UNGATED, NO_PULL = 0, 1, 2
 SLOTS = 61  # modes whose propagators are kept at a time
 MAX_EVENTS = 64  # per sample; past that the step is taken as it is (chatter)
@@ -148,6 +148,64 @@ def _acting(u, us, lag, tau, h):
     return u + us * (h - tau) + (lag - u + us * tau) * np.exp(-h / tau)
 
 
+@compiled(error_model="numpy")
+def _impedance(p, at, depth):
+    """MuJoCo's impedance of a constraint that is violated by ``depth``; p[at:at+5]: solimp."""
+    low, high, width, middle, power = p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4]
+    if low == high or width <= 1e-15:
+        return 0.5 * (low + high)
+    e = abs(depth) / width
+    if e >= 1.0:
+        return high
+    if power != 1.0:
+        e = e**power / middle ** (power - 1.0) if e <= middle else 1.0 - (1.0 - e) ** power / (1.0 - middle) ** (power - 1.0)
+    return low + e * (high - low)
+
+
+@compiled(error_model="numpy")
+def _limited(p, at, side, q, v, balance, inertia, share, soft):
+    """Force of a joint limit and the force of soft friction beside it, both on the body: (limit, friction).
+
+    ``side``: -1 beyond the lower limit, +1 beyond the upper; balance: all other forces; inertia: the body's, at its angle; share:
+    nominal inertia, from which MuJoCo takes the regularisation; soft: first parameter of the friction, -1 for none.
+    Inertia a = balance + limit + friction, with a limit -side max(0, m (side (a + B v) + K d depth)), m = share d / (1 - d).
+    """
+    depth = side * (q - p[at + (1 if side > 0 else 0)])
+    d = _impedance(p, at + 4, depth)
+    m = share * d / (1.0 - d)
+    push = m * (p[at + 3] * v + side * p[at + 2] * d * depth)
+    mf = 0.0
+    drag = 0.0
+    if soft >= 0:
+        mf = share * p[soft] / (1.0 - p[soft])
+        drag = mf * p[soft + 1] * v
+    for active in range(1, -1, -1):
+        force, mass = balance, inertia
+        if active == 1:
+            force, mass = force - push, mass + m
+        a = (force - drag) / (mass + mf)
+        friction = -drag - mf * a
+        if soft >= 0 and friction > p[soft + 3]:
+            friction = p[soft + 3]
+            a = (force + friction) / mass
+        elif soft >= 0 and friction < -p[soft + 2]:
+            friction = -p[soft + 2]
+            a = (force + friction) / mass
+        stop = m * a + push
+        if active == 0 or side * stop >= 0.0:
+            return -stop if active == 1 else 0.0, friction
+    return 0.0, 0.0
+
+
+@compiled(error_model="numpy")
+def _held_by_limit(p, at, side, q, v, a, share):
+    """Force of a joint limit on a body whose acceleration is ``a``; arguments as of `_limited`."""
+    depth = side * (q - p[at + (1 if side > 0 else 0)])
+    d = _impedance(p, at + 4, depth)
+    stop = share * d / (1.0 - d) * (a + p[at + 3] * v + side * p[at + 2] * d * depth)
+    return -stop if side * stop > 0.0 else 0.0
+
+
 def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     """Accelerations and internal rates at one instant.
 
@@ -224,6 +282,7 @@ def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
         w[3, i] = 0.0
         w[10, i] = 0.0
         w[11, i] = f[0, i]
+    softness = -1
     while e < el.shape[0]:
         kind = el[e, 0]
         i = el[e, 1]
@@ -232,6 +291,25 @@ def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
             at = el[e, 3]
             soft = p[at] * (w[1, i] + p[at + 1] * w[11, i] * x[1, i])
             w[10, i] += min(max(soft, -p[at + 3]), p[at + 2])
+            if i == 0:
+                softness = at
+            e += 1
+            continue
+        if kind == KIND_LIMIT:
+            side = mode[5, 0]
+            if side != 0:
+                at = el[e, 3]
+                q = x[0, 0] + w[14 if el[e, 5] else 13, 0]
+                if mode[0, 0] == 0:
+                    w[1, 0] += _held_by_limit(p, at, side, q, 0.0, 0.0, f[0, 0])
+                else:
+                    dry = w[10, 0]
+                    if softness >= 0:
+                        soft = p[softness] * (w[1, 0] + p[softness + 1] * w[11, 0] * x[1, 0])
+                        dry -= min(max(soft, -p[softness + 3]), p[softness + 2])
+                    stop, soft = _limited(p, at, side, q, x[1, 0], w[1, 0] - dry, w[11, 0], f[0, 0], softness)
+                    w[10, 0] = dry - soft
+                    w[1, 0] += stop
             e += 1
             continue
         if el[e, 2] == 0:  # friction of constant levels
@@ -342,9 +420,17 @@ _step_here: Any = compiled(inline="always")(_step_of)
 def _margin(event, bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     """Event function, positive while the mode holds.
 
-    Events 0..n-1: friction of a body; n..2n-2: gap of a coupling; 2n-1, 2n: force limit and dead band of the drive.
+    Events 0..n-1: friction of a body; n..2n-2: gap of a coupling; 2n-1, 2n: force limit and dead band of the drive; 2n+1: the
+    joint limits of body 0.
     """
     n = len(bodies)
+    if event == 2 * n + 1:
+        last = el.shape[0] - 1
+        at = el[last, 3]
+        q = x[0, 0] + w[14 if el[last, 5] else 13, 0]
+        if mode[5, 0] == 0:
+            return min(q - p[at], p[at + 1] - q)
+        return mode[5, 0] * (q - p[at + (1 if mode[5, 0] > 0 else 0)])
     if event >= 2 * n - 1:
         return _drive_margin(event - 2 * n + 1, servo, gain, u, x[0, 0], x[1, 0], mode)
     if event < n:
@@ -363,6 +449,15 @@ def _margin(event, bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     if mode[1, j] != 0:
         return mode[1, j] * d - f[5, j]
     return f[5, j] - abs(d)
+
+
+@compiled(error_model="numpy")
+def _beyond(el, p, x, w):
+    """Side of the joint limit that body 0 is beyond: -1, +1, or 0 within both."""
+    last = el.shape[0] - 1
+    at = el[last, 3]
+    q = x[0, 0] + w[14 if el[last, 5] else 13, 0]
+    return 1 if q > p[at + 1] else (-1 if q < p[at] else 0)
 
 
 @compiled(error_model="numpy")
@@ -518,7 +613,7 @@ def integrate(
     own_w = np.zeros((15, m))
     own_z = np.zeros(N_LOCAL + 3)
     own_wk = np.zeros((17, m))
-    own_mode = np.zeros((5, n), np.int64)
+    own_mode = np.zeros((6, n), np.int64)
     # counting references to these at every call costs as much as the work
     x, xn, xt = _view(own_x[:3]), _view(own_x[3:6]), _view(own_x[6:])
     w, z, wk, mode = _view(own_w), _view(own_z), _view(own_wk), _view(own_mode)
@@ -542,17 +637,22 @@ def integrate(
     work = 0
     limited = np.isfinite(servo[2]) or np.isfinite(servo[3])
     slack = servo[5] > 0.0
-    n_event = 2 * n + 1 if limited or slack else 2 * n - 1
+    last = el.shape[0] - 1
+    stop = last >= 0 and el[last, 0] == KIND_LIMIT
+    n_event = 2 * n + 2 if stop else (2 * n + 1 if limited or slack else 2 * n - 1)
     ratio = np.ones(n)
     for i in range(1, n):
         ratio[i] = ratio[i - 1] * f[2, i - 1]
     any_event = False
     for i in range(n):
         any_event = any_event or has_friction[i] or f[5, i] > 0.0
-    any_event = any_event or limited or slack
+    any_event = any_event or limited or slack or stop
     if locked:
         for i in range(n):
             w[14, i] = ratio[i] * (angle[0] - x[0, 0])
+            w[13, i] = w[14, i]
+    if stop:
+        mode[5, 0] = _beyond(el, p, x, w)
     lag = before
     before_t = 0.0
     before_g = 0.0
@@ -585,6 +685,8 @@ def integrate(
             off = angle[k] - x[0, 0]
             for i in range(n):
                 w[13, i] = ratio[i] * off
+            if stop and el[last, 5] == 0:
+                mode[5, 0] = _beyond(el, p, x, w)
         for i in range(n):
             out[k, i] = x[0, i]
             out[k, n + i] = x[1, i]
@@ -854,7 +956,7 @@ def integrate(
                             if ev < n and not has_friction[ev]:
                                 continue
                             if ev >= 2 * n - 1:
-                                if (ev == 2 * n - 1 and not limited) or (ev == 2 * n and not slack):
+                                if (ev == 2 * n - 1 and not limited) or (ev == 2 * n and not slack):  # 2 n + 1: a stop is there
                                     continue
                             elif ev >= n and f[5, ev - n] <= 0.0:
                                 continue
@@ -871,6 +973,17 @@ def integrate(
                                 side_ev = mode[0, ev]
                                 smooth = side_ev != 0
                                 g0, s0, s1 = side_ev * x[1, ev], side_ev * wk[1, ev], side_ev * wk[10, ev]
+                            elif ev == 2 * n + 1:
+                                at_p = el[last, 3]
+                                q0 = x[0, 0] + w[14 if el[last, 5] else 13, 0]
+                                q1 = q0 + xn[0, 0] - x[0, 0]
+                                side_ev = mode[5, 0]
+                                upper = side_ev > 0
+                                if side_ev == 0:
+                                    upper = q0 + q1 > p[at_p] + p[at_p + 1]
+                                    side_ev = -1 if upper else 1
+                                g0 = side_ev * (q0 - p[at_p + (1 if upper else 0)])
+                                s0, s1 = side_ev * x[1, 0], side_ev * xn[1, 0]
                             elif ev >= 2 * n - 1:
                                 smooth = False
                             else:
@@ -1008,6 +1121,8 @@ def integrate(
                             else:
                                 _rates(bodies, f, gap_law, gain, servo, el, p, x, t, lag, mode, w, z)
                                 mode[0, hit] = 1 if w[1, hit] > 0.5 * (w[2, hit] - w[3, hit]) else -1
+                        elif hit == 2 * n + 1:
+                            mode[5, 0] = _beyond(el, p, x, w) if mode[5, 0] == 0 else 0
                         elif hit == 2 * n - 1:
                             if mode[3, 0] != 0:
                                 mode[3, 0] = 0
@@ -1051,7 +1166,7 @@ def drive(bodies, f, gap_law, gain, servo, el, p, q0, v0, a0, dt, n_sub, t0, res
     w = np.zeros((15, m))
     z = np.zeros(N_LOCAL + 3)
     wk = np.zeros((17, m))
-    mode = np.zeros((5, n), np.int64)
+    mode = np.zeros((6, n), np.int64)
     ratio = 1.0
     for i in range(n):
         x[0, i] = ratio * q0[0] + rest[0, i]
@@ -1077,6 +1192,10 @@ def drive(bodies, f, gap_law, gain, servo, el, p, q0, v0, a0, dt, n_sub, t0, res
                 w[10, 0] -= min(max(soft, -p[at + 3]), p[at + 2])
                 soft = p[at] / (1.0 - p[at]) * w[11, 0] * (a0[k] + p[at + 1] * x[1, 0])
                 w[10, 0] += min(max(soft, -p[at + 3]), p[at + 2])
+            if el[e, 0] == KIND_LIMIT:
+                side = _beyond(el, p, x, w)
+                if side != 0:
+                    w[1, 0] += _held_by_limit(p, el[e, 3], side, x[0, 0], v0[k], a0[k], f[0, 0])
         out[k] = (w[11, 0] * a0[k] - w[1, 0] + w[10, 0]) / gain
         if not np.isfinite(out[k]):
             return 1, k

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjsim.axis import Axis, Body, Chain, Coupling
+from mjsim.chain import Limit
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, RATE, STATE, Law
 from mjsim.servo import Target
@@ -23,7 +24,7 @@ MOST_STEPS = 64  # of the accuracy rule in a sample
 
 _Element = P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
-_SOFT = 5
+_SOFT, _LIMIT = 5, 6
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,8 @@ class System:
 
     @property
     def soft(self) -> bool:
-        """Whether any friction is soft."""
-        return bool((self.elements[:, 0] == _SOFT).any())
+        """Whether any friction or limit is soft as in MuJoCo."""
+        return bool((self.elements[:, 0] >= _SOFT).any())
 
     def tied(self) -> System:
         """The same with all laws over the angle tied to a recorded one, gravity and springs too: nearly linear in its numbers."""
@@ -176,9 +177,9 @@ class _Elements:
         self.friction = np.zeros(n, np.bool_)
 
     @property
-    def soft(self) -> bool:
-        """Whether any friction is soft."""
-        return any(kind == _SOFT for kind, *_ in self.rows)
+    def uneven(self) -> bool:
+        """Whether soft friction or a limit makes the equations other than affine."""
+        return any(kind in (_SOFT, _LIMIT) for kind, *_ in self.rows)
 
     def add(self, port: _Element, ratios: np.ndarray) -> None:
         """Take up a port; ``ratios`` (n,): of the coupling behind each body."""
@@ -213,6 +214,14 @@ class _Elements:
         self.values.extend((soft.impedance, soft.rate, *levels[:2]))
         return True
 
+    def bound(self, limit: Limit) -> None:
+        """Take up the limits of body 0."""
+        inertia, most = self.bodies[0].inertia, max(limit.impedance[:2])
+        self.stiff[0] += inertia * most**2 * limit.stiffness
+        self.damping[0] += inertia * most * limit.damping
+        self.rows.append((_LIMIT, 0, 0, len(self.values), -1, True))
+        self.values.extend((limit.lower, limit.upper, limit.stiffness, limit.damping, *limit.impedance))
+
     def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:
         """Add the stiffness of a law with a state, before it yields, to the bodies that see it."""
         k = abs(_slope(port.law, port.p, STATE, 1.0))
@@ -245,6 +254,9 @@ def assemble(axis: Axis) -> System:
     elements = _Elements(chain.bodies)
     for element in sorted((p for p in ports if isinstance(p, _Element)), key=lambda p: _KIND[type(p)]):
         elements.add(element, f[2])
+    limit = next((p.limit for p in ports if isinstance(p, P.JointLimit)), chain.bodies[0].limit)
+    if limit is not None:
+        elements.bound(limit)
     for port in ports:
         if isinstance(port, P.Gap):
             f[5, port.coupling] += 0.5 * port.width
@@ -271,7 +283,7 @@ def assemble(axis: Axis) -> System:
         sliding=_fastest(f, stiff, damping),
         yields=elements.yields,
         spatial=elements.spatial,
-        affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all() and not elements.soft,
+        affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all() and not elements.uneven,
         gain=gain,
         servo=servo,
     )

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjsim.chain import Limit
 from mjsim.effects.law import Law
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "InputDelay",
     "InputLag",
     "InputMap",
+    "JointLimit",
     "OutputDelay",
     "OutputLag",
     "OutputMap",
@@ -111,6 +113,13 @@ class Gap:
 
     coupling: int
     width: float
+
+
+@dataclass(frozen=True)
+class JointLimit:
+    """Limits of the driven body's angle, in the place of those that the chain has."""
+
+    limit: Limit
 
 
 @dataclass(frozen=True)
@@ -227,6 +236,7 @@ Port = (
     | Twist
     | BodyInertia
     | Gap
+    | JointLimit
     | SplitInertia
     | InputMap
     | DriveLimit
