@@ -14,7 +14,7 @@ from mjsim.quantity import Motion, Quantity
 from mjsim.servo import Servo, Target
 from mjsim.site import Side, Site
 
-__all__ = ["Body", "Chain", "Coupling", "LinearParameter", "Limit", "Softness"]
+__all__ = ["Body", "Chain", "Coupling", "Limit", "LinearParameter", "Softness"]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Limit:
 class Body:
     """An inertia [kg m^2 | kg] with viscous friction to ground [N m s/rad | N s/m]; ``joint`` is its MJCF element.
 
-    ``softness``: of its Coulomb friction, None where that holds the body at rest; ``limit``: of its angle, of the driven body only.
+    ``softness``: of its Coulomb friction, None where that holds the body at rest; ``limit``: of the driven body's angle.
     """
 
     place: str

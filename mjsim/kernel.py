@@ -16,8 +16,8 @@ rate and both levels; kind 6: soft limits of body 0, `mjsim.chain.Limit`), first
 ``servo`` (6): of the drive at body 0, in its torques: stiffness and damping towards the input, force limit, stall torque, its
 loss per speed, half dead band (`mjsim.system.System.servo`); a drive by torque has none of them.
 ``mode`` (6, n): friction mode, gap mode, whether the body has friction; of body 0 only: side of the force limit at which the
-drive stands (0: none), side of the dead band (0: inside), side of the joint limit that it is beyond (0: within both). ``z``: local quantities of a law and, behind them,
-what it writes. ``x`` (3, m): q, v, internal states.
+drive stands (0: none), side of the dead band (0: inside), side of the joint limit that it is beyond (0: within
+both). ``z``: local quantities of a law and, behind them, what it writes. ``x`` (3, m): q, v, internal states.
 """
 
 from __future__ import annotations

@@ -9,9 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from mjsim.axis import Axis, Chain
+from mjsim.chain import Limit
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, POSITION, RATE
 from mjsim.mjcf import Model
+from mjsim.mjcf.joint_limit import limit_of
 from mjsim.quantity import Motion
 
 __all__ = ["Machine"]
@@ -24,11 +26,12 @@ _GRID = 721  # points of the angle at which the position torque is tabulated: ha
 class Machine:
     """A nominal axis as the checks see it.
 
-    range: (low, high) of the driven joint [rad | m] or None.
+    range: (low, high) of the driven joint [rad | m] or None; limit: how MuJoCo holds it there, None where no law stands for that.
     """
 
     axis: Axis
     range: tuple[float, float] | None = None
+    limit: Limit | None = None
 
     @classmethod
     def of(cls, model: Model | Axis) -> Machine:
@@ -39,7 +42,18 @@ class Machine:
         if name.startswith("#") or not mj.jnt_limited[mj.joint(name).id]:
             return cls(model.axis)
         low, high = mj.jnt_range[mj.joint(name).id]
-        return cls(model.axis, (float(low), float(high)))
+        return cls(model.axis, (float(low), float(high)), limit_of(model))
+
+    def yields(self, speed: float, torque: float) -> float:
+        """How far MuJoCo lets the driven joint past its range [rad | m], at most: met at a speed, and pressed by a torque.
+
+        By d (K d r + B v) + (1 - d) a = 0, with a = torque / J: v / sqrt(K) / d without damping and (1 - d) a / (K d^2) at rest.
+        """
+        if self.limit is None:
+            return 0.0
+        d = min(self.limit.impedance[:2])
+        pressed = (1.0 - d) * torque / self.chain.bodies[0].inertia / (self.limit.stiffness * d**2)
+        return speed / (d * math.sqrt(self.limit.stiffness)) + pressed
 
     @property
     def chain(self) -> Chain:

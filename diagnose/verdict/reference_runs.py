@@ -18,6 +18,7 @@ import numpy as np
 from diagnose.thresholds import SIGMAS, SMALL
 from diagnose.verdict.reference import Case, Run, judged, noise_level
 from mjsim.axis import Axis
+from mjsim.mjcf.joint_limit import with_limit
 from mjsim.mjcf.softness import with_softness
 from mjsim.ode import DivergedError, simulate
 from mjsim.plant import MujocoPlant, Start
@@ -141,7 +142,8 @@ def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run 
     """
     shift: _Shift | None = None
     if start is None:
-        start, shift = _suited(with_softness(plant.source.axis, plant.source) if plant.source else None, case)
+        source = plant.source
+        start, shift = _suited(with_limit(with_softness(source.axis, source), source) if source else None, case)
     first = _run(plant, case, start)
     if first is None or shift is None:
         return first

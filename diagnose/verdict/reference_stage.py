@@ -28,14 +28,17 @@ from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files, run_surrogate
 from mjsim.axis import Axis
+from mjsim.chain import Limit
 from mjsim.mjcf import load_model
 from mjsim.mjcf.faithful import write_as_author
+from mjsim.mjcf.joint_limit import limit_of, with_limit
 from mjsim.mjcf.softness import has_soft_friction, with_softness
 from mjsim.plant import MujocoPlant, Start
 from mjsim.recording import Recording
 
 __all__ = ["APART", "Nominal", "apart", "by_other_friction", "compare_nominal", "without_difference"]
 
+NEAR = 0.1  # of the travel: farther from a limit, a model that follows the recording to a tenth does not touch it
 APART = math.sqrt(UNEXPLAINED - 1)  # of the noise rms: a difference that adds so much to its variance
 
 
@@ -80,6 +83,10 @@ def compare_nominal(
     cases = cases_of(recordings, held_out)
     plant = MujocoPlant.load(path)
     runs = run_files([plant], cases, threads)[0]
+    limit = limit_of(model)
+    if limit is not None and any(_reaches(limit, case, run) for case, run in zip(cases, runs, strict=True)):
+        given = with_limit(given, model)
+        axis = as_servo(given, recordings, held_out)[0]
     starts = [case.start() if run is None else run.start for case, run in zip(cases, runs, strict=True)]
     engine = [run_surrogate(axis, case, start, locked=False) for case, start in zip(cases, starts, strict=True)]
     softer = with_softness(given, model)
@@ -115,6 +122,17 @@ def compare_nominal(
     ]
     shifts = _shifts(cases, refitted.runs, same)
     return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts), shifts=shifts)
+
+
+def _reaches(limit: Limit, case: Case, run: Run | None) -> bool:
+    """Whether a recording, or the file's run beside it, comes as near to a limit as a tenth of its travel."""
+    r = case.recording
+    angle = r.angle if r.angle is not None else np.cumsum(case.measured) * r.dt
+    for q in (angle,) if run is None else (angle, run.angle):
+        near = NEAR * float(np.ptp(q))
+        if np.max(q) > limit.upper - near or np.min(q) < limit.lower + near:
+            return True
+    return False
 
 
 def by_other_friction(nominal: Nominal) -> Nominal:

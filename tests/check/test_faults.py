@@ -12,6 +12,7 @@ from diagnose.check.context import Context
 from diagnose.check.faults.spike import spikes
 from diagnose.check.registry import check, checks
 from diagnose.check.thresholds import ACTUATOR_DELAY, CLIPPED_SHARE, MODE_RATE, RANGE_FIX, SKEW_FIX
+from mjsim.chain import Limit
 from mjsim.mjcf import load_model
 from mjsim.models import shipped_model
 
@@ -249,6 +250,18 @@ def test_the_range_of_the_joint(log, checked):
     assert checked(r, range=(low, high + 0.001 * span)).verdict is LogVerdict.READY
     assert only(checked(r, range=(low, high - 0.6 * RANGE_FIX * span)), "joint_range").severity is Severity.LIMITS
     assert only(checked(r, range=(low, high - 2 * RANGE_FIX * span)), "joint_range").severity is Severity.FIX
+
+
+def test_a_soft_limit_may_yield(log, machine):
+    """Motion past the range is no fault up to the depth at which MuJoCo's own limit stops it, and one beyond."""
+    r, axis = log(), machine()
+    low, high = float(np.min(r.angle)), float(np.max(r.angle))
+    past = 2 * RANGE_FIX * (high - low)
+    for factor, expected in ((1.02, []), (0.9, ["joint_range"])):
+        speed = float(np.max(np.abs(r.velocity)))
+        limit = Limit(low, high - past, (speed / (factor * past * 0.9999)) ** 2, 1.0, (0.9999, 0.9999, 0.001, 0.5, 2.0))
+        result = check_log(dataclasses.replace(axis, range=(low, high - past), limit=limit), [r])
+        assert [p.problem for p in result.problems] == expected
 
 
 def test_modes_out_of_reach_are_named_by_their_frequency(log):

@@ -84,5 +84,5 @@ def test_abrupt_motion_elsewhere_takes_the_answer_back():
 
 def test_a_stop_that_the_model_has_is_not_to_be_added():
     (found,) = stops(log(0.6), dataclasses.replace(MACHINE, range=(-9.0, 0.6)))
-    assert "record within it" in found.advice
+    assert "record within the range" in found.advice
     assert "limited" not in found.advice

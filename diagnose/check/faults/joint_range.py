@@ -1,10 +1,10 @@
-"""Motion beyond the range of the joint in the model."""
+"""Motion beyond the range of the joint in the model, by more than MuJoCo's soft limit yields (`Machine.yields`)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from diagnose.check.context import Context
+from diagnose.check.context import Context, torque_of
 from diagnose.check.machine import Machine
 from diagnose.check.registry import check
 from diagnose.check.thresholds import RANGE_FIX
@@ -24,7 +24,10 @@ def joint_range(recording: Recording, machine: Machine, context: Context) -> lis
     low, high = machine.range
     noise = 5 * context.noise["angle"]
     beyond = max(low - float(np.min(angle)), float(np.max(angle)) - high)
-    if beyond <= noise:
+    speed, asked = (0.0 if c is None else float(np.max(np.abs(c))) for c in (_speed(context, angle), torque_of(recording)))
+    weight = machine.gravity(angle)
+    asked = abs(machine.chain.gain) * (asked + (0.0 if weight is None else float(np.max(np.abs(weight)))))
+    if beyond <= noise + machine.yields(speed, asked):
         return []
     unit, outside = ("rad" if machine.hinge else "m"), np.flatnonzero((angle < low) | (angle > high))
     time = np.linspace(recording.time[0], recording.time[-1], len(angle))
@@ -38,3 +41,12 @@ def joint_range(recording: Recording, machine: Machine, context: Context) -> lis
             marks=((float(time[outside[0]]), float(time[outside[-1]])),),
         )
     ]  # fmt: skip
+
+
+def _speed(context: Context, angle: np.ndarray) -> np.ndarray:
+    """Recorded velocity, else that of the recorded angle (N,)."""
+    signals = context.mended
+    if signals is not None and signals.velocity is not None:
+        return signals.velocity
+    r = context.recording
+    return r.velocity if r.velocity is not None else np.gradient(angle, r.dt)

@@ -34,7 +34,7 @@ def joint_stop(recording: Recording, machine: Machine, context: Context) -> list
     time = np.linspace(recording.time[0], recording.time[-1], len(s.angle))
     has = machine.range is not None
     todo = (
-        "the fit of the equations does not run against the range of the model: record within it"
+        "record within the range of the model, unless its stiffness and damping at the stop are wanted (solreflimit, solimplimit)"
         if has
         else "state it in the model (limited, range, solreflimit of the joint) and record within it: no effect stands for a stop"
     )
