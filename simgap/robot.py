@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -27,6 +28,9 @@ from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording, joints_in_table, joints_named, load_robot_recording
 from mjsim.robot.rows import mujoco_torque
 from mjsim.robot.write import write_robot
+
+if TYPE_CHECKING:
+    from diagnose.robot.servos.pipeline import ServoOutcome
 
 __all__ = ["diagnose_robot_files", "diagnose_robot_recordings", "driven_joints", "is_robot"]
 
@@ -96,13 +100,10 @@ def diagnose_robot_recordings(
     corrected = out / "corrected.xml"
     if by_servo(robot, [*recordings, *held_out]):
         from diagnose.robot.servos.pipeline import diagnose_servos
-        from simgap.robot_servos import judge_servos, write_corrected_servos
 
         found = diagnose_servos(robot, recordings, held_out, options, say)
         out.mkdir(parents=True, exist_ok=True)
-        write_corrected_servos(model, robot, found, corrected)
-        say("all joints together in MuJoCo")
-        result = judge_servos(found, robot, corrected, recordings, held_out)
+        result = _servos_by_mujoco(found, model, robot, corrected, (recordings, held_out), say)
     else:
         outcome = diagnose_robot(robot, recordings, held_out, options, say)
         out.mkdir(parents=True, exist_ok=True)
@@ -120,6 +121,25 @@ def diagnose_robot_recordings(
         write_page(result, out / "report.html")
     result.write_json(out / "diagnosis.json")
     return result
+
+
+def _servos_by_mujoco(
+    found: ServoOutcome, model: Path, robot: Robot, corrected: Path,
+    recordings: tuple[Sequence[RobotRecording], Sequence[RobotRecording]], say: Callable[[str], None],
+) -> RobotDiagnosis:  # fmt: skip
+    """Write the corrected file with numbers that suit MuJoCo's timestep, and judge it; recordings: fitted, held out."""
+    from simgap.robot_polish import polish_servos
+    from simgap.robot_servos import judge_servos
+    from simgap.robot_written import write_corrected_servos
+
+    say("all joints together in MuJoCo")
+    polish = polish_servos(model, robot, found, recordings[0])
+    write_corrected_servos(model, robot, found, corrected, polish.slots)
+    with tempfile.TemporaryDirectory() as work:
+        by_motion = Path(work) / "by_motion.xml"
+        write_corrected_servos(model, robot, found, by_motion)
+        result = judge_servos(found, robot, corrected, *recordings, by_motion)
+    return dataclasses.replace(result, notes=(*result.notes, *polish.notes))
 
 
 def _write_corrected(model: Path, robot: Robot, outcome: Outcome, path: Path) -> None:

@@ -1,5 +1,4 @@
-"""The diagnosis of a servo robot as files: corrected.xml from the searches at its joints, and both files in MuJoCo beside the
-log."""
+"""The file as given and corrected.xml of a servo robot in MuJoCo beside the log: figures and verdicts."""
 
 from __future__ import annotations
 
@@ -15,77 +14,15 @@ from diagnose.result import FitFigures, Verdict
 from diagnose.robot.motion import LEAST_MOVED
 from diagnose.robot.pipeline import ORDER, summary
 from diagnose.robot.result import JointResult, RobotDiagnosis
-from diagnose.robot.servos.motion import resolution, unit_payload
+from diagnose.robot.servos.motion import resolution
 from diagnose.robot.servos.pipeline import ServoOutcome
-from diagnose.robot.servos.state import JointSearch
 from diagnose.robot.servos.whole import is_explained, judged, predictable
 from mjsim.robot.closed_loop import ClosedLoop, closed_loop
-from mjsim.robot.drives import JointDrive
-from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording
-from mjsim.robot.write import carried_effects, write_robot
-from mjsim.robot.write_servo import NewServo
-from mjsim.servo import Servo, Target
+from mjsim.robot.write import carried_effects
 
-__all__ = ["judge_servos", "write_corrected_servos"]
-
-
-def write_corrected_servos(model: Path, robot: Robot, outcome: ServoOutcome, path: Path) -> None:
-    """The corrected MJCF: gains, armature, damping, dry friction and springs in their elements, the rest carried."""
-    joints: dict[str, dict[str, float]] = {}
-    servos, carried = [], []
-    for s in outcome.searches:
-        if outcome.diagnosis.joints[s.problem.name].verdict.value == "no_mismatch":
-            continue
-        joints[s.problem.name], own = _joint_values(robot, s)
-        carried += own
-        d = s.problem.drive
-        servos.append(
-            NewServo(d.actuator, d.servo, new_servo(d, s.now.fit.slots, any("forcerange" in x.native for x in s.now.laws)))
-        )
-    links = robot.nominal - robot.fixed
-    links[-1] += outcome.payload * unit_payload(robot)
-    write_robot(model, robot, path, links, joints, carried, servos)
-
-
-def new_servo(drive: JointDrive, p: np.ndarray, limited: bool) -> Servo:
-    """The servo of slots (K,), at the actuator."""
-    g = drive.gear
-    kp, kv = float(p[SLOT["kp"]]) / g**2, float(p[SLOT["kv"]]) / g**2
-    limit = float(p[SLOT["limit"]]) / abs(g) if limited else drive.servo.limit
-    if drive.servo.target is Target.VELOCITY:
-        return dataclasses.replace(drive.servo, kv=kv, limit=limit)
-    return dataclasses.replace(drive.servo, kp=kp, kv=kv, zero=float(p[SLOT["zero"]]) * g, limit=limit)
-
-
-def _joint_values(robot: Robot, s: JointSearch) -> tuple[dict[str, float], list[Mapping[str, Any]]]:
-    """Attributes of the joint, and the effects that MJCF has no element for."""
-    p, at = s.now.fit.slots, robot.leading(s.problem.joint)
-    values = {}
-    for name, own in (("armature", robot.armature[at]), ("damping", robot.damping[at])):  # tied joints keep what they have
-        values[name] = max(float(p[SLOT[name]] - s.problem.nominal[SLOT[name]] + own), 0.0)
-    carried: list[Mapping[str, Any]] = []
-    own_friction = s.problem.nominal[SLOT["friction"]] > 0
-    named = dict(zip(SLOT, map(float, p), strict=True))
-    for law in s.now.laws:
-        sprung = "stiffness" in law.native and float(robot.stiffness[at]) != 0.0  # the file's own spring stays
-        if law.native and not sprung:
-            values |= {key: float(p[SLOT[slot]]) for key, slot in law.native.items() if key != "forcerange"}
-            if "stiffness" in law.native:
-                values["springref"] = 0.0
-            continue
-        if law.dry:
-            own_friction = False
-            values["frictionloss"] = 0.0
-        parameters = {k: v[0] for k, v in law.values(named).items()} | {k: named[slot] for k, slot in law.kept}
-        carried.append(
-            {"effect": law.id, "form": law.form, "joint": s.problem.name, "place": law.place, "parameters": parameters}
-            | ({"from": law.source} if law.source else {})
-        )
-    if own_friction:
-        values["frictionloss"] = float(p[SLOT["friction"]])
-    return values, carried
+__all__ = ["judge_servos"]
 
 
 def judge_servos(
@@ -94,8 +31,11 @@ def judge_servos(
     corrected: Path,
     recordings: Sequence[RobotRecording],
     held_out: Sequence[RobotRecording],
+    by_motion: Path | None = None,
 ) -> RobotDiagnosis:
     """The diagnosis with the errors of both files as MuJoCo steps all joints together on the recorded commands.
+
+    by_motion: the corrected file with the numbers of the motion, where those of ``corrected`` take up the integration error.
 
     Figures of the fitting engine, one joint at a time, stand as "surrogate". Without held-out recordings the figures count all
     samples on both sides. Verdicts are those that these figures allow (`diagnose.robot.servos.whole`).
@@ -126,7 +66,7 @@ def judge_servos(
             }
             for r, role, a, b in zip((*recordings, *held_out), roles, *both, strict=True)
         ]
-    joints = _judged(outcome, joints, runs[1], after, effects, (*recordings, *held_out))
+    joints = _judged(outcome, joints, runs[1], after, by_motion or corrected, (*recordings, *held_out))
     overall = {}
     for key in ("nominal", "refitted", "corrected", "surrogate"):
         own = [r.fit[key] for r in joints.values()]
@@ -147,24 +87,25 @@ def _judged(
     joints: Mapping[str, JointResult],
     runs: Sequence[ClosedLoop],
     after: Robot,
-    effects: Sequence[Mapping[str, Any]],
+    by_motion: Path,
     recordings: Sequence[RobotRecording],
 ) -> dict[str, JointResult]:
     """The joints with the verdicts that the closed-loop runs of corrected.xml allow.
 
     MuJoCo's integration error is of first order in the timestep h and is no error of the model. Where an error at h holds
-    structure, 2 e(h / 2) - e(h) is judged (Richardson extrapolation).
+    structure, 2 e(h / 2) - e(h) of the file with the numbers of the motion is judged (Richardson extrapolation).
     """
     searches = [s for s in outcome.searches if s.problem.name in joints]
     errors = {s.problem.name: _joined(runs, recordings, s.problem.name, after) for s in searches}
     remains = {s.problem.name: predictable(s, errors[s.problem.name]) for s in searches}
     explained = {s.problem.name: is_explained(s, errors[s.problem.name], remains[s.problem.name]) for s in searches}
     if not all(explained[name] or joints[name].verdict is Verdict.UNEXPLAINED for name in joints):
-        finer = [closed_loop(after, r, effects, finer=2) for r in recordings]
+        other, effects = load_robot(by_motion), carried_effects(by_motion)
+        steps, finer = ([closed_loop(other, r, effects, finer=k) for r in recordings] for k in (1, 2))
         for s in searches:
             name = s.problem.name
             if not explained[name]:
-                e = 2.0 * _joined(finer, recordings, name, after) - errors[name]
+                e = 2.0 * _joined(finer, recordings, name, after) - _joined(steps, recordings, name, after)
                 remains[name] = predictable(s, e)
                 explained[name] = is_explained(s, e, remains[name])
     return {

@@ -20,7 +20,8 @@ from mjsim.robot.closed_loop import closed_loop
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import load_robot
 from mjsim.robot.recording import load_robot_recording
-from simgap.robot_servos import judge_servos, write_corrected_servos
+from simgap.robot_servos import judge_servos
+from simgap.robot_written import write_corrected_servos
 
 NOMINAL = ServoRobot(three_axes(), (ServoJoint(60.0, 6.0), ServoJoint(90.0, 8.0), ServoJoint(50.0, 4.0)))
 

@@ -265,14 +265,14 @@ def _position(s: Scales, motion: Motion) -> list[ServoLaw]:
                  lambda x: {"coefficient_1": (0.5 * x["spring"] * (x["cable_high"] - x["cable_low"]), T),
                             **{f"coefficient_{k}": (x[f"cable_{k}"], T) for k in (2, 3, 4)}},
                  "A smooth torque of the angle (cables, hoses): coefficients of Chebyshev polynomials over the recorded travel.",
-                 ("gravity_compensation_spring", "gravity_load"), fixed=("cable_low", "cable_high"), kept=(("low_rad", "cable_low"), ("high_rad", "cable_high"))),
+                 ("gravity_compensation_spring", "gravity_load"), fixed=("cable_low", "cable_high"), linear=("spring", "cable_2", "cable_3", "cable_4"), kept=(("low_rad", "cable_low"), ("high_rad", "cable_high"))),
     ]  # fmt: skip
     if motion is Motion.HINGE:
         laws.append(
             ServoLaw("gravity_load", "motor", (Number("weight_sin", False, size), Number("weight_cos", False, size)),
-                     ({"weight_sin": size, "weight_cos": 0.0}, {"weight_sin": 0.0, "weight_cos": size}),
+                     ({"weight_sin": 0.0, "weight_cos": 0.0},),
                      lambda x: dict(zip(("torque_Nm", "phase_rad"), zip(_sine(x["weight_sin"], x["weight_cos"]), (T, Quantity.PHASE), strict=True), strict=True)),
-                     "A weight about the axis, which the model does not have (a payload, a tilted base)."))  # fmt: skip
+                     "A weight about the axis, which the model does not have (a payload, a tilted base).", linear=("weight_sin", "weight_cos")))  # fmt: skip
     orders = _orders(s, unit)
     if orders:
         laws += [

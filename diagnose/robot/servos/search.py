@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from diagnose.robot.options import RobotOptions
-from diagnose.robot.servos.fit import Fit, Number, block_weights, covariance, fit, jacobian
+from diagnose.robot.servos.fit import Fit, Number, block_weights, covariance, fit
 from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
+from diagnose.robot.servos.screening import screen, with_start
 from diagnose.robot.servos.starts import THIN, regressed
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, cleared, free_numbers, replaced
 from diagnose.thresholds import EQUIVALENT
@@ -27,7 +28,6 @@ __all__ = ["carry_payload", "refit_with", "search_joint"]
 MERGING = 25  # iterations of a law that takes the place of several, which starts far from its optimum
 FINALISTS = 5  # laws that are fitted: those with the largest gain in the screening
 PROMISING = 0.25  # of what is needed to enter: a promise is that of one start alone
-SMALLEST = 0.02  # of the size of a start: the least that a screening makes of it
 ROUNDS = 12  # moves at most
 STAYS = 5.0  # times the level to enter, at which a law stays: what enters at 1 % may stay at 5 %
 REFITTED = 2  # finalists that are fitted to all samples
@@ -102,7 +102,7 @@ def _merged(s: JointSearch) -> Iterator[tuple[ServoLaw, tuple[ServoLaw, ...], St
         taken = tuple(x for x in s.now.laws if x not in laws)
         if law.id in {x.id for x in s.now.laws} or len(taken) < 2:
             continue
-        slots = cleared(s.now.laws, laws, _with(s, law, dict(law.starts[0]), s.now.fit.slots), s.problem.nominal)
+        slots = cleared(s.now.laws, laws, with_start(s, law, dict(law.starts[0]), s.now.fit.slots), s.problem.nominal)
         trial = s.fitted(laws, slots, MERGING)
         if s.sane(trial):
             yield law, taken, trial
@@ -117,7 +117,7 @@ def _split(s: JointSearch) -> Iterator[tuple[ServoLaw, tuple[ServoLaw, ...], Str
         laws = (*(x for x in s.now.laws if x is not law), *parts)
         slots = cleared(s.now.laws, laws, s.now.fit.slots, s.problem.nominal)
         for part in parts:
-            slots = _with(s, part, dict(part.starts[0]), slots)
+            slots = with_start(s, part, dict(part.starts[0]), slots)
         trial = s.fitted(laws, slots, MERGING)
         if s.sane(trial):
             yield law, parts, trial
@@ -138,64 +138,6 @@ def _settle(s: JointSearch) -> None:
     weights = block_weights(p, s.now.fit.error)
     s.now = Structure(s.now.laws, fit(p, s.now.fit.numbers, s.now.fit.slots, weights))
     s.refitted = Structure((), fit(p, s.numbers, s.refitted.fit.slots, weights, QUICK))
-
-
-def _with(s: JointSearch, law: ServoLaw, start: dict[str, float], base: np.ndarray) -> np.ndarray:
-    """Slots of a start beside what stands; dry friction keeps the size that it has."""
-    out, values = base.copy(), dict(start)
-    present = float(base[SLOT["friction"]])
-    if "friction" in values and present > 0:
-        ratio = present / values["friction"]
-        values["friction"] = present * (0.8 if "extra" in values else 1.0)
-        for name in ("extra", "asymmetry"):
-            if name in values:
-                values[name] *= ratio
-    for name, value in values.items():
-        for slot in ("load", "load_back") if name == "load_both" else (name,):
-            out[SLOT[slot]] = value
-    return out
-
-
-def _screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tuple[float, ServoLaw, np.ndarray]]:
-    """(promised gain less the price, law, slots of its best start), most first.
-
-    A run at a start is one direction d of the error; what it explains beside the free numbers is (d'r)^2 / d'd, all projected
-    on what their
-    derivatives do not span.
-    """
-    part = s.problem.windows(THIN)
-    weights = s.weights[part.rows]
-    each = weights[part.fitted]
-    J = jacobian(part, now.fit.numbers, now.fit.x, now.fit.slots, weights)[: int(part.fitted.sum())]
-    Q = np.linalg.qr(J + 1e-12)[0]
-    r = each * part.error(now.fit.slots)[part.fitted]
-    r0 = r - Q @ (Q.T @ r)
-    left = float(r0 @ r0)
-    n = s.independent_samples
-    out = []
-    for law in laws:
-        best: tuple[float, np.ndarray] | None = None
-        for start in law.starts:
-            slots = _with(s, law, dict(start), now.fit.slots)
-            d = each * part.error(slots)[part.fitted] - r
-            d = d - Q @ (Q.T @ d)
-            size = float(d @ d)
-            explained = float(d @ r0) ** 2 / size if size > 1e-12 * left else 0.0
-            for name in law.linear:  # the size that explains most along this direction
-                slots[SLOT[name]] *= min(max(-float(d @ r0) / (size + 1e-300), SMALLEST), 1.0 / SMALLEST)
-            if float(d @ r0) > 0 and _one_sided(law):
-                explained = 0.0  # the error would grow with it
-            if best is None or explained > best[0]:
-                best = explained, slots
-        assert best is not None
-        promised = -n * math.log(max(1.0 - best[0] / left, 1e-9)) - s.price([law])
-        out.append((promised, law, best[1]))
-    return sorted(out, key=lambda x: -x[0])
-
-
-def _one_sided(law: ServoLaw) -> bool:
-    """Whether all amplitudes of a law are positive."""
-    return all(n.log for n in law.numbers)
 
 
 def _trial(s: JointSearch, rest: Sequence[ServoLaw], law: ServoLaw, slots: np.ndarray) -> Structure:
@@ -242,11 +184,13 @@ def _finalists(
 ) -> list[tuple[ServoLaw, Structure]]:
     """The laws that promise most beside a structure, fitted to a part of the samples; the best ``most`` of them.
 
+    They are compared by their likelihood with the size of the errors free, n log(sum of squares), and the price of their numbers.
     Dry friction is always among them where there is none: it starts from a regression as well.
     """
     part = s.problem.windows(THIN)
+    least = s.problem.noise**2 * float(np.sum(s.weights[part.rows][part.fitted] ** 2))
     out: list[tuple[float, ServoLaw, Structure]] = []
-    for promised, law, slots in _screen(s, base, candidates):
+    for promised, law, slots in screen(s, base, candidates):
         dry = law.common and base.fit.slots[SLOT["friction"]] == 0.0
         if not dry and (promised < PROMISING * s.entry or len(out) >= FINALISTS):
             if promised < PROMISING * s.entry:
@@ -259,7 +203,7 @@ def _finalists(
         again = _regressed_beside(s, base) if dry else None
         starts += [again] if again is not None else []
         trial = min((s.fitted(laws, x, QUICK, part) for x in starts), key=lambda x: x.fit.sse)
-        out.append((trial.fit.sse + s.price([law]), law, trial))
+        out.append((s.independent_samples * math.log(max(trial.fit.sse, least)) + s.price(laws), law, trial))
     out.sort(key=lambda x: x[0])
     return [(law, trial) for k, (_, law, trial) in enumerate(out) if k < most or law.common]
 
@@ -335,7 +279,8 @@ def _reduce(s: JointSearch) -> bool:
         rest = tuple(x for x in s.now.laws if x is not law)
         simpler = [x for x in s.laws if x.id in law.holds and not x.form and x.key not in {y.key for y in rest}]
         trials = [
-            _trial(s, rest, x, s.now.fit.slots if x.dry else _with(s, x, dict(x.starts[0]), s.now.fit.slots)) for x in simpler
+            _trial(s, rest, x, s.now.fit.slots if x.dry else with_start(s, x, dict(x.starts[0]), s.now.fit.slots))
+            for x in simpler
         ]
         trials = [x for x in trials if s.sane(x)]
         s.now = min(trials, key=lambda x: x.fit.sse) if trials else s.fitted(

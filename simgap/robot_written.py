@@ -1,0 +1,83 @@
+"""The corrected MJCF of a servo robot, from the searches at its joints."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagnose.robot.servos.motion import unit_payload
+from diagnose.robot.servos.pipeline import ServoOutcome
+from diagnose.robot.servos.state import JointSearch
+from mjsim.robot.drives import JointDrive
+from mjsim.robot.joint_kernel import SLOT
+from mjsim.robot.model import Robot
+from mjsim.robot.write import write_robot
+from mjsim.robot.write_servo import NewServo
+from mjsim.servo import Servo, Target
+
+__all__ = ["write_corrected_servos"]
+
+
+def write_corrected_servos(
+    model: Path, robot: Robot, outcome: ServoOutcome, path: Path, slots: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Write the corrected MJCF: gains, armature, damping, dry friction and springs in their elements, the rest carried.
+
+    slots: by joint its numbers (K,), those of the diagnosis by default.
+    """
+    joints: dict[str, dict[str, float]] = {}
+    servos, carried = [], []
+    for s in outcome.searches:
+        if outcome.diagnosis.joints[s.problem.name].verdict.value == "no_mismatch":
+            continue
+        p = (slots or {}).get(s.problem.name, s.now.fit.slots)
+        joints[s.problem.name], own = _joint_values(robot, s, p)
+        carried += own
+        d = s.problem.drive
+        servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, any("forcerange" in x.native for x in s.now.laws))))
+    links = robot.nominal - robot.fixed
+    links[-1] += outcome.payload * unit_payload(robot)
+    write_robot(model, robot, path, links, joints, carried, servos)
+
+
+def new_servo(drive: JointDrive, p: np.ndarray, limited: bool) -> Servo:
+    """The servo of slots (K,), at the actuator."""
+    g = drive.gear
+    kp, kv = float(p[SLOT["kp"]]) / g**2, float(p[SLOT["kv"]]) / g**2
+    limit = float(p[SLOT["limit"]]) / abs(g) if limited else drive.servo.limit
+    if drive.servo.target is Target.VELOCITY:
+        return dataclasses.replace(drive.servo, kv=kv, limit=limit)
+    return dataclasses.replace(drive.servo, kp=kp, kv=kv, zero=float(p[SLOT["zero"]]) * g, limit=limit)
+
+
+def _joint_values(robot: Robot, s: JointSearch, p: np.ndarray) -> tuple[dict[str, float], list[Mapping[str, Any]]]:
+    """Attributes of the joint with slots (K,), and the effects that MJCF has no element for."""
+    at = robot.leading(s.problem.joint)
+    values = {}
+    for name, own in (("armature", robot.armature[at]), ("damping", robot.damping[at])):  # tied joints keep what they have
+        values[name] = max(float(p[SLOT[name]] - s.problem.nominal[SLOT[name]] + own), 0.0)
+    carried: list[Mapping[str, Any]] = []
+    own_friction = s.problem.nominal[SLOT["friction"]] > 0
+    named = dict(zip(SLOT, map(float, p), strict=True))
+    for law in s.now.laws:
+        sprung = "stiffness" in law.native and float(robot.stiffness[at]) != 0.0  # the file's own spring stays
+        if law.native and not sprung:
+            values |= {key: float(p[SLOT[slot]]) for key, slot in law.native.items() if key != "forcerange"}
+            if "stiffness" in law.native:
+                values["springref"] = 0.0
+            continue
+        if law.dry:
+            own_friction = False
+            values["frictionloss"] = 0.0
+        parameters = {k: v[0] for k, v in law.values(named).items()} | {k: named[slot] for k, slot in law.kept}
+        carried.append(
+            {"effect": law.id, "form": law.form, "joint": s.problem.name, "place": law.place, "parameters": parameters}
+            | ({"from": law.source} if law.source else {})
+        )
+    if own_friction:
+        values["frictionloss"] = float(p[SLOT["friction"]])
+    return values, carried
