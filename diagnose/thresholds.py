@@ -109,7 +109,6 @@ HALVINGS = _number(
     "how many go on, for how long, how far behind",
     "search",
 )
-ABOUT = _number("ABOUT", COST, 0.25, "log of a ratio", "spread of further starts of the nominal structure", "horizons")
 LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals reported", "graph")
 SECOND_SPLIT = _number(
     "SECOND_SPLIT",

@@ -5,33 +5,27 @@ from __future__ import annotations
 import math
 from functools import partial
 
-import numpy as np
-
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.path import over_horizons, relaxed, tied
+from diagnose.fit.path import over_horizons, tied
 from diagnose.problem.hypothesis import make
-from diagnose.thresholds import ABOUT, FAR, LEADING, TWICE
+from diagnose.thresholds import FAR, TWICE
 from mjsim.effects import Effect
 
 __all__ = ["about_nominal", "multistart"]
 
 
 def about_nominal(fitter: Fitter, f: Fitted) -> Fitted:
-    """The nominal structure from starts about its nominal parameters and along relaxed problems as well, where it leaves much.
+    """The nominal structure over growing horizons, and from a fit tied to the recorded angle, as well, where it leaves much.
 
     ``f``: its fit from the nominal parameters, which stays where no other minimum is clearly lower. An effect that only leads
     out of a wrong minimum is no missing physics.
     """
     if not f.ok or not fitter.above(f, FAR):
         return f
-    rng = np.random.default_rng(0)
     nominal = {p.name: p.value for p in fitter.nominal.chain.linear_parameters()}
-    factors = np.exp(ABOUT * rng.standard_normal((2 * LEADING, len(nominal))))
-    starts = [dict(zip(nominal, list(nominal.values()) * row, strict=True)) for row in factors]
-    begin = [partial(fitter.fit, fitter.hypothesis((), s), iterations=8, rival=True) for s in starts]
-    paths = (partial(over_horizons, fitter, f, nominal), partial(relaxed, fitter, f), partial(tied, fitter, f))
-    best = min((g for g in fitter.map([*begin, *paths]) if g.ok), key=lambda g: g.chi2, default=f)
+    paths = (partial(over_horizons, fitter, f, nominal), partial(tied, fitter, f))
+    best = min((g for g in fitter.map(paths) if g.ok), key=lambda g: g.chi2, default=f)
     best = fitter.fit(best.hypothesis, best.fit.x) if best.chi2 < f.chi2 else f
     return best if best.ok and best.chi2 < f.chi2 / TWICE**2 else f
 
