@@ -87,7 +87,7 @@ class _Part:
 def judge_second_encoder(
     chain: Chain, estimation: Sequence[Experiment], held_out: Sequence[Experiment], longest: float = 0.02
 ) -> SecondEncoder | None:
-    """Race the terms on the recordings that have a second encoder; None where there is none, or no
+    """Compare the terms on the recordings that have a second encoder; None where there is none, or no
     torque beside it. ``longest``: largest delay [s]."""
     fit, held = ([_part(chain, e, longest) for e in group if _has(e)] for group in (estimation, held_out))
     if not fit or not held:

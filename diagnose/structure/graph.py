@@ -23,7 +23,7 @@ from diagnose.thresholds import CLEAR, EQUIVALENT, LEADING, MATERIAL
 from mjsim.effects import Effect, effect_class
 
 __all__ = [
-    "Entrant",
+    "Neighbour",
     "additions",
     "confounders",
     "limits",
@@ -37,7 +37,7 @@ __all__ = [
     "without",
 ]
 
-Entrant = tuple[tuple[Effect, ...], Screened]
+Neighbour = tuple[tuple[Effect, ...], Screened]
 """The effects that stay, and the one that is tried beside them."""
 
 Fits = Mapping[tuple[str, ...], Fitted]
@@ -69,7 +69,7 @@ def replacements(offered: Sequence[Candidate], base: Fitted, effect: Effect, *, 
     ]  # fmt: skip
 
 
-def other_orders(fitter: Fitter, base: Fitted, effect: Effect, *, material: bool) -> list[Entrant]:
+def other_orders(fitter: Fitter, base: Fitted, effect: Effect, *, material: bool) -> list[Neighbour]:
     """A position-locked effect at the spatial orders that stand out of the present residual.
 
     A refinement entered with a phase that its mean level hid: where the residual is ``material`` it is tried at every order, its
@@ -94,7 +94,7 @@ def other_orders(fitter: Fitter, base: Fitted, effect: Effect, *, material: bool
     return [(others, Screened(Candidate(effect.id, effect.place), starts[0], math.inf, starts))] if starts else []
 
 
-def confounders(fitter: Fitter, best: Fitted, effect: Effect, offered: Sequence[Candidate]) -> list[Entrant]:
+def confounders(fitter: Fitter, best: Fitted, effect: Effect, offered: Sequence[Candidate]) -> list[Neighbour]:
     """Effects whose response can stand in for that of an effect of the best structure.
 
     Each candidate's response at the best linear parameters is projected on the effect's own, both orthogonal to what these
@@ -136,7 +136,7 @@ def merged(offered: Sequence[Candidate], effects: tuple[Effect, ...]) -> list[tu
     return out
 
 
-def split(fitter: Fitter, offered: Sequence[Candidate], base: Fitted) -> list[Entrant]:
+def split(fitter: Fitter, offered: Sequence[Candidate], base: Fitted) -> list[Neighbour]:
     """For each compound effect of a structure its parts in its place, the first of them by an effect that refines it."""
     out, keys = [], {c.key for c in offered}
     for effect in base.effects:
@@ -158,7 +158,7 @@ def split(fitter: Fitter, offered: Sequence[Candidate], base: Fitted) -> list[En
     return out
 
 
-def limits(offered: Sequence[Candidate], f: Fitted) -> list[Entrant]:
+def limits(offered: Sequence[Candidate], f: Fitted) -> list[Neighbour]:
     """For each effect of a structure its limits at a bound of its parameters, in its place."""
     out = []
     for effect in f.effects:

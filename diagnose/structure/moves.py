@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from diagnose.fit.fitted import Fitted, key_of
 from diagnose.structure import graph
 from diagnose.structure.candidates import replaced
-from diagnose.structure.graph import Entrant
-from diagnose.structure.race import NONLINEAR, Race
+from diagnose.structure.graph import Neighbour
+from diagnose.structure.halving import NONLINEAR, Halving
 from diagnose.structure.score import Screened
 from diagnose.structure.state import State
 from diagnose.thresholds import EQUIVALENT, MOST, TWICE, UNEXPLAINED
@@ -29,7 +29,7 @@ class Move:
 
     name: str
     base: Fitted
-    entrants: Sequence[Entrant]
+    neighbours: Sequence[Neighbour]
     bound: float
     cost: float
     floor: float
@@ -40,7 +40,7 @@ class Moves:
     """Makes the moves from structures; each once for a residual."""
 
     state: State
-    race: Race
+    halving: Halving
 
     def add(self, base: Fitted) -> Move | None:
         """Add an effect: those whose score test exceeds the floor, and those that a score test misjudges."""
@@ -50,7 +50,7 @@ class Moves:
         material = state.fitter.above(base, UNEXPLAINED)
         present = [e.id for e in base.effects]
         offered = [c for c in graph.additions(state.candidates, base, laws=material) if state.admitted([c.id, *present])]
-        ranked = self.race.screening(base).screen(offered)
+        ranked = self.halving.screening(base).screen(offered)
         state.tested += len(ranked)
         floor, visible = context.floor(base), context.visible(base)
         tried = [s for s in ranked if s.gain > floor][: state.options.width]
@@ -70,7 +70,7 @@ class Moves:
         if not base.effects or not self._new("replace", base):
             return []
         material = self.state.fitter.above(base, UNEXPLAINED)
-        refined: list[Entrant] = []
+        refined: list[Neighbour] = []
         for effect in base.effects:
             refined += self._screened(base, effect, laws=False)
             refined += graph.other_orders(self.state.fitter, base, effect, material=material)
@@ -79,25 +79,25 @@ class Moves:
         parts = [(others, s) for others, s in parts if self._untried(base, others, s)]
         limited = graph.limits(self.state.candidates, base)
         named = (("refine", refined), ("vary the law in", laws), ("split in", parts), ("take the limit in", limited))
-        return [self._move(name, base, entrants, -EQUIVALENT) for name, entrants in named]
+        return [self._move(name, base, neighbours, -EQUIVALENT) for name, neighbours in named]
 
-    def _laws(self, base: Fitted) -> list[Entrant]:
+    def _laws(self, base: Fitted) -> list[Neighbour]:
         """Other laws of those effects of a structure that explain most of the residual: the residual may be the law's error."""
-        out: list[Entrant] = []
+        out: list[Neighbour] = []
         for effect in base.effects:
             bare = self.state.fits.get(key_of(graph.without(base.effects, effect)))
             if bare is None or base.chi2 < MOST * bare.chi2:
                 out += self._screened(base, effect, laws=True)
         return out
 
-    def _screened(self, base: Fitted, effect: Effect, *, laws: bool) -> list[Entrant]:
+    def _screened(self, base: Fitted, effect: Effect, *, laws: bool) -> list[Neighbour]:
         """What refines an effect of a structure, or its other laws, where the score test exceeds the floor or misjudges."""
         state, others = self.state, graph.without(base.effects, effect)
         supposed = [
             c for c in graph.replacements(state.candidates, base, effect, laws=laws)
             if state.admitted([c.id, *(e.id for e in others)])
         ]  # fmt: skip
-        ranked = self.race.screening(base).screen(supposed, effect)
+        ranked = self.halving.screening(base).screen(supposed, effect)
         state.tested += len(ranked)
         floor = state.context.floor(base)
         likely = [s for s in ranked if s.gain > floor or effect_class(s.candidate.id).multistart > 1]
@@ -112,12 +112,12 @@ class Moves:
         """Whether a move was not made from this residual by the present orders, and anything is left to be explained."""
         return base.chi2 > 0.0 and self.state.once(name, base.key, round(math.log(base.chi2), 1), self.state.fitter.orders)
 
-    def _move(self, name: str, base: Fitted, entrants: Sequence[Entrant], floor: float) -> Move | None:
-        if not entrants:
+    def _move(self, name: str, base: Fitted, neighbours: Sequence[Neighbour], floor: float) -> Move | None:
+        if not neighbours:
             return None
-        bound = max(self._bound(base, s) for _, s in entrants)
-        numbers = sum(len(base.hypothesis.entries) + len(s.effect.values) for _, s in entrants)
-        return Move(name, base, tuple(entrants), bound, numbers * self.state.fitter.length(base.hypothesis, base.fit.x), floor)
+        bound = max(self._bound(base, s) for _, s in neighbours)
+        numbers = sum(len(base.hypothesis.entries) + len(s.effect.values) for _, s in neighbours)
+        return Move(name, base, tuple(neighbours), bound, numbers * self.state.fitter.length(base.hypothesis, base.fit.x), floor)
 
     def _bound(self, base: Fitted, s: Screened) -> float:
         """How far C may fall: ``TWICE`` times what the score test says, and to the noise where the response is not linear.

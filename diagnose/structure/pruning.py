@@ -35,8 +35,8 @@ class Pruning:
 
     def limits(self, current: Fitted) -> list[Fitted]:
         """Fits of a structure with one of its effects at its limit."""
-        entrants = graph.limits(self.state.candidates, current)
-        return [self._from(current, (*others, s.effect)) for others, s in entrants]
+        neighbours = graph.limits(self.state.candidates, current)
+        return [self._from(current, (*others, s.effect)) for others, s in neighbours]
 
     def _from(self, current: Fitted, effects: tuple[Effect, ...]) -> Fitted:
         """The best fit of a structure, from the parameters of another one as well, once for each of its minima."""

@@ -119,7 +119,7 @@ def _project(
     if amplitudes:
         signed = all(s.lower < 0 for s in cls.specs() if s.name in amplitudes)
         if factor < 0 and not signed:
-            # far from the solution a secant may point the wrong way: it stays in the race, behind
+            # far from the solution a secant may point the wrong way: it stays among the candidates, behind
             return FAIR * max(gain, 0.0), effect
         factor = float(np.sign(factor) * np.clip(abs(factor), 0.02, 20.0))
         moved = {n: effect.values[n] * factor for n in amplitudes}
@@ -132,7 +132,7 @@ def span(f: Fitted) -> np.ndarray | None:
     return _spanned(f.fit) if f.ok else None
 
 
-@lru_cache(2)  # a race asks the same of its base, and of that at the nominal parameters, for every entrant
+@lru_cache(2)  # the same is asked of a base, and of that at the nominal parameters, for every neighbour
 def _spanned(fit: Fit) -> np.ndarray:
     return orthonormal(fit.J)
 

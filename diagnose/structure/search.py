@@ -26,10 +26,10 @@ from diagnose.fit.starts import about_nominal
 from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.candidates import candidates
+from diagnose.structure.halving import Halving
 from diagnose.structure.moves import Move, Moves
 from diagnose.structure.observing import Observing
 from diagnose.structure.pruning import Pruning
-from diagnose.structure.race import Race
 from diagnose.structure.selection import Selection
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
@@ -60,10 +60,10 @@ class Search:
         self.state = State(self.context, options, self.progress)
         self.significance = Significance(self.state)
         self.selection = Selection(self.state, self.significance)
-        self.race = Race(self.state)
+        self.halving = Halving(self.state)
         self.observing = Observing(self.state)
         self.many_minima = False  # whether the nominal structure has another minimum that is clearly lower
-        self.moves = Moves(self.state, self.race)
+        self.moves = Moves(self.state, self.halving)
         self.pruning = Pruning(self.state, self.significance)
         self.state.consider(candidates(fitter, options.only))
 
@@ -128,7 +128,7 @@ class Search:
             move = max(queue, key=lambda m: self._potential(m, current) / m.cost)
             queue.remove(move)
             self.progress.stage("search", f"{move.name} {' + '.join(move.base.key) or 'the nominal model'}")
-            self.race.run(move.base, move.entrants, move.floor)
+            self.halving.run(move.base, move.neighbours, move.floor)
             best = self._relaxed(current, self.selection.best(current))
             if best.key == current.key and best.chi2 > (1.0 - SMALL * SAME) * current.chi2:
                 continue
@@ -145,7 +145,7 @@ class Search:
     def expand(self, base: Fitted) -> list[Fitted]:
         """Fit the structures with one effect more than ``base`` that the score test does not rule out."""
         added = self.moves.add(base)
-        return [] if added is None else self.race.run(base, added.entrants, added.floor)
+        return [] if added is None else self.halving.run(base, added.neighbours, added.floor)
 
     def _potential(self, move: Move, current: Fitted) -> float:
         """How far C may fall below that of the incumbent by a move: its bound less what its base is behind.
@@ -198,9 +198,9 @@ class Search:
     def _with_confirmed_offset(self, current: Fitted) -> Fitted:
         """The structure with the effects that the angle confirms whatever the model is, where they are significant."""
         for candidate in [c for c in self.state.candidates if c.id in self.state.requires.values()]:
-            entrants = self.race.screening(current).screen([candidate])
-            self.state.tested += len(entrants)
-            for larger in self.race.run(current, [(current.effects, s) for s in entrants], -math.inf):
+            neighbours = self.halving.screening(current).screen([candidate])
+            self.state.tested += len(neighbours)
+            for larger in self.halving.run(current, [(current.effects, s) for s in neighbours], -math.inf):
                 if self.significance.significant(current, larger):
                     current = larger
         return current
@@ -216,7 +216,7 @@ class Search:
             if kept.key == current.key or self.state.spent():
                 return kept
             for move in filter(None, self.moves.replace(kept)):
-                self.race.run(move.base, move.entrants, move.floor)
+                self.halving.run(move.base, move.neighbours, move.floor)
             current = self.selection.best(kept)
         return self.pruning.eliminate(current)
 

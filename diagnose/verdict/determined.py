@@ -66,7 +66,7 @@ def _admissible(search: Search, effect: Effect, least: Fitted) -> list[Fitted]:
     others = [f for f in search.fits.values() if f.ok and f.effects and effect.key not in f.key]
     others = sorted((f for f in others if not out_of_range(f, search.fitter)), key=search.criterion)[: search.options.width]
     fits = [
-        search.polish(f) if f.fit.status is Status.BUDGET and search.race.may_gain(nominal, f, floor) else f for f in others
+        search.polish(f) if f.fit.status is Status.BUDGET and search.halving.may_gain(nominal, f, floor) else f for f in others
     ]  # fmt: skip
     return [f for f in fits if not out_of_range(f, search.fitter)]
 

@@ -52,6 +52,19 @@ on {together[cases]} cases ({together[known]} with a truth): right {pair[right]}
 median of the simulations {pair[median]}, 95th percentile {pair[percentile_95]}. Growing horizons keep their ratio of 1.6:
 with a ratio of two a pendulum that goes over the top is left in a wrong minimum.
 
+## The other rules, each in the cases in which it acts
+
+A rule that never gives another answer than the neutral one in a case cannot change that case. At commit {acts[commit]}
+the calls of every rule were counted in {acts[cases]} cases ({acts[which]}), and each rule was then switched off
+in the cases in which it acts.
+Counts of right answers are of those with a truth, simulations are sums over the cases that were run again.
+
+| rule | what it does | acts in | right, on and off | simulations, on and off | decision |
+| --- | --- | --- | --- | --- | --- |
+{acting}
+
+{acts[note]}
+
 This page is made by `python -m lab.panel.ablation_page` from `lab/panel/data/ablation.json`; a test holds that.
 """
 
@@ -75,6 +88,12 @@ def _rule(rule: Mapping[str, Any]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def _acting(rule: Mapping[str, Any]) -> str:
+    """A row of the table of rules that were switched off where they act."""
+    cells = (rule["name"], rule["what"], str(rule["acts"]), *(_change(rule[k]) for k in ("right", "simulations")), rule["fate"])
+    return f"| {' | '.join(cells)} |"
+
+
 def page(data: Mapping[str, Any]) -> str:
     """The page in Markdown."""
     pairs = [(r["before"], r["after"]) for r in data["cases"] if r["before"] and r["after"]]
@@ -84,6 +103,8 @@ def page(data: Mapping[str, Any]) -> str:
         one=one,
         rules="\n".join(map(_rule, one["rules"])),
         together=together,
+        acts=data["by_acts"],
+        acting="\n".join(map(_acting, data["by_acts"]["rules"])),
         pair={k: _change(together[k]) for k in ("right", "median", "percentile_95")},
         about=data["about"],
         before=data["before"],

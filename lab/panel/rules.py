@@ -45,8 +45,8 @@ def _test(name: str, what: str, target: str) -> Rule:
 _ALL = (
     # screening and races
     _returns("decimation", "neighbours are screened on a part of the samples", 1, "diagnose.structure.screening.most_decimation"),
-    _returns("race_bound", "a fit leaves a race when its sensitivities predict too little gain", True,
-             "diagnose.structure.race.Race.may_gain"),
+    _returns("race_bound", "a fit leaves the halving when its sensitivities predict too little gain", True,
+             "diagnose.structure.halving.Halving.may_gain"),
     # neighbours in the graph of structures
     _returns("model_variants", "other laws of an effect are tried in its place", [], "diagnose.structure.moves.Moves._laws"),
     _returns("other_orders", "a position-locked effect is tried at the orders that stand out now", [], f"{GRAPH}.other_orders"),

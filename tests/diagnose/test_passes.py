@@ -48,7 +48,7 @@ def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase
     assert stuck.chi2 > 2 * stuck.n, "else there is nothing to show"
     search.keep(stuck)
     for move in filter(None, search.moves.replace(stuck)):
-        search.race.run(move.base, move.entrants, move.floor)
+        search.halving.run(move.base, move.neighbours, move.floor)
     found = search.fits[stuck.key]
     assert found.chi2 < 1.05 * found.n
     assert found.effects[0].values["cycles_per_rev"] == pytest.approx(3.0, rel=1e-3)

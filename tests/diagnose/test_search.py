@@ -252,9 +252,9 @@ def test_a_neighbour_whose_sensitivities_predict_no_gain_is_not_fitted_on(fitter
     poor = fitter.fit(fitter.hypothesis([coulomb(0.3)]), iterations=1)
     beside = [*right.effects, effect("gravity_load", place="arm", torque_Nm=1e-4, phase_rad=0.0)]
     idle = fitter.fit(fitter.hypothesis(beside, right.linear), iterations=2)
-    assert not search.race.may_gain(right, idle, search.context.floor(right))
-    assert search.race.may_gain(search.nominal(), poor, search.context.floor(right)), "far from noise all go on"
-    assert search.race.may_gain(idle, dataclasses.replace(right, fit=right.fit), -10.0), "as good, and simpler"
+    assert not search.halving.may_gain(right, idle, search.context.floor(right))
+    assert search.halving.may_gain(search.nominal(), poor, search.context.floor(right)), "far from noise all go on"
+    assert search.halving.may_gain(idle, dataclasses.replace(right, fit=right.fit), -10.0), "as good, and simpler"
 
 
 def test_a_structure_that_leaves_less_than_noise_leaves_something_if_that_has_a_colour(fitter_of, pair):
@@ -299,11 +299,11 @@ def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, pair):
 
 def replaced(search: Search, base: Fitted) -> list[Fitted]:
     """What the moves that replace an effect come to."""
-    return [f for m in search.moves.replace(base) if m is not None for f in search.race.run(m.base, m.entrants, m.floor)]
+    return [f for m in search.moves.replace(base) if m is not None for f in search.halving.run(m.base, m.neighbours, m.floor)]
 
 
 def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(fitter_of, pair):
-    """Its race was run beside parameters that had gone astray; beside the offset that it nearly is, its level is known."""
+    """It was fitted beside parameters that had diverged; beside the offset that it nearly is, its level is known."""
     weight = effect("gravity_load", place="arm", torque_Nm=25.0, phase_rad=-1.1)
     fitter = fitter_of(pair(weight))
     search = Search(fitter, SearchOptions())

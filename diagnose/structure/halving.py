@@ -11,14 +11,14 @@ from typing import TypeVar
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Status, orthonormal
 from diagnose.fit.starts import multistart
-from diagnose.structure.graph import Entrant
+from diagnose.structure.graph import Neighbour
 from diagnose.structure.score import unexplained_squares
 from diagnose.structure.screening import Screening, screening_of
 from diagnose.structure.state import State
 from diagnose.thresholds import FAR, HALVINGS, LARGE, TWICE
 from mjsim.effects import effect_class
 
-__all__ = ["NONLINEAR", "Race"]
+__all__ = ["NONLINEAR", "Halving"]
 
 T = TypeVar("T")
 
@@ -26,7 +26,7 @@ NONLINEAR = ("structure", "coupling")  # families whose response is not linear i
 
 
 @dataclass
-class Race:
+class Halving:
     """Fits neighbours of a structure and records them."""
 
     state: State
@@ -42,18 +42,18 @@ class Race:
             self._last = asked, screening_of(fitter, base)
         return self._last[1]
 
-    def run(self, base: Fitted, entrants: Sequence[Entrant], floor: float) -> list[Fitted]:
+    def run(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float) -> list[Fitted]:
         """The neighbours, fitted; ``floor``: the gain of C over the base below which one is not fitted on."""
         state = self.state
-        if state.spent() or not entrants:
+        if state.spent() or not neighbours:
             return []
-        state.progress.rivals(len(entrants))
+        state.progress.rivals(len(neighbours))
         screening, far = self.screening(base), base.chi2 > LARGE * base.n
-        screening.prepare([s.candidate.id for _, s in entrants if far or effect_class(s.candidate.id).family in NONLINEAR])
-        first = state.fitter.map([partial(self._counted, partial(screening.start, e, s, far)) for e, s in entrants])
+        screening.prepare([s.candidate.id for _, s in neighbours if far or effect_class(s.candidate.id).family in NONLINEAR])
+        first = state.fitter.map([partial(self._counted, partial(screening.start, e, s, far)) for e, s in neighbours])
         screening.count()
         running: list[Fitted] = []
-        for (_, s), f in zip(entrants, first, strict=True):
+        for (_, s), f in zip(neighbours, first, strict=True):
             state.failed.pop(s.candidate.key, None)
             if f is None:
                 state.failed[s.candidate.key] = "no start could be run"
