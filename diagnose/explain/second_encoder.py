@@ -4,8 +4,8 @@
 
 c: offset of the two zeros, of each recording its own; T: delay of the second encoder; tau / k: wind-up of a spring under the
 link-side torque; b: backlash, on the flank that the torque pushes; h: hysteresis, wind-up held by dry friction behind the spring.
-A delay draws the same loop over the velocity as wind-up with hysteresis does over the torque, so each is fitted, all are raced,
-and a term is kept only where it lowers the error on held-out data significantly.
+A delay draws the same loop over the velocity as wind-up with hysteresis does over the torque, so each is fitted, all are
+compared, and a term is kept only where it lowers the error on held-out data significantly.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Explanation:
 
 @dataclass(frozen=True)
 class SecondEncoder:
-    """What explains the difference of the two encoders: ``found`` and every set of terms that was raced, best held-out first."""
+    """What explains the difference of the two encoders: ``found`` and every set of terms that was tried, best held-out first."""
 
     found: Explanation
-    raced: tuple[Explanation, ...]
+    compared: tuple[Explanation, ...]
     difference: float
     held_out_difference: float
     unit: str = "rad"
@@ -92,21 +92,23 @@ def judge_second_encoder(
     fit, held = ([_part(chain, e, longest) for e in group if _has(e)] for group in (estimation, held_out))
     if not fit or not held:
         return None
-    raced: dict[tuple[str, ...], tuple[Explanation, np.ndarray]] = {}
+    compared: dict[tuple[str, ...], tuple[Explanation, np.ndarray]] = {}
     for count in range(len(TERMS) + 1):
         for terms in itertools.combinations(TERMS, count):
             values, rms = _fit(fit, terms, longest)
             blocks = _blocks(held, terms, values)
-            raced[terms] = Explanation(terms, values, rms, math.sqrt(float(np.sum(blocks[0]) / np.sum(blocks[1])))), blocks[0]
+            compared[terms] = Explanation(terms, values, rms, math.sqrt(float(np.sum(blocks[0]) / np.sum(blocks[1])))), blocks[0]
     found: tuple[str, ...] = ()
     while len(found) < len(TERMS):
-        wider = [t for t in raced if len(t) == len(found) + 1 and set(found) <= set(t)]
-        best = min(wider, key=lambda t: raced[t][0].rms)
-        if not _pays(raced[found][1], raced[best][1]):
+        wider = [t for t in compared if len(t) == len(found) + 1 and set(found) <= set(t)]
+        best = min(wider, key=lambda t: compared[t][0].rms)
+        if not _significant(compared[found][1], compared[best][1]):
             break
         found = best
-    ranked = tuple(sorted((e for e, _ in raced.values()), key=lambda e: e.held_out_rms))
-    return SecondEncoder(raced[found][0], ranked, raced[()][0].rms, raced[()][0].held_out_rms, Quantity.ANGLE.unit(chain.motion))
+    ranked = tuple(sorted((e for e, _ in compared.values()), key=lambda e: e.held_out_rms))
+    return SecondEncoder(
+        compared[found][0], ranked, compared[()][0].rms, compared[()][0].held_out_rms, Quantity.ANGLE.unit(chain.motion)
+    )
 
 
 def _has(experiment: Experiment) -> bool:
@@ -183,7 +185,7 @@ def _blocks(parts: Sequence[_Part], terms: Sequence[str], values: Mapping[str, f
     return np.array(squares), np.array(count)
 
 
-def _pays(before: np.ndarray, after: np.ndarray) -> bool:
+def _significant(before: np.ndarray, after: np.ndarray) -> bool:
     """Whether a further term takes a material part of the held-out squared error, in most blocks."""
     from scipy.stats import wilcoxon
 

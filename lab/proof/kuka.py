@@ -69,7 +69,7 @@ def _encoder_figures(encoder: SecondEncoder) -> dict[str, Any]:
         "values": dict(encoder.found.values),
         "difference_rad": encoder.held_out_difference,
         "left_rad": encoder.found.held_out_rms,
-        "raced": [{"terms": list(e.terms), "rms": e.rms, "held_out_rms": e.held_out_rms} for e in encoder.raced],
+        "raced": [{"terms": list(e.terms), "rms": e.rms, "held_out_rms": e.held_out_rms} for e in encoder.compared],
     }
 
 
@@ -184,7 +184,7 @@ def _text(result: Diagnosis, encoder: SecondEncoder, swapped: SecondEncoder, fig
                  number(encoder.found.values["backlash"])])  # fmt: skip
     raced = [
         [" + ".join(TERMS[t] for t in e.terms) or "nothing", f"{1e6 * e.rms:.0f}", f"{1e6 * e.held_out_rms:.0f}"]
-        for e in encoder.raced if (len(e.terms) <= 2 and "time_delay" not in e.terms) or len(e.terms) == 1
+        for e in encoder.compared if (len(e.terms) <= 2 and "time_delay" not in e.terms) or len(e.terms) == 1
     ]  # fmt: skip
     ripple_rows = [
         [source, f"{r['speed']:+.2f}", f"{r['amplitude_Nm']:.3f}", f"{r['phase_rad']:+.2f}", f"{100 * r['share']:.0f} %"]

@@ -66,7 +66,7 @@ def test_nothing_is_nothing(robot):
     result = judged(robot)
     assert result.found.terms == ()
     assert result.found.held_out_rms == pytest.approx(NOISE * np.sqrt(2), rel=0.05)
-    assert len(result.raced) == 2 ** len(TERMS)
+    assert len(result.compared) == 2 ** len(TERMS)
 
 
 def test_without_a_second_encoder_nothing_is_said(robot):

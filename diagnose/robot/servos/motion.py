@@ -249,7 +249,7 @@ class JointProblem:
         )  # fmt: skip
 
     def blocks(self, seconds: float) -> np.ndarray:
-        """Block (N,) of each sample, counted from nought: stretches of a length that end with each recording."""
+        """Block (N,) of each sample, counted from zero: stretches of a length that end with each recording."""
         size = max(1, round(seconds / self.dt))
         own = [np.arange(n) // size for n in np.diff(self.starts)]
         first = np.cumsum([0, *(int(b[-1]) + 1 for b in own)])

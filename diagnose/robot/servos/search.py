@@ -292,7 +292,7 @@ def _reduce(s: JointSearch) -> bool:
 
 
 def _determined(n: Number, x: float, variance: float) -> bool:
-    """A logarithm to a factor of three, at 95 %; a pair of sine and cosine counts as one elsewhere; others: not nought."""
+    """A logarithm to a factor of three, at 95 %; a pair of sine and cosine counts as one elsewhere; others: not zero."""
     half = 1.96 * math.sqrt(max(variance, 0.0))
     if n.log:
         return half < math.log(3.0)
