@@ -1,9 +1,10 @@
 """Which column of a file is what: `Binding`, read from TOML, or the default names.
 
-``[recording]``: ``time``, ``torque``, ``command`` (of a servo), ``velocity``, ``angle``, ``current``, ``supply``,
-``second_angle``, ``second_velocity``, ``known_torque``, ``command_time``, each a column name or a table
-``{column, unit, gain, row}``; ``dt`` [s] instead of a time column; ``hold`` = "held" | "linear" | "mean": how the input goes
-between samples (`mjsim.hold`); ``jitter``: stamps may be off by this part of the sample time, and are resampled uniformly.
+``[recording]``: ``time``, ``torque``, ``command`` (of a servo), ``control`` (of the actuator, whatever it is), ``velocity``,
+``angle``, ``current``, ``supply``, ``second_angle``, ``second_velocity``, ``known_torque``, ``command_time``, each a column name
+or a table ``{column, unit, gain, row}``; ``dt`` [s] instead of a time column; ``hold`` = "held" | "linear" | "mean": how the
+input goes between samples (`mjsim.hold`); ``input`` = "none": the drive was off; ``jitter``: stamps may be off by this part of
+the sample time, and are resampled uniformly. What is not named is looked for by the default names and by headers.
 ``[joints.NAME]``: the same channels of one joint of a robot.
 """
 
@@ -22,7 +23,18 @@ from mjsim.errors import InputError, nearest
 from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table, table_of
 from mjsim.hold import HOLDS
 
-__all__ = ["DEFAULT_COLUMNS", "NAMES", "SI_UNITS", "UNITS", "Binding", "Channel", "joint_channels", "joints_in", "plain_channels"]
+__all__ = [
+    "DEFAULT_COLUMNS",
+    "INPUTS",
+    "NAMES",
+    "SI_UNITS",
+    "UNITS",
+    "Binding",
+    "Channel",
+    "joint_channels",
+    "joints_in",
+    "plain_channels",
+]
 
 DEFAULT_COLUMNS = {"time": "time_s", "torque": "torque_Nm", "velocity": "velocity_rad_s", "angle": "angle_rad"}
 DEFAULT_SOURCE = "default column names"
@@ -47,7 +59,8 @@ UNITS: dict[str, tuple[float, str]] = {
     "V": (math.nan, "torque"), "A": (math.nan, "torque"), "1": (math.nan, "torque"), "mA": (math.nan, "torque"),
     "mV": (math.nan, "torque"),
 }  # fmt: skip
-_OWN = {"current": {"A": 1.0, "mA": 1e-3}, "voltage": {"V": 1.0, "mV": 1e-3}}  # of channels that are no input
+_AMPERES, _VOLTS = {"A": 1.0, "mA": 1e-3}, {"V": 1.0, "mV": 1e-3}
+_OWN = {"current": _AMPERES, "voltage": _VOLTS, "control": {**_AMPERES, **_VOLTS, "1": 1.0}}  # of channels that are no torque
 
 SI_UNITS = {
     "m": "m", "mm": "m", "um": "m", "cm": "m", "in": "m", "ft": "m",
@@ -103,7 +116,7 @@ class Binding:
     channels: by role; joints: the same of each joint of a robot, by name. ``[experiment]`` with ``loop`` = "open" | "closed",
     ``judge`` = "motion" | "force", ``varies`` = names of linear parameters that each recording has of its own (an inertia that
     depends on the pose of other axes), and values that are ``known``: ``kp``, ``kv`` of the servo [SI], ``supply_V``. named:
-    whether the channels are bound by name, and not by default.
+    whether the channels are bound by name, and not by default; driven: False where the drive was off, so that its input is zero.
     """
 
     channels: Mapping[str, Channel]
@@ -117,20 +130,19 @@ class Binding:
     joints: Mapping[str, Mapping[str, Channel]] = field(default_factory=dict)
     known: Mapping[str, float] = field(default_factory=dict)
     named: bool = True
+    driven: bool = True
 
     CHANNELS = (
         "time", "torque", "velocity", "angle", "second_angle", "second_velocity", "command", "current", "supply", "known_torque",
-        "command_time",
+        "command_time", "control",
     )  # fmt: skip
     MEASURES = MappingProxyType(
-        dict(
-            zip(
-                CHANNELS,
-                ("time", "torque", "velocity", "angle", "angle", "velocity", "command", "current", "voltage", "torque", "time"),
-                strict=True,
-            )
-        )
-    )
+        {
+            "time": "time", "torque": "torque", "velocity": "velocity", "angle": "angle", "second_angle": "angle",
+            "second_velocity": "velocity", "command": "command", "current": "current", "supply": "voltage",
+            "known_torque": "torque", "command_time": "time", "control": "control",
+        }
+    )  # fmt: skip
     KNOWN = ("kp", "kv", "supply_V")
 
     @classmethod
@@ -154,10 +166,8 @@ class Binding:
         if not {"recording", "experiment", "joints"} & set(table):
             return None
         given, experiment = table_of(table, "recording", path), table_of(table, "experiment", path)
-        own: dict[str, Any] = {k: given[k] for k in ("dt", "hold", "jitter") if k in given}
-        channels = _channels(
-            {k: v for k, v in given.items() if k not in own}, f"{path}: [recording]", (*cls.CHANNELS, "dt", "hold", "jitter")
-        )
+        own: dict[str, Any] = {k: given[k] for k in OWN_KEYS if k in given}
+        channels = _channels({k: v for k, v in given.items() if k not in own}, f"{path}: [recording]", (*cls.CHANNELS, *OWN_KEYS))
         joints = {
             name: _channels(table_of(table_of(table, "joints", path), name, path), f"{path}: [joints.{name}]", cls.CHANNELS)
             for name in table_of(table, "joints", path)
@@ -191,6 +201,7 @@ class Binding:
             joints,
             {k: _known(experiment, k, path) for k in cls.KNOWN if k in experiment},
             bool(channels),
+            _driven(own, channels, path),
         )
 
     def of_joint(self, name: str) -> Binding:
@@ -214,6 +225,7 @@ def _channels(given: Mapping[str, Any], where: str, known: tuple[str, ...]) -> d
     return channels
 
 
+OWN_KEYS = ("dt", "hold", "jitter", "input")
 LEFT_OUT = {"acceleration": "leave it out: velocity and angle are fitted; where neither is recorded, integrate it to a velocity"}
 
 
@@ -222,6 +234,21 @@ def _above_zero(own: Mapping[str, Any], key: str, path: Path) -> float | None:
     if value is not None and not (_is_number(value) and 0 < value < math.inf):
         raise InputError(f"{path}: [recording] {key}", f"{value!r}", f"{unit}, above zero", "correct it")
     return value
+
+
+def _driven(own: Mapping[str, Any], channels: Collection[str], path: Path) -> bool:
+    """Whether the drive was on: ``input`` = "none" says that it was off."""
+    if own.get("input", "none") != "none":
+        raise InputError(
+            f"{path}: [recording] input", f"{own['input']!r}", '"none", where the drive was off',
+            "bind the column of the input as torque, command or control",
+        )  # fmt: skip
+    bound = [role for role in INPUTS if role in channels]
+    if "input" in own and bound:
+        raise InputError(
+            f"{path}: [recording]", f'input = "none", and a column for {bound[0]}', "one of them", "remove the other"
+        )
+    return "input" not in own
 
 
 def _choice(own: Mapping[str, Any], path: Path) -> str:
@@ -242,9 +269,12 @@ NAMES = {
     "command": ("command_rad", "command_m", "command_rad_s", "command_m_s"), "torque": ("torque_Nm", "torque_N"),
     "angle": ("angle_rad", "angle_m"), "velocity": ("velocity_rad_s", "velocity_m_s"),
     "second_angle": ("second_angle_rad", "second_angle_m"), "current": ("current_A",), "supply": ("supply_V",),
+    "control": ("ctrl",),
 }  # fmt: skip
 """Role -> the default names of its column, SI unit included."""
 
+INPUTS = ("torque", "command", "control")
+"""Roles of columns that can drive a model."""
 SHARED = {"time": "time_s", "command_time": "command_time_s"}
 
 
@@ -262,13 +292,16 @@ def joint_channels(columns: Collection[str], joint: str) -> dict[str, Channel]:
     return {role: Channel(name) for role, name in found.items() if name is not None}
 
 
-def plain_channels(columns: Collection[str]) -> dict[str, Channel]:
-    """The channels of a single axis by the default names: those that stand in the log, and those that it needs."""
+def plain_channels(columns: Collection[str], *, needed: bool = True) -> dict[str, Channel]:
+    """The channels of a single axis by the default names: those that stand in the log, and those that it needs.
+
+    ``needed``: whether it needs an input.
+    """
     found = {role: next((n for n in names if n in columns), None) for role, names in NAMES.items()}
     found |= {role: name for role, name in SHARED.items() if name in columns}
     channels = {role: Channel(name) for role, name in found.items() if name is not None}
     channels.setdefault("time", Channel(DEFAULT_COLUMNS["time"]))
-    if "command" not in channels:
+    if needed and not {"command", "control"} & set(channels):
         channels.setdefault("torque", Channel(DEFAULT_COLUMNS["torque"]))
     return channels
 

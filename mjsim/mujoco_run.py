@@ -101,9 +101,9 @@ def _roll(
     data.qpos[:] = m.qpos0 + found.base() @ start[0]
     data.qvel[:] = found.base() @ start[1]
     drive = found.layout.drive.id
-    if m.actuator_actnum[drive] > 0:
+    if drive >= 0 and m.actuator_actnum[drive] > 0:
         data.act[m.actuator_actadr[drive]] = before
-    if m.actuator_history[drive, 0] > 0:
+    if drive >= 0 and m.actuator_history[drive, 0] > 0:
         held = np.full((int(m.actuator_history[drive, 0]), 1), before)
         mujoco.mj_initCtrlHistory(m, data, drive, None, held)
     for s in range(m.nsensor):
@@ -118,14 +118,20 @@ def _roll(
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
     state = np.empty(mujoco.mj_stateSize(m, spec))
     control = np.zeros((1, steps * count, sum(m.actuator_ctrlnum)))
-    control[0, :, m.actuator_ctrladr[drive]] = np.repeat(torque, steps)
+    if drive >= 0:
+        control[0, :, m.actuator_ctrladr[drive]] = np.repeat(torque, steps)
     per_chunk = max(1, _CHUNK // steps)
     with caught_warnings() as said:
         for first in range(0, count, per_chunk):
             last = min(first + per_chunk, count)
             mujoco.mj_getState(m, data, state, spec)
             states, sensors = rollout.rollout(
-                m, data, state[None], control[:, first * steps : last * steps], initial_warmstart=data.qacc_warmstart[None].copy()
+                m,
+                data,
+                state[None],
+                control[:, first * steps : last * steps] if control.size else None,
+                nstep=(last - first) * steps,
+                initial_warmstart=data.qacc_warmstart[None].copy(),
             )
             at = np.vstack([state[None], states[0, steps - 1 : -1 : steps]])
             qpos[first:last], qvel[first:last] = at[:, 1 : 1 + m.nq], at[:, 1 + m.nq : 1 + m.nq + m.nv]

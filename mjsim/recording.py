@@ -19,6 +19,7 @@ import numpy as np
 from mjsim.binding import (
     DEFAULT_COLUMNS,
     DEFAULT_UNITS,
+    INPUTS,
     NAMES,
     SI_UNITS,
     UNITS,
@@ -26,12 +27,12 @@ from mjsim.binding import (
     Channel,
     joint_channels,
     joints_in,
-    plain_channels,
 )
 from mjsim.errors import InputError, nearest
 from mjsim.hold import HOLDS
-from mjsim.readers import Table, digest, guess, need_source, part_of, read_table
+from mjsim.readers import Table, digest, need_source, part_of, read_table
 from mjsim.timebase import noise_after, onto_stamps, resample, sample_time, where_in
+from mjsim.unbound import by_headers, completed, guesses, without_input
 
 __all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "from_table", "load"]
 
@@ -48,6 +49,7 @@ def find_binding(recording: Path, model: Path | None = None) -> Binding:
 
 ARRAYS = (
     "time", "torque", "velocity", "angle", "second_angle", "second_velocity", "command", "current", "supply", "known_torque",
+    "control",
 )  # fmt: skip
 
 
@@ -57,11 +59,13 @@ class Recording:
 
     time [s]; torque: commanded input [N m | N], not a number where the log has none and the input is the ``command`` of a servo
     [rad | m, per second for a velocity]; velocity [rad/s | m/s] and angle [rad | m] of body 0, either may be None; second_angle,
-    second_velocity: behind the gear; current [A], supply [V]; known_torque: on body 0, beside the drive's [N m | N]; hold: how
+    second_velocity: behind the gear; control: input of the actuator, in its own units, where it is not yet known to be a torque
+    or a command (`mjsim.control`); current [A], supply [V]; known_torque: on body 0, beside the drive's [N m | N]; hold: how
     the input goes between samples (`mjsim.hold`); joint: its name in a robot's log; known: values of this experiment;
     columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...) where the binding
     tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes: what reading changed;
-    noise: rms of the noise of a channel, where reading changed it.
+    noise: rms of the noise of a channel, where reading changed it; driven: False where the drive was off and the torque is zero;
+    control_column: name of the column of ``control``.
 
     >>> import numpy as np
     >>> t = np.arange(5) * 0.01
@@ -97,6 +101,9 @@ class Recording:
     known: Mapping[str, float] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
     noise: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    control: np.ndarray | None = None
+    control_column: str = ""
+    driven: bool = True
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -124,8 +131,10 @@ class Recording:
 
     @property
     def input(self) -> np.ndarray:
-        """What the model is driven by (N,): the command of a servo where there is one, else the torque."""
-        return self.torque if self.command is None else self.command
+        """What the model is driven by (N,): the command of a servo where there is one, else the control, else the torque."""
+        if self.command is not None:
+            return self.command
+        return self.torque if self.control is None else self.control
 
     def column(self, name: str) -> np.ndarray:
         """A channel by its role (torque, velocity, angle) or a column of the file by its name."""
@@ -148,11 +157,11 @@ class Recording:
     def signals(self) -> dict[str, np.ndarray]:
         """Time, input and outputs by their default column names, SI unit included: what `load` reads without a binding."""
         slide = self.units.get("angle") == "m" or self.units.get("velocity") == "m/s"
-        roles = ("command", "torque", "velocity", "angle", "second_angle", "current", "supply")
+        roles = ("command", "control", "torque", "velocity", "angle", "second_angle", "current", "supply")
         out = {"time_s": self.time}
         for role in roles:
             array = getattr(self, role)
-            if array is not None and not np.isnan(array).all():
+            if array is not None and not np.isnan(array).all() and (self.driven or role != "torque"):
                 out[NAMES[role][1 if slide and len(NAMES[role]) > 1 else 0]] = array
         return out
 
@@ -173,47 +182,38 @@ class Recording:
 
 def load(
     path: str | Path, *, model: str | Path | None = None, binding: Binding | None = None, joint: str | None = None,
-    prefer: str | None = None, uniform: bool = True,
+    prefer: str | None = None, uniform: bool = True, driven: bool = True,
 ) -> Recording:  # fmt: skip
     """Read a recording; the binding is looked for beside it and beside ``model`` when none is given.
 
     ``joint``: which one of a robot's log; ``prefer``: the one to take, if it is there, when none is named;
-    ``uniform``: refuse stamps that are not, else they stay as they are and ``dt`` is their median step. Raises InputError naming
-    the file, the row or key, what was expected and what to do.
+    ``uniform``: refuse stamps that are not, else they stay as they are and ``dt`` is their median step; ``driven``: whether the
+    model has an actuator, else the log needs no input. Raises InputError naming the file, the row or key, what was expected and
+    what to do.
     """
     path = Path(path)
     need_source(path)
     binding = binding or find_binding(path, Path(model) if model else None)
-    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=digest(path))
+    return from_table(path, read_table(path), binding, joint=joint, prefer=prefer, uniform=uniform, sha256=digest(path),
+                      driven=driven)  # fmt: skip
 
 
 def from_table(
     path: Path, table: Table, binding: Binding, *, joint: str | None = None, prefer: str | None = None, uniform: bool = True,
-    sha256: str = "",
+    sha256: str = "", driven: bool = True,
 ) -> Recording:  # fmt: skip
     """The recording that a table of columns holds, as `load` reads it; ``path``: how messages name the source."""
     given = binding
-    binding, joint = _bound(path, binding, table, joint, prefer)
-    if not {"torque", "command"} & set(binding.channels):
-        raise InputError(binding.source, "no torque channel bound", "torque = ... or command = ...", "add it to [recording]")
-    arrays = {role: _values(path, table, role, channel, binding) for role, channel in binding.channels.items()}
-    if "velocity" not in arrays and "angle" not in arrays:
-        raise _no_response(path, table)
-    role = "torque" if "torque" in arrays else "command"
-    count = len(arrays[role])
-    if "time" not in arrays:
-        if not binding.dt:
-            raise InputError(path, "no time column", "time or dt", "bind 'time', or give 'dt' in [recording]")
-        arrays["time"] = binding.dt * np.arange(count)
-    for name, array in arrays.items():
-        if len(array) != count:
-            raise InputError(path, f"{name} has {len(array)} samples, {role} {count}", "equal lengths", "cut them alike")
-        bad = np.flatnonzero(~np.isfinite(array))
-        if len(bad):
-            raise InputError(
-                path, f"{name} is not finite in {where_in(path, bad[0])}", "a number", "remove or interpolate these samples"
-            )
-    notes = [*table.notes, *_guesses(given, binding)]
+    binding, joint = _bound(path, binding, table, joint, prefer, driven)
+    has_input = any(role in binding.channels for role in INPUTS)
+    if not has_input and driven and binding.driven:
+        raise InputError(
+            binding.source, "no torque channel bound", "torque = ..., command = ... or control = ...",
+            f"add it to [recording]; {DRIVE_OFF}",
+        )  # fmt: skip
+    arrays = _arrays(path, table, binding)
+    count = len(arrays["time"])
+    notes = [*table.notes, *guesses(given, binding)]
     stamps = arrays.pop("command_time", None)
     if stamps is not None and "command" in arrays:
         arrays["command"], note = onto_stamps(path, arrays["command"], stamps, arrays["time"])
@@ -227,16 +227,50 @@ def from_table(
             noise = noise_after(stamps, {k: v for k, v in before.items() if k in ("velocity", "angle")}, dt)
         flat = {}
         notes += [note] if note else []
-    units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
-    if not binding.named:
-        units = dict(DEFAULT_UNITS)
+    if not has_input:
+        arrays["torque"] = np.zeros(len(arrays["time"]))
+    units, column = _units(binding), binding.channels["control"].column if "control" in binding.channels else ""
     return Recording(
         dt=dt, source=path.name, sha256=sha256, columns=flat,
-        loop=binding.loop, judge=binding.judge, varies=binding.varies, units=units, hold=binding.hold, joint=joint or "",
+        loop=binding.loop, judge=binding.judge if has_input else "motion", driven=has_input,
+        control_column=column, varies=binding.varies, units=units, hold=binding.hold, joint=joint or "",
         known=binding.known, notes=tuple(notes), noise=noise,
         **{name: arrays.get(name) for name in ARRAYS if name != "torque"},  # type: ignore[arg-type]
         torque=arrays.get("torque", np.full(len(arrays["time"]), np.nan)),
     )  # fmt: skip
+
+
+def _arrays(path: Path, table: Table, binding: Binding) -> dict[str, np.ndarray]:
+    """The bound channels and the time, each (N,) in SI and finite. Raises InputError."""
+    arrays = {role: _values(path, table, role, channel, binding) for role, channel in binding.channels.items()}
+    if "velocity" not in arrays and "angle" not in arrays:
+        raise _no_response(path, table)
+    role = next(r for r in (*INPUTS, "angle", "velocity") if r in arrays)
+    count = len(arrays[role])
+    if "time" not in arrays:
+        if not binding.dt:
+            raise InputError(path, "no time column", "time or dt", "bind 'time', or give 'dt' in [recording]")
+        arrays["time"] = binding.dt * np.arange(count)
+    for name, array in arrays.items():
+        if len(array) != count:
+            raise InputError(path, f"{name} has {len(array)} samples, {role} {count}", "equal lengths", "cut them alike")
+        bad = np.flatnonzero(~np.isfinite(array))
+        if len(bad):
+            raise InputError(
+                path, f"{name} is not finite in {where_in(path, bad[0])}", "a number", "remove or interpolate these samples"
+            )
+    return arrays
+
+
+def _units(binding: Binding) -> dict[str, str]:
+    """SI unit of each role that the binding tells it of."""
+    if not binding.named:
+        return dict(DEFAULT_UNITS)
+    units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
+    control = binding.channels.get("control")
+    if control is not None and control.unit in ("A", "mA", "V", "mV"):
+        units["control"] = control.unit[-1]
+    return units
 
 
 def _no_response(path: Path, table: Table) -> InputError:
@@ -249,40 +283,25 @@ def _no_response(path: Path, table: Table) -> InputError:
     )  # fmt: skip
 
 
+DRIVE_OFF = 'where the drive was off, write input = "none" there'
+
+
 def _in_binding(path: Path) -> str:
     """Where a column is bound: the sidecar of a file; ``binding`` for data in memory, whose name has no ending."""
     return f"in {path.with_suffix('.toml').name}" if path.suffix else "by binding"
 
 
-def _by_headers(binding: Binding, table: Table) -> Binding:
-    """The binding by the default names; channels without one by what their headers say, where these tell all that is needed."""
-    channels = plain_channels(table)
-    if all(c.column in table for c in channels.values()) and {"velocity", "angle"} & set(channels):
-        return dataclasses.replace(binding, channels=channels)
-    there = {role: c for role, c in channels.items() if c.column in table}
-    said = {role: Channel(column, unit) for role, (column, unit) in guess(table).items() if role not in there}
-    found = there | said
-    if not (said and "time" in found and {"torque", "command"} & set(found) and {"velocity", "angle"} & set(found)):
-        return dataclasses.replace(binding, channels=channels)
-    return dataclasses.replace(binding, channels=found, named=True)
-
-
-def _guesses(before: Binding, after: Binding) -> list[str]:
-    """A note on the columns that were bound by what their headers say."""
-    if before.named or before.joints or not after.named:
-        return []
-    told = ", ".join(f"{role} = {c.column!r} [{c.unit}]" for role, c in after.channels.items() if c.unit)
-    return [f"Columns guessed from their headers: {told}. Bind them in a TOML file to be sure."] if told else []
-
-
-def _bound(path: Path, binding: Binding, table: Table, joint: str | None, prefer: str | None) -> tuple[Binding, str | None]:
+def _bound(
+    path: Path, binding: Binding, table: Table, joint: str | None, prefer: str | None, driven: bool
+) -> tuple[Binding, str | None]:  # fmt: skip
     """The binding of one joint, and its name where the log is a robot's."""
     names = list(binding.joints) or ([] if binding.named else joints_in(table))
     if not names or (joint is None and not binding.joints and "angle_rad" in table):
         if joint is not None:
             raise InputError("--joint", f"{joint!r}, and {path.name} names no joints", "a log with JOINT.angle_rad columns",
                              "leave it out, or bind [joints.NAME]")  # fmt: skip
-        return (binding if binding.named else _by_headers(binding, table)), None
+        bind = completed if binding.named else by_headers
+        return bind(binding, table, driven=driven), None
     if joint is None and prefer in names:
         joint = prefer
     if joint is None and len(names) > 1:
@@ -294,16 +313,20 @@ def _bound(path: Path, binding: Binding, table: Table, joint: str | None, prefer
         )
     if binding.joints:
         return binding.of_joint(joint), joint
-    return dataclasses.replace(binding, channels=joint_channels(table, joint)), joint
+    channels = joint_channels(table, joint)
+    if not binding.driven:
+        channels = without_input(channels)
+    return dataclasses.replace(binding, channels=channels), joint
 
 
 def _values(path: Path, table: Table, role: str, channel: Channel, binding: Binding) -> np.ndarray:
     """The values (N,) of a bound channel in SI."""
     where = f"{binding.source}: {role}"
     if channel.column not in table:
+        off = f"; {DRIVE_OFF}" if role in INPUTS else ""
         raise InputError(
             path, f"no column {channel.column!r} for {role}", f"one of the columns {', '.join(table) or '(none)'}",
-            nearest(channel.column, table, f"rename it, or bind it {_in_binding(path)}"),
+            nearest(channel.column, table, f"rename it, or bind it {_in_binding(path)}{off}"),
         )  # fmt: skip
     array = table[channel.column]
     if channel.row is not None:

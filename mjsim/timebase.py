@@ -82,7 +82,7 @@ def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[
     for name, y in arrays.items():
         if name == "time":
             out[name] = grid
-        elif name in ("torque", "command"):
+        elif name in ("torque", "command", "control"):
             out[name] = np.interp(grid, time, y) if hold == "linear" else _means(time, y, grid, dt)
         elif name == "known_torque":
             out[name] = np.interp(grid, time, y)

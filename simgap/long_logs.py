@@ -30,11 +30,12 @@ class Loaded:
 
 def load_all(
     recordings: Sequence[Path], held_out: Sequence[Path], model: Path, joint: str | None = None, prefer: str | None = None,
-    longest: int = LONGEST,
+    longest: int = LONGEST, *, driven: bool = True,
 ) -> Loaded:  # fmt: skip
     """Load files; those with more than ``longest`` rows are read window by window, and stretches of them are chosen.
 
-    Where nothing else is held out, a third of the stretches is. Raises InputError as `mjsim.recording.load` does.
+    ``driven``: whether the model has an actuator. Where nothing else is held out, a third of the stretches is. Raises InputError
+    as `mjsim.recording.load` does.
     """
     fitted: list[Recording] = []
     held: list[Recording] = []
@@ -43,16 +44,18 @@ def load_all(
         for path in paths:
             count = row_count(path) if path.is_file() else None
             if count is None or count <= longest:
-                (held if is_held else fitted).append(load(path, model=model, joint=joint, prefer=prefer))
+                (held if is_held else fitted).append(load(path, model=model, joint=joint, prefer=prefer, driven=driven))
                 continue
-            part = _stretches(path, model, joint, prefer, is_held if is_held or held_out else None)
+            part = _stretches(path, model, joint, prefer, is_held if is_held or held_out else None, driven)
             chosen.append(part)
             fitted += part.fitted()
             held += part.held()
     return Loaded(tuple(fitted), tuple(held), tuple(chosen))
 
 
-def _stretches(path: Path, model: Path, joint: str | None, prefer: str | None, held: bool | None) -> Stretches:
+def _stretches(
+    path: Path, model: Path, joint: str | None, prefer: str | None, held: bool | None, driven: bool
+) -> Stretches:  # fmt: skip
     binding = find_binding(path, model)
     errors: list[InputError] = []
 
@@ -60,7 +63,7 @@ def _stretches(path: Path, model: Path, joint: str | None, prefer: str | None, h
         """The windows of the file as recordings; None for one with a gap or a value that is no number."""
         for first, table in windows(path, rows):
             try:
-                yield first, from_table(path, table, binding, joint=joint, prefer=prefer)
+                yield first, from_table(path, table, binding, joint=joint, prefer=prefer, driven=driven)
             except InputError as error:
                 errors.append(error)
                 yield first, None

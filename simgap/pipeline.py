@@ -29,6 +29,7 @@ from diagnose.progress import Step
 from diagnose.result import Diagnosis
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
+from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
@@ -101,8 +102,8 @@ def diagnose_files(
     """
     options = options or Options()
     _need_folder(out)
-    prefer = load_axis(model).chain.bodies[0].joint
-    read = load_all(recordings, held_out, model, joint, prefer)
+    chain = load_axis(model).chain
+    read = load_all(recordings, held_out, model, joint, chain.bodies[0].joint, driven=chain.driven)
     return diagnose_recordings(
         read.fitted,
         model,
@@ -143,6 +144,7 @@ def diagnose_recordings(
     check_writable(model, nominal)
     for name in options.effects:
         _need_place(name, nominal, model)
+    recordings, held_out = ([as_driven(nominal.chain, r) for r in group] for group in (recordings, held_out))
     recordings, held_out, alike = with_common_channels(recordings, held_out)
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
     log = None

@@ -13,6 +13,7 @@ from diagnose.check.machine import Machine
 from diagnose.check.relation import Fit, Relation, Signals
 from diagnose.check.scale import Scale, find_scale
 from diagnose.check.spectrum import noise_level
+from diagnose.check.unknown_gear import GearRatio, find_gear
 from mjsim.recording import Recording
 
 __all__ = ["Context", "stamps", "torque_of"]
@@ -72,6 +73,14 @@ class Context:
     def scale(self) -> Scale | None:
         """Sign, units and sides; None where the relation cannot be fitted."""
         return None if self.signals is None else find_scale(self.signals, self.machine, self.hold)
+
+    @cached_property
+    def gear(self) -> GearRatio | None:
+        """The ratio of a gear that the model does not state, where the labels are contradicted and no known factor mends them."""
+        scale = self.scale
+        if self.signals is None or scale is None or not scale.contradicted or scale.chosen.kind != "none" or self.is_command:
+            return None
+        return find_gear(self.signals, self.machine, scale.labelled.fits[0], self.hold) if scale.labelled.fits else None
 
     @cached_property
     def mended(self) -> Signals | None:

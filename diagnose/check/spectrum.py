@@ -107,7 +107,7 @@ def clear_band(spectrum: Spectrum, noise: float, dt: float) -> float:
     """
     power = np.abs(spectrum.coefficient) ** 2
     level = noise**2 * 2 * dt / spectrum.duration  # mean of abs(coefficient)^2 of the odd extension of white noise
-    width = max(9, len(power) // 32)
+    width = min(max(9, len(power) // 32), len(power))
     smooth = np.convolve(power, np.ones(width) / width, "same")
     above = np.flatnonzero(smooth > 10 * level)
     return float(spectrum.frequency[above[-1]]) if len(above) else 0.0

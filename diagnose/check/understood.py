@@ -11,6 +11,8 @@ from diagnose.check.unused import unused_channels
 
 __all__ = ["understood"]
 
+NONE = "none: the drive is off, and the motion is that from the first sample on."
+
 
 def understood(contexts: Sequence[Context], machine: Machine) -> dict[str, str]:
     """Topic -> sentence."""
@@ -28,7 +30,10 @@ def understood(contexts: Sequence[Context], machine: Machine) -> dict[str, str]:
             for c in chain.couplings
         ) + "."  # fmt: skip
     out["gear"] = ", ".join(f"{g:.6g}" for g in machine.gears) if machine.gears else "none: every side has one ratio"
+    driven = chain.driven and all(c.recording.driven for c in contexts)
     out["input"] = f"actuator {chain.actuator!r}, {chain.gain:.6g} {'N' if slide else 'N m'} at the joint per unit of input."
+    if not driven:
+        out["input"] = NONE if chain.driven else f"{NONE} The model has no actuator."
     effects = "; ".join(e.describe(chain.motion) for e in machine.axis.effects)
     out["effects in the file"] = effects or "none."
     if machine.modes:
@@ -47,7 +52,7 @@ def _log(context: Context) -> str:
     channels = [
         n
         for n in ("command", "torque", "velocity", "angle", "second_angle", "second_velocity", "current", "supply")
-        if getattr(r, n, None) is not None
+        if getattr(r, n, None) is not None and (r.driven or n != "torque")
     ]
     units = ", ".join(f"{c} [{r.units[c]}]" if r.units.get(c) else c for c in channels)
     loop = {
@@ -64,7 +69,6 @@ def _log(context: Context) -> str:
     else:
         how = f", and the data show it {told.hold}"
     noise = ", ".join(f"{v:.3g} in the {n}" for n, v in context.noise.items())
-    return (
-        f"{len(r)} samples, {rate:.6g} a second, {r.duration:.4g} s; {units}. {loop.get(r.loop, r.loop)}; {hold}{how}. "
-        f"Noise rms {noise or 'not told'}."
-    )
+    fed = f"{loop.get(r.loop, r.loop)}; {hold}{how}. " if r.driven else ""
+    notes = "".join(f" {note}" for note in r.notes)
+    return f"{len(r)} samples, {rate:.6g} a second, {r.duration:.4g} s; {units}. {fed}Noise rms {noise or 'not told'}.{notes}"

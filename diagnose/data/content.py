@@ -48,7 +48,7 @@ def decimated(recording: Recording, every: int) -> Recording:
         return np.asarray(x[: n * every : every])
 
     arrays: dict[str, Any] = {name: cut(x) for name in ARRAYS if (x := getattr(recording, name)) is not None}
-    for name in ("torque", "command", "known_torque"):
+    for name in ("torque", "command", "control", "known_torque"):
         x = getattr(recording, name)
         if x is not None:
             if recording.hold == "linear":

@@ -188,7 +188,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     noise = max(white, plain_step(v) / np.sqrt(12.0))
     spread = float(np.std(v))
     name = "torque" if recording.command is None else "command"
-    if np.ptp(recording.input) == 0:
+    if recording.driven and np.ptp(recording.input) == 0:
         raise InputError(recording.source, f"the {name} is constant", "an input that varies", "excite the axis")
     if spread == 0 or spread < 1.5 * noise:
         raise InputError(
@@ -213,9 +213,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         angle_noise = max(channel_noise(recording, "angle"), plain_step(q) / np.sqrt(12.0))
         noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
     counts = ~held & (True if counts is None else counts)
-    if recording.command is not None:
-        if recording.angle is None:
-            raise InputError(recording.source, "a command and no angle", "the angle of the joint", "record or bind it")
+    if recording.command is not None and recording.angle is not None:
         noise = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))
         spread = float(np.std(recording.angle))
     return Experiment(recording, counts, max(noise, math.sqrt(ROUNDING) * spread), moving, before)

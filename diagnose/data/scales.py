@@ -31,8 +31,14 @@ def reversals(v: np.ndarray, slow: float = 0.2) -> int:
 
 
 def _drive(axis: Axis, r: Recording, run: Trajectory | None) -> np.ndarray:
-    """Torque (N,) of the drive on body 0: the recorded one, or that of the nominal servo in its own run, without its limits."""
+    """Torque (N,) of the drive on body 0: the recorded one, or that of the nominal servo in its own run, without its limits.
+
+    Where the drive is off: what accelerates the inertia of the chain.
+    """
     chain = axis.chain
+    if not r.driven:
+        inertia = sum(b.inertia * chain.total_ratio(i) ** 2 for i, b in enumerate(chain.bodies))
+        return np.asarray(inertia * np.gradient(smooth_velocity(r) if run is None else run.v[:, 0], r.dt))
     if chain.servo is None:
         return chain.gain * r.torque
     if run is None:

@@ -15,8 +15,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnose.data.experiment import measured_velocity
 from diagnose.thresholds import MATERIAL
 from mjsim.axis import Axis, Chain
+from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.servo import Target
@@ -25,6 +27,20 @@ from mjsim.system import assemble
 __all__ = ["as_servo"]
 
 WEIGHT = "gravity_load@arm.torque_Nm"
+NO_ANGLE = (
+    "No angle is recorded: the velocity is judged, and the angle counts from 0 at the first sample. Effects that depend on where "
+    "the axis stands (weight, springs, ripple, stops) show only as far as the velocity tells the angle."
+)
+DRIVE_OFF = "The drive is off: the input is zero, and the motion is that from the first sample on."
+SCALE_BY_WEIGHT = (
+    "The drive is off, so that the motion tells ratios of torques only. The weight is taken as the model has it "
+    "({weight:.4g} N m): an error of it scales all inertias, frictions and stiffnesses alike. A payload that is weighed, or a "
+    "recording with a known torque, tells."
+)
+SCALE_BY_INERTIA = (
+    "The drive is off and the model has no weight, so that the motion tells ratios to the inertia only (friction/J, "
+    "stiffness/J): {name} is held at {value:.4g} as in the model. A known weight, or a recording with a known torque, tells."
+)
 
 
 def as_servo(
@@ -34,8 +50,11 @@ def as_servo(
 
     Raises InputError where a servo's log has no command, or a torque-driven model's none of the torque.
     """
+    recordings, held_out = ([as_driven(nominal.chain, r) for r in group] for group in (recordings, held_out))
     every = [*recordings, *held_out]
     said = tuple(dict.fromkeys(note for r in every for note in r.notes))
+    if not all(r.driven for r in every):
+        return _undriven(nominal, recordings, held_out, said)
     if nominal.chain.servo is None:
         for r in every:
             if np.isnan(r.torque).any():
@@ -54,12 +73,47 @@ def as_servo(
                 r.source, f"no command, and {nominal.chain.actuator!r} of the model is a servo", "a column command_rad",
                 "bind it ([recording] command = ...), or drive the model by <motor>",
             )  # fmt: skip
-        if r.angle is None:
+        if r.angle is None and nominal.chain.servo.target is not Target.VELOCITY:
             raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
     chain, notes = _known(nominal.chain, recordings, held_out)
     chain, more = _held(nominal, chain, recordings)
-    fitted, kept = ([dataclasses.replace(r, velocity=None) for r in group] for group in (recordings, held_out))
+    if every[0].angle is None:
+        more.append(NO_ANGLE)
+    fitted, kept = (
+        [r if r.angle is None else dataclasses.replace(r, velocity=None) for r in group] for group in (recordings, held_out)
+    )
     return dataclasses.replace(nominal, chain=chain), fitted, kept, (*said, *_supply(every), *notes, *more)
+
+
+def _undriven(
+    nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], said: Sequence[str]
+) -> tuple[Axis, list[Recording], list[Recording], tuple[str, ...]]:
+    """As `as_servo`, where no input acts: the inertia, or the weight where the model has one, sets the scale of all torques."""
+    for r in (*recordings, *held_out):
+        if r.driven:
+            raise InputError(
+                r.source,
+                "its drive was on, and that of other recordings was off",
+                "recordings of one kind",
+                "diagnose them apart",
+            )
+    weight, chain, held = _weight(nominal), nominal.chain, tuple[str, ...]()
+    if all(r.known_torque is not None for r in recordings):
+        note = "The torque that is known sample by sample sets the scale of all torques."
+    elif weight > 0:
+        held, note = (WEIGHT,), SCALE_BY_WEIGHT.format(weight=weight)
+    else:
+        first = chain.linear_parameters()[0]
+        held, note = (first.name,), SCALE_BY_INERTIA.format(name=first.name, value=first.value)
+    chain = dataclasses.replace(chain, driven=False, held=tuple(dict.fromkeys((*chain.held, *held))))
+    effects = tuple(e for e in nominal.effects if e.place != "actuator")
+    return dataclasses.replace(nominal, chain=chain, effects=effects), list(recordings), list(held_out), (*said, DRIVE_OFF, note)
+
+
+def _weight(nominal: Axis) -> float:
+    """The torque of the weight in the model [N m], 0 where it has none."""
+    found = next((e for e in nominal.effects if e.key == WEIGHT.rpartition(".")[0]), None)
+    return 0.0 if found is None else found.values["torque_Nm"]
 
 
 def _supply(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -94,16 +148,16 @@ def _held(nominal: Axis, chain: Chain, recordings: Sequence[Recording]) -> tuple
     assert servo is not None
     held, notes = list(chain.held), []
     main = "kv" if servo.target is Target.VELOCITY else "kp"
-    weight = next((e for e in nominal.effects if e.key == WEIGHT.rpartition(".")[0]), None)
+    weight = _weight(nominal)
     if main in held:
         pass
     elif all(r.known_torque is not None for r in recordings):
         notes.append("The torque that is known sample by sample sets the scale of all torques.")
-    elif weight is not None and weight.values["torque_Nm"] > 0:
+    elif weight > 0:
         held.append(WEIGHT)
         notes.append(
             "Command and angle tell ratios of torques only. The weight is taken as the model has it "
-            f"({weight.values['torque_Nm']:.4g}): an error of it scales all gains, frictions and inertias. A known payload, or "
+            f"({weight:.4g}): an error of it scales all gains, frictions and inertias. A known payload, or "
             "kp stated in [experiment], tells."
         )
     else:
@@ -127,8 +181,8 @@ def _reached(nominal: Axis, recordings: Sequence[Recording]) -> bool:
     s, servo = assemble(nominal), nominal.chain.servo
     assert servo is not None
     for r in recordings:
-        assert r.angle is not None
-        asked = s.gain * (servo.scale * r.input - servo.zero) - s.servo[0] * r.angle - s.servo[1] * np.gradient(r.angle, r.dt)
+        angle = 0.0 if r.angle is None else r.angle  # a servo that follows a velocity asks nothing of it
+        asked = s.gain * (servo.scale * r.input - servo.zero) - s.servo[0] * angle - s.servo[1] * measured_velocity(r)
         if np.max(np.abs(asked)) > (1.0 - MATERIAL) * s.servo[2]:
             return True
     return False

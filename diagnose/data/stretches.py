@@ -80,7 +80,7 @@ def information(recording: Recording, blocks: int = 512) -> np.ndarray | None:
     """The Gram matrix (8, 8) of the features of a window; None where the axis does not move or the input is constant."""
     v, q = measured_velocity(recording), measured_angle(recording)
     noise = white_noise_level(v)
-    if np.ptp(recording.input) == 0 or np.std(v) < 1.5 * noise or np.ptp(v) == 0:
+    if (recording.driven and np.ptp(recording.input) == 0) or np.std(v) < 1.5 * noise or np.ptp(v) == 0:
         return None
     width = max(1, len(v) // blocks)
     count = len(v) // width

@@ -23,11 +23,13 @@ __all__ = ["find_orders", "torque_to_velocity"]
 Run = Callable[[Sequence[Callable[[], float]]], list[float]]
 
 
-def torque_to_velocity(axis: Axis, dt: float, body: int = 0, about: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def torque_to_velocity(
+    axis: Axis, dt: float, body: int = 0, about: float = 0.0, *, by_velocity: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Discrete transfer function (b, a) from a torque on a body, held over dt, to the velocity of body 0.
 
     Of the effects, gravity and springs that hold the axis near an angle ``about`` [rad | m] are part of it. Under a servo, whose
-    model is judged on its angle: to the angle of body 0.
+    model is judged on its angle: to the angle of body 0, unless ``by_velocity``.
     """
     linear = Axis(axis.chain)
     s = assemble(linear)
@@ -36,7 +38,7 @@ def torque_to_velocity(axis: Axis, dt: float, body: int = 0, about: float = 0.0)
     a[n, n] -= s.servo[1] / s.f[0, 0]
     b = np.zeros((2 * n, 1))
     b[n + body] = 1.0 / s.f[0, body]
-    if axis.chain.servo is not None:
+    if axis.chain.servo is not None and not by_velocity:
         return _discrete(a, b, np.eye(1, 2 * n), dt)
     held = restoring(axis, about)
     if held.any():

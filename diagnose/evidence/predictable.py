@@ -78,7 +78,7 @@ def _dictionary(fitter: Fitter, axis: Axis, experiment: Experiment, initial: np.
     if isinstance(fitter.view, ForceView):
         laws = [_hats(x), *([] if r.angle is None else [_hats(r.angle)])]
         return fitter.view.low_passed(np.column_stack([basis, *laws]), experiment)
-    b, a = torque_to_velocity(axis, r.dt, about=middle(r))
+    b, a = torque_to_velocity(axis, r.dt, about=middle(r), by_velocity=r.angle is None)
     through = lfilter(b, a, np.column_stack([basis, u, *lagged]))
     return np.column_stack([np.where(bounded(through).all(axis=0), through, 0.0), s])
 

@@ -29,7 +29,7 @@ __all__ = ["made_by_torque_noise", "of_torque_noise"]
 def of_torque_noise(axis: Axis, experiment: Experiment) -> float:
     """Mean square of the velocity error [(rad/s)^2 | (m/s)^2] that the white part of the recorded torque makes of a free run."""
     r = experiment.recording
-    b, a = torque_to_velocity(axis, r.dt, about=middle(r))
+    b, a = torque_to_velocity(axis, r.dt, about=middle(r), by_velocity=r.angle is None)
     h = lfilter(b, a, np.concatenate([[1.0], np.zeros(len(r) - 1)]))
     return white_noise_level(r.torque) ** 2 * float(np.mean(np.cumsum(h**2)[experiment.counts]))
 

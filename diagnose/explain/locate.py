@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment, measured_velocity, middle
+from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, middle
 from diagnose.data.runs import free_run
 from diagnose.evidence.orders import torque_to_velocity
 from diagnose.fit.fitted import Fitted
@@ -23,7 +23,9 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import noise_psd, noise_rms
 from diagnose.result import Mismatch, Place, Share, StateShare
 from mjsim.axis import Axis
+from mjsim.chain import Chain
 from mjsim.recording import Recording
+from mjsim.servo import Target
 from mjsim.signals import coherence, freqz, welch
 
 __all__ = ["Bins", "Played", "disturbance", "locate", "played", "states"]
@@ -63,16 +65,27 @@ def disturbance(fitter: Fitter, on: Played, body: int = 0) -> np.ndarray:
     if fitter.view.channel == "torque":
         # commanded minus needed: what acted on top of the command is its negative
         return -e * (1.0 if body == 0 else 1.0 / axis.chain.total_ratio(body))
-    b, a = torque_to_velocity(axis, experiment.recording.dt, body, middle(experiment.recording))
+    r = experiment.recording
+    b, a = torque_to_velocity(axis, r.dt, body, middle(r), by_velocity=r.angle is None)
     n = len(e)
     pad = 2 * n
     spectrum = np.fft.rfft(e - 0.0, pad)
-    g = freqz(b, a, 2 * np.pi * np.arange(len(spectrum)) / pad)
+    integrates = _target(axis.chain) is Target.VELOCITY and r.angle is not None
+    g = _response(b, a, pad, integrates=integrates)
     noise = noise_rms(fitter, experiment) ** 2
     power = max(float(np.mean(e**2)) - noise, 1e-3 * noise)
     gain = float(np.mean(np.abs(g[: max(2, len(g) // 20)]) ** 2))
     ridge = gain * noise / power * 0.05 + 1e-9 * gain
     return np.asarray(np.fft.irfft(np.conj(g) * spectrum / (np.abs(g) ** 2 + ridge), pad)[:n])
+
+
+def _response(b: np.ndarray, a: np.ndarray, length: int, *, integrates: bool) -> np.ndarray:
+    """Response (length / 2 + 1,) at the frequencies of a Fourier transform; that of an integrator at rest is the next one's."""
+    at = 2 * np.pi * np.arange(length // 2 + 1) / length
+    if not integrates:
+        return freqz(b, a, at)
+    g = freqz(b, a, at[1:])
+    return np.concatenate([g[:1], g])
 
 
 def states(fitter: Fitter, on: Played) -> dict[str, tuple[np.ndarray, str]]:
@@ -88,8 +101,11 @@ def states(fitter: Fitter, on: Played) -> dict[str, tuple[np.ndarray, str]]:
     out = {
         "velocity": (speed, unit_v),
         "|velocity|": (np.abs(speed), unit_v),
-        _input_name(r): (_input(r)[every], unit_t if r.command is None else unit_q),
     }
+    if r.driven:
+        follows = _target(fitter.nominal.chain)
+        unit = unit_t if r.command is None else unit_v if follows is Target.VELOCITY else unit_q
+        out["torque command" if r.command is None else "servo error"] = (_input(fitter.nominal.chain, r)[every], unit)
     accel = np.gradient(smooth, r.dt)[every]
     out["acceleration"] = (accel, f"{unit_v}/s")
     if r.angle is not None:
@@ -109,13 +125,17 @@ def states(fitter: Fitter, on: Played) -> dict[str, tuple[np.ndarray, str]]:
     return out
 
 
-def _input_name(r: Recording) -> str:
-    return "torque command" if r.command is None else "servo error"
+def _target(chain: Chain) -> Target | None:
+    return None if chain.servo is None else chain.servo.target
 
 
-def _input(r: Recording) -> np.ndarray:
-    """The input (N,): the torque, or how far the angle is behind the command of a servo."""
-    return r.torque if r.command is None or r.angle is None else r.command - r.angle
+def _input(chain: Chain, r: Recording) -> np.ndarray:
+    """The input (N,): the torque, or how far the motion is behind the command of a servo."""
+    if r.command is None or chain.servo is None:
+        return r.torque
+    if chain.servo.target is Target.VELOCITY:
+        return chain.servo.scale * r.command - chain.servo.zero - measured_velocity(r)
+    return r.command - measured_angle(r)
 
 
 def _smooth(x: np.ndarray, width: int) -> np.ndarray:

@@ -157,7 +157,10 @@ class _Responses:
     def _through(self, axis: Axis, r: int, experiment: Experiment, body: int, torque: np.ndarray) -> np.ndarray:
         """Velocity of body 0 (N, k) that torques (N, k) on a body make; no number where it leaves all bounds."""
         if (r, body) not in self.filters:
-            self.filters[(r, body)] = torque_to_velocity(axis, experiment.recording.dt, body, middle(experiment.recording))
+            recording = experiment.recording
+            self.filters[(r, body)] = torque_to_velocity(
+                axis, recording.dt, body, middle(recording), by_velocity=recording.angle is None
+            )
         response = lfilter(*self.filters[(r, body)], torque)
         return np.where(bounded(response), response, np.nan)
 

@@ -150,7 +150,8 @@ class MotionView:
         steps = math.ceil(TWICE * max(r.dt for r in recordings) * assemble(nominal).omega / STEP)
         servo = nominal.chain.servo is not None
         return cls(
-            "angle" if servo else "velocity", most_substeps=MOST_STEPS if servo else max(MOST_SUBSTEPS, min(steps, MOST_STEPS))
+            "angle" if servo and all(r.angle is not None for r in recordings) else "velocity",
+            most_substeps=MOST_STEPS if servo else max(MOST_SUBSTEPS, min(steps, MOST_STEPS)),
         )
 
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:

@@ -39,6 +39,8 @@ def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...
         if only and cls.name() not in only and name not in only:
             continue
         for place in cls.places:
+            if place == "actuator" and not fitter.nominal.chain.driven:
+                continue
             starts = cls.starts(fitter.scales_for(cls, place))
             if not starts:
                 continue

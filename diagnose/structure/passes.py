@@ -56,13 +56,13 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[fl
         return (), ()
     find = partial(find_orders, e, dt=r.dt, keep=fitter.counted(experiment), run=fitter.map)
     angle = measured_angle(r)
-    b, a = torque_to_velocity(fitted.axis, r.dt, about=middle(r))
+    b, a = torque_to_velocity(fitted.axis, r.dt, about=middle(r), by_velocity=r.angle is None)
     orders = find(angle, measured_velocity(r), b, a)
     # a spring lets the arm swing otherwise than the motor: how, only a simulation tells
     y = free_run(fitted.axis, experiment, initial)
     arm = len(fitter.nominal.chain.bodies) - 1
     ratio = fitter.nominal.chain.total_ratio(arm)
-    b, a = torque_to_velocity(fitted.axis, r.dt, arm, middle(r))
+    b, a = torque_to_velocity(fitted.axis, r.dt, arm, middle(r), by_velocity=r.angle is None)
     return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=LEADING, inertia=True)
 
 

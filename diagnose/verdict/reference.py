@@ -57,11 +57,12 @@ class Case:
         angle = float(r.angle[0]) if r.angle is not None else 0.0
         if self.servo:
             return Start(angle, 0.0, float(r.input[0]))
+        before = float(r.input[0]) if self.moving or r.command is not None else 0.0
         if not self.moving:
-            return Start(angle)
+            return Start(angle, 0.0, before)
         few = max(2, min(len(r), round(FIRST / r.dt)))
         speed = float(np.polynomial.Polynomial.fit(np.arange(few), self.measured[:few], 1)(0.0))
-        return Start(angle, speed, float(r.input[0]))
+        return Start(angle, speed, before)
 
     def spread(self) -> tuple[float, float]:
         """Standard deviations of the starting angle and velocity; 0 of one that is known."""
@@ -79,8 +80,8 @@ class Case:
 
     @property
     def servo(self) -> bool:
-        """Whether the input is the command of a servo."""
-        return self.recording.command is not None
+        """Whether the input is the command of a servo, and its angle is judged."""
+        return self.recording.command is not None and self.recording.angle is not None
 
     def drive(self) -> tuple[np.ndarray, Hold]:
         """Input (N, 1) of a plant, and how it goes between samples."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.admissible import Range
-from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.base import Effect, Scales, need_drive, parameter
 from mjsim.effects.native import DriveLag, Native, Value
 from mjsim.effects.ports import InputLag, Port
 from mjsim.effects.registry import register
@@ -39,6 +39,7 @@ class ActuatorLag(Effect):
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
+        need_drive(chain)
         return (InputLag(self.time_constant_s),)
 
     def native(self, chain: Chain) -> Native:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.admissible import Range
-from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.base import Effect, Scales, need_drive, parameter
 from mjsim.effects.native import DriveLimit, Native, Value
 from mjsim.effects.ports import DriveLimit as ForceLimit
 from mjsim.effects.ports import InputMap, Port, StaticMap
@@ -41,6 +41,7 @@ class ActuatorSaturation(Effect):
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
+        need_drive(chain)
         if chain.servo is not None:
             return (ForceLimit(self.limit_Nm),)
         return (InputMap(StaticMap.CLIP, self.limit_Nm),)

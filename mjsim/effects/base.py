@@ -33,6 +33,7 @@ __all__ = [
     "bristle_stiffnesses",
     "need_body",
     "need_coupling",
+    "need_drive",
     "need_servo",
     "need_torque_input",
     "parameter",
@@ -61,6 +62,12 @@ def need_body(chain: Chain, place: str) -> int:
     return i
 
 
+def need_drive(chain: Chain) -> None:
+    """Refuse a chain without an actuator, or with one that was off. Raises NotApplicableError."""
+    if not chain.driven:
+        raise NotApplicableError("no actuator drives the axis")
+
+
 def need_servo(chain: Chain, *, position: bool = False) -> None:
     """Refuse a chain whose input is a torque, or that follows a velocity where ``position``. Raises NotApplicableError."""
     if chain.servo is None:
@@ -71,6 +78,7 @@ def need_servo(chain: Chain, *, position: bool = False) -> None:
 
 def need_torque_input(chain: Chain) -> None:
     """Refuse a chain whose input is the command of a servo. Raises NotApplicableError."""
+    need_drive(chain)
     if chain.servo is not None:
         raise NotApplicableError("the actuator is a servo: its input is no torque")
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.admissible import Range
-from mjsim.effects.base import Effect, Scales, parameter
+from mjsim.effects.base import Effect, Scales, need_drive, parameter
 from mjsim.effects.native import DriveDelay, Native, SensorDelay, Value
 from mjsim.effects.ports import InputDelay, OutputDelay, Port
 from mjsim.effects.registry import register
@@ -40,7 +40,10 @@ class TimeDelay(Effect):
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
-        return (InputDelay(self.delay_s),) if self.place == "actuator" else (OutputDelay(self.delay_s),)
+        if self.place != "actuator":
+            return (OutputDelay(self.delay_s),)
+        need_drive(chain)
+        return (InputDelay(self.delay_s),)
 
     def native(self, chain: Chain) -> Native:
         """Values of MJCF's own elements that stand for it."""

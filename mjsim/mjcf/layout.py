@@ -70,7 +70,10 @@ class Passive:
 
 @dataclass(frozen=True)
 class Drive:
-    """The bound actuator: its row (gear included), its gain (1 per unit of force of a servo) and its servo's law."""
+    """The bound actuator: its row (gear included), its gain (1 per unit of force of a servo) and its servo's law.
+
+    Of a model without actuators: ``id`` -1 and the row of its joint.
+    """
 
     id: int
     name: str
@@ -188,6 +191,8 @@ def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: l
     names = [model.actuator(a).name for a in range(model.nactuator)]
     inputs = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] > 0]
     choices = ", ".join(_label(names[a], a) for a in inputs) or "none"
+    if not wanted and not inputs:
+        return Drive(-1, "", _undriven_row(model, source, tendons), 1.0)
     if wanted is None:
         if len(inputs) != 1:
             raise InputError(
@@ -209,6 +214,17 @@ def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: l
         raise outside(source, f"{where} {refused[0]}", refused[1])
     servo = read_servo(model, chosen, source, names[chosen])
     return Drive(chosen, names[chosen], row, 1.0 if servo else float(model.actuator_gainprm[chosen, 0]), servo)
+
+
+def _undriven_row(model: mujoco.MjModel, source: object, tendons: list[np.ndarray | None]) -> np.ndarray:
+    """Row of the joint that stands for a model without actuators: the only one that its ties leave free. Raises InputError."""
+    base = _null(_ties(model, source, tendons), model.nv)
+    if base.shape[1] != 1:
+        raise InputError(
+            source, f"0 actuators and none bound (there are: none), and {base.shape[1]} joints move", "one driven joint",
+            "add an actuator to the joint that the log is of, or fix the other joints",
+        )  # fmt: skip
+    return _unit(model, int(model.dof_jntid[int(np.argmax(np.abs(base[:, 0])))]))
 
 
 def _body_masses(model: mujoco.MjModel, data: mujoco.MjData, source: object) -> list[Mass]:

@@ -62,6 +62,8 @@ def _on_couplings(found: Found) -> Iterator[N.Value]:
 def _on_drive(found: Found, path: Path) -> Iterator[N.Value]:
     model, drive = found.layout.model, found.layout.drive
     a = drive.id
+    if a < 0:
+        return
     limit = _limit(found, path)
     if limit is not None:
         yield N.DriveLimit(limit)
@@ -177,7 +179,7 @@ def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
     """Constant torque at the motor and the weight on the last body, from the actuator's bias and MuJoCo's gravity."""
     model, drive, n = found.layout.model, found.layout.drive, len(found.chain.bodies)
     bias = 0.0
-    if drive.servo is None and int(model.actuator_biastype[drive.id]) == mujoco.mjtBias.mjBIAS_AFFINE:
+    if drive.id >= 0 and drive.servo is None and int(model.actuator_biastype[drive.id]) == mujoco.mjtBias.mjBIAS_AFFINE:
         bias = float(model.actuator_biasprm[drive.id, 0]) * found.chain.gain / drive.gain
     data = mujoco.MjData(model)
     to_q = found.base()

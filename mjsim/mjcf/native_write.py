@@ -92,11 +92,11 @@ class NativeWriter:
         editor, drive = self.editor, self.editor.found.layout.drive
         if editor.chain.servo is not None:
             self._close_servo()
+        if editor.chain.servo is not None or drive.id < 0:
             return
         present = float(editor.model.actuator_biasprm[drive.id, 0])
         per_torque = drive.gain / editor.chain.gain
-        held = sum(v.torque for v in self.held if isinstance(v, N.DriveTorque))
-        pull = held - present / per_torque
+        pull = sum(v.torque for v in self.held if isinstance(v, N.DriveTorque)) - present / per_torque
         if editor.chain.motion is Motion.SLIDE:
             pull *= self.linear.target.bodies[0].inertia / editor.chain.bodies[0].inertia
         bias = (self._torque - pull) * per_torque
@@ -358,15 +358,15 @@ class NativeWriter:
 
     def _drive_torque(self, value: N.DriveTorque) -> str:
         """A part of the actuator's bias, which `close` writes."""
+        if self.editor.found.layout.drive.id < 0:
+            return "" if value in self.held else "the model has no actuator for a constant torque"
         self._torque += value.torque
         return ""
 
     def _drive_limit(self, value: N.DriveLimit) -> str:
         name, span = self.editor.found.layout.drive.name, row([-value.limit, value.limit])
-        if self.editor.chain.servo is not None:
-            self.editor.set("actuator", name, forcelimited="true", forcerange=span)
-        else:
-            self.editor.set("actuator", name, ctrllimited="true", ctrlrange=span)
+        what = "ctrl" if self.editor.chain.servo is None else "force"
+        self.editor.set("actuator", name, **{f"{what}limited": "true", f"{what}range": span})
         return ""
 
     def _drive_lag(self, value: N.DriveLag) -> str:

@@ -26,7 +26,7 @@ class Channels:
     """Indices of the driven joint (qpos, dof), its actuator and its bound sensors.
 
     control: column of ctrl, width: number of its columns; velocity, angle: columns of sensordata, None where qvel and qpos are
-    read; role: torque, or command of a servo.
+    read; role: torque, or command of a servo. actuator, control: -1 of a model without actuators, whose input does nothing.
     """
 
     joint: str
@@ -51,11 +51,13 @@ def find_channels(model: mujoco.MjModel, path: Path, actuator: str | None = None
     joint = _driven(model, path, a)
     velocity = _sensor(model, bound.get("velocity_sensor"), "velocity", joint)
     angle = _sensor(model, bound.get("angle_sensor"), "angle", joint)
-    servo = bool(model.actuator_biasprm[a, 1:3].any()) and int(model.actuator_biastype[a]) == mujoco.mjtBias.mjBIAS_AFFINE
+    affine = a >= 0 and int(model.actuator_biastype[a]) == mujoco.mjtBias.mjBIAS_AFFINE
+    servo = affine and bool(model.actuator_biasprm[a, 1:3].any())
     slide = int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_SLIDE
     return Channels(
         joint=model.joint(joint).name, motion=Motion.SLIDE if slide else Motion.HINGE, role="command" if servo else "torque",
-        actuator=a, actuator_name=model.actuator(a).name, control=int(model.actuator_ctrladr[a]),
+        actuator=a, actuator_name=model.actuator(a).name if a >= 0 else "",
+        control=int(model.actuator_ctrladr[a]) if a >= 0 else -1,
         width=int(sum(model.actuator_ctrlnum)), position=int(model.jnt_qposadr[joint]), dof=int(model.jnt_dofadr[joint]),
         velocity=None if velocity is None else int(model.sensor_adr[velocity]),
         angle=None if angle is None else int(model.sensor_adr[angle]), velocity_id=velocity, angle_id=angle,
@@ -80,6 +82,8 @@ def _bound(model: mujoco.MjModel, path: Path) -> dict[str, str]:
 
 def _actuator(model: mujoco.MjModel, path: Path, wanted: str | None) -> int:
     inputs = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] > 0]
+    if not wanted and not inputs:
+        return -1
     chosen = [a for a in inputs if wanted is None or model.actuator(a).name == wanted]
     if len(chosen) != 1:
         names = ", ".join(model.actuator(a).name or f"#{a}" for a in inputs) or "none"
@@ -88,15 +92,15 @@ def _actuator(model: mujoco.MjModel, path: Path, wanted: str | None) -> int:
 
 
 def _driven(model: mujoco.MjModel, path: Path, a: int) -> int:
-    """The joint whose angle the drive's is."""
-    if mujoco.mjtTrn(int(model.actuator_trntype[a])) in _JOINT:
+    """The joint whose angle the drive's is; of a model without actuators, the one that moves."""
+    if a >= 0 and mujoco.mjtTrn(int(model.actuator_trntype[a])) in _JOINT:
         joint = int(model.actuator_trnid[a, 0])
         if int(model.jnt_type[joint]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             return joint
         raise InputError(path, f"joint {model.joint(joint).name!r} is neither hinge nor slide", "one of these", "bind another")
     from mjsim.mjcf import load_model
 
-    return int(model.joint(load_model(path, actuator=model.actuator(a).name).found.chain.bodies[0].joint).id)
+    return int(model.joint(load_model(path, actuator=model.actuator(a).name if a >= 0 else None).found.chain.bodies[0].joint).id)
 
 
 def _sensor(model: mujoco.MjModel, wanted: str | None, what: str, joint: int) -> int | None:

@@ -185,9 +185,12 @@ class MujocoPlant:
         data = [mujoco.MjData(m) for _ in range(max(1, min(threads, runs)))]
         for a, b in itertools.pairwise((0, *stops)):
             control = np.zeros((runs, b - a, c.width))
-            control[:, :, c.control] = held[:, a:b]
+            if c.control >= 0:
+                control[:, :, c.control] = held[:, a:b]
             with caught_warnings() as said:
-                states, sensors = rollout.rollout(m, data, state, control, initial_warmstart=warm)
+                states, sensors = rollout.rollout(
+                    m, data, state, control if c.width else None, nstep=b - a, initial_warmstart=warm
+                )
             at = np.concatenate([state[:, None], states[:, :-1]], axis=1)
             out = np.empty((runs, b - a, 2))
             for column, (address, sensor) in enumerate(((1 + m.nq + c.dof, c.velocity), (1 + c.position, c.angle))):
@@ -205,9 +208,9 @@ class MujocoPlant:
         data.qpos[:] = m.qpos0 + along * (start.angle - m.qpos0[c.position])
         data.qvel[:] = along * start.velocity
         a = c.actuator
-        if m.actuator_actnum[a] > 0:
+        if a >= 0 and m.actuator_actnum[a] > 0:
             data.act[m.actuator_actadr[a]] = start.input
-        if m.actuator_history[a, 0] > 0:
+        if a >= 0 and m.actuator_history[a, 0] > 0:
             mujoco.mj_initCtrlHistory(m, data, a, None, np.full((int(m.actuator_history[a, 0]), 1), start.input))
         for sensor, value in ((c.velocity_id, start.velocity), (c.angle_id, start.angle)):
             if sensor is not None and m.sensor_history[sensor, 0] > 0:
@@ -255,6 +258,8 @@ class MujocoPlant:
         c = self.channels
         if steps is None:
             raise ValueError(f"a sample of {dt:g} s is no multiple of the timestep {self.timestep:g} s")
+        if c.actuator < 0:
+            raise ValueError("the model has no actuator: no input makes it move")
         if self.model.actuator_history[c.actuator, 0] > 0:
             raise ValueError(f"actuator {c.actuator_name!r} has a delay: its input does not act within a sample")
         start = start or Start(float(y[0, 1]), float(y[0, 0]))
@@ -274,7 +279,8 @@ class MujocoPlant:
         if steps is None or m.actuator_history[:, 0].any() or m.sensor_history[:, 0].any():
             raise ValueError("samples between steps and delays cannot be linearised; choose a multiple of the timestep")
         data = self._data(start)
-        data.ctrl[c.control] = start.input
+        if c.control >= 0:
+            data.ctrl[c.control] = start.input
         a, b = transition(m, data, steps, c.control)
         out = np.zeros((2, len(a)))
         out[0, m.nv + c.dof] = out[1, c.dof] = 1.0

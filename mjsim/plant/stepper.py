@@ -92,4 +92,4 @@ def transition(model: mujoco.MjModel, data: mujoco.MjData, steps: int, control: 
         return (after(part, index, SMALL) - after(part, index, -SMALL)) / (2 * SMALL)
 
     a = np.column_stack([column(part, i) for part in parts for i in range(len(part))])
-    return a, column(data.ctrl, control)[:, None]
+    return a, (column(data.ctrl, control) if control >= 0 else np.zeros(len(a)))[:, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 
-__all__ = ["guess"]
+__all__ = ["guess", "guess_control"]
 
 ROLES = {
     "time": ("time", "t", "zeit", "stamp", "timestamp"),
@@ -17,6 +17,12 @@ ROLES = {
 """Channel -> words that a header may call it by."""
 TESTING = {"torque": ("load",), "angle": ("stroke", "displacement")}
 """The same of testing machines, for channels that no header calls by a word of `ROLES`."""
+CONTROL = ("control", "ctrl", "u", "pwm", "duty")
+"""Words for the control input of an actuator, which needs no unit."""
+ELECTRIC = (*CONTROL, "current", "voltage", "volt", "iq", "armature", "motor", "command", "input")
+"""Words for it where the header states a unit of voltage or current."""
+SUPPLY = ("supply", "bus", "battery", "vbus", "brake", "limit", "second")
+"""Words for a voltage or a current that drives nothing."""
 _LENGTHS = ("rad", "deg", "mrad", "rev", "m", "mm", "um", "cm", "in", "ft")
 MEASURES = {
     "time": ("s", "ms", "us", "ns"),
@@ -46,6 +52,30 @@ def guess(columns: Collection[str]) -> dict[str, tuple[str, str]]:
     return {role: named[0] for role, named in found.items() if len(named) == 1}
 
 
+def guess_control(columns: Collection[str]) -> tuple[str, str] | None:
+    """The column, with its unit, that holds the control input of an actuator; None unless exactly one header says so.
+
+    A unit of voltage or current, or "1" for a header such as ``ctrl`` or ``pwm``.
+    """
+    found = []
+    for column in columns:
+        match = _BRACKETS.match(column.strip()) or _ENDING.match(column.strip())
+        unit = None if match is None else _unit(match["unit"])
+        electric = unit in ("V", "mV", "A", "mA")
+        words = _words(match["name"] if match is not None and electric else column)
+        if any(w in SUPPLY for w in words):
+            continue
+        if electric and any(w in ELECTRIC for w in words):
+            found.append((column, str(unit)))
+        elif not electric and words and words[-1] in (*CONTROL, "current", "voltage"):
+            found.append((column, "1"))
+    return found[0] if len(found) == 1 else None
+
+
+def _words(name: str) -> list[str]:
+    return [w for w in re.split(r"[^a-zµ]+", name.lower()) if w]
+
+
 def _named(columns: Collection[str], words: Mapping[str, Collection[str]]) -> dict[str, list[tuple[str, str]]]:
     """Channel -> the columns, with their units, whose headers name it by one of its words."""
     found: dict[str, list[tuple[str, str]]] = {}
@@ -63,7 +93,7 @@ def _named(columns: Collection[str], words: Mapping[str, Collection[str]]) -> di
 
 def _role(name: str, known: Mapping[str, Collection[str]]) -> str | None:
     """The channel that the last or the first word of a header names."""
-    words = [w for w in re.split(r"[^a-zµ]+", name.lower()) if w]
+    words = _words(name)
     for word in (words[-1:] + words[:1]) if words else ():
         for role, names in known.items():
             if word in names:

@@ -14,6 +14,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.mjcf import Model, carried_binding, load_model
 from mjsim.mjcf.compile import compile_file
@@ -163,7 +164,8 @@ def recorded(rig: Rig, path: Path, name: str = "recording") -> Take:
 
 def _load(rig: Rig, path: Path) -> Recording:
     binding = carried_binding(rig.axis, path) if rig.axis is not None else None
-    return load(path, model=rig.path, binding=binding)
+    record = load(path, model=rig.path, binding=binding, driven=rig.model.nactuator > 0)
+    return record if rig.axis is None else as_driven(rig.axis.axis.chain, record)
 
 
 def simulated(rig: Rig, recording: Path | None, name: str = "simulation") -> Take:
@@ -194,9 +196,9 @@ def _chain(rig: Rig, record: Recording, name: str) -> Take:
     ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
     initial = np.stack([ratios * _angle(record)[0], ratios * _first_speed(record)])
     if lacking(rig.axis):
-        run = simulate(rig.axis.axis, record.torque, record.dt, initial=initial, angle=record.angle)
+        run = simulate(rig.axis.axis, record.input, record.dt, initial=initial, angle=record.angle)
     else:
-        run = run_signals(rig.axis, record.torque, record.dt, initial=initial, before=float(record.torque[0]))
+        run = run_signals(rig.axis, record.input, record.dt, initial=initial, before=float(record.input[0]))
     return take_of_run(rig, name, run)
 
 

@@ -295,7 +295,9 @@ def _loaded(given: Sequence[Any], held: Sequence[Any], model: Model, joint: str 
     """The recordings of an axis; of files that are too long, stretches."""
     if all(isinstance(r, str | Path) for r in (*given, *held)):
         prefer = model.axis.chain.bodies[0].joint
-        return load_all([Path(r) for r in given], [Path(r) for r in held], model.path, joint, prefer)
+        return load_all(
+            [Path(r) for r in given], [Path(r) for r in held], model.path, joint, prefer, driven=model.axis.chain.driven
+        )
     fitted, kept = ([r for r in (loaded(x, model, joint=joint) for x in g) if isinstance(r, Recording)] for g in (given, held))
     return Loaded(tuple(fitted), tuple(kept))
 

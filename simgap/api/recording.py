@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjsim.binding import Binding
+from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.mjcf import carried_binding, load_model
 from mjsim.readers import Table, digest, need_source, read_table
@@ -74,8 +75,10 @@ def loaded(
     source: Any, model: Model, *, joint: str | None = None, robot: bool = False, uniform: bool = True
 ) -> Recording | RobotRecording:
     """What stands for a recording of a model, as one: itself where it is loaded already."""
-    if isinstance(source, Recording | RobotRecording):
+    if isinstance(source, RobotRecording):
         return source
+    if isinstance(source, Recording):
+        return source if robot else as_driven(model.axis.chain, source)
     if not isinstance(source, str | Path):
         return _from_columns(source, model, None, joint, "memory", robot=robot)
     path = Path(source)
@@ -84,7 +87,13 @@ def loaded(
     own = load_model(model.path)
     prefer = own.axis.chain.bodies[0].joint
     carried = carried_binding(own, path)
-    return load_file(path, model=model.path, binding=carried, joint=joint, prefer=prefer, uniform=uniform)
+    chain = own.axis.chain
+    return as_driven(
+        chain,
+        load_file(
+            path, model=model.path, binding=carried, joint=joint, prefer=prefer, uniform=uniform, driven=chain.driven
+        ),
+    )  # fmt: skip
 
 
 def _from_file(
@@ -125,8 +134,15 @@ def _bound(
         bound = find_robot_binding(path, beside) if tables is None else RobotBinding.from_tables(tables, Path("binding"))
         return robot_from_table(path, table, bound, model.robot, sha256=sha256)
     own = find_binding(path, beside) if tables is None else Binding.from_tables(tables, Path("binding"))
-    prefer = None if model is None else model.axis.chain.bodies[0].joint
-    return from_table(path, table, own or Binding.default(), joint=joint, prefer=prefer, sha256=sha256)
+    if model is None:
+        return from_table(path, table, own or Binding.default(), joint=joint, sha256=sha256)
+    chain = model.axis.chain
+    return as_driven(
+        chain,
+        from_table(
+            path, table, own or Binding.default(), joint=joint, prefer=chain.bodies[0].joint, sha256=sha256, driven=chain.driven
+        ),
+    )
 
 
 def _tables(binding: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -110,6 +110,7 @@ def _film_takes(rig: Rig, takes: list[Take], out: Path, wanted: _Wanted, *, need
 def _film_axis(path: Path, out: Path, wanted: _Wanted) -> str:
     """Film the axis of a model as rotor, gear and arm, wind-up and gap magnified."""
     from mjsim import ode
+    from mjsim.control import as_driven
     from mjsim.mjcf import load_axis
     from mjsim.recording import load
     from mjsim.render import film, shot_of_recording, shot_of_run
@@ -119,9 +120,10 @@ def _film_axis(path: Path, out: Path, wanted: _Wanted) -> str:
         said, run = _demonstrated(path, *WIDE)
         shots = [shot_of_run(said, axis, run)]
     else:
-        record = load(wanted.recording, model=path)
+        driven = axis.chain.driven
+        record = as_driven(axis.chain, load(wanted.recording, model=path, driven=driven))
         if wanted.simulation is not None:
-            first = shot_of_recording("simulation", axis, load(wanted.simulation, model=path))
+            first = shot_of_recording("simulation", axis, load(wanted.simulation, model=path, driven=driven))
         else:
             start = None
             if record.velocity is not None or record.angle is not None:
@@ -131,7 +133,7 @@ def _film_axis(path: Path, out: Path, wanted: _Wanted) -> str:
                 q0 = float(record.angle[0]) if record.angle is not None else 0.0
                 v0 = float(record.velocity[0]) if record.velocity is not None else 0.0
                 start = np.stack([ratios * q0, ratios * v0])
-            first = shot_of_run("simulation", axis, ode.simulate(axis, record.torque, record.dt, initial=start))
+            first = shot_of_run("simulation", axis, ode.simulate(axis, record.input, record.dt, initial=start))
         shots = [first, shot_of_recording("recording", axis, record)]
     film(shots, out, **wanted.film)
     return "the axis, magnified"

@@ -19,6 +19,7 @@ from diagnose.problem.view import View
 from diagnose.verdict.reference import Case, cases_of, error
 from diagnose.verdict.reference_runs import run_files
 from mjsim.axis import Axis
+from mjsim.control import as_driven
 from mjsim.mjcf import carried_binding, load_model
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.plant import MujocoPlant
@@ -45,7 +46,8 @@ def judged(model: Path, recordings: Sequence[Path], known: Baseline, tolerance: 
     role, since the baseline holds one figure for them; where some are missing, each is compared alone. Raises InputError.
     """
     source = load_model(model)
-    loaded = [load(p, model=model, binding=carried_binding(source, p)) for p in recordings]
+    chain = source.axis.chain
+    loaded = [as_driven(chain, load(p, model=model, binding=carried_binding(source, p), driven=chain.driven)) for p in recordings]
     roles = [of_the_baseline(r.source, r.sha256, known) for r in loaded]
     loaded, _, _ = with_common_channels(loaded, [])
     if known.by_mujoco:

@@ -97,7 +97,13 @@ def test_every_check_answers_for_itself():
 
 
 def test_every_problem_has_a_twin():
-    elsewhere = {"side", "joint_range", "joint_stop", "sample_rate"}  # they need another machine: tests of their own below
+    elsewhere = {
+        "side",
+        "gear_ratio",
+        "joint_range",
+        "joint_stop",
+        "sample_rate",
+    }  # they need another machine: tests of their own below
     assert {p for one in checks().values() for p in one.problems} == set(TWINS) | elsewhere
 
 
@@ -162,6 +168,14 @@ def test_sides_of_a_gear(factors, log, checked):
     assert checked(sound, gain=20.0).verdict is LogVerdict.READY
     found = only(checked(times(sound, **factors), gain=20.0), "side")
     assert "20" in found.sentence
+
+
+def test_an_angle_of_a_motor_behind_a_gear_that_the_model_lacks(log, checked):
+    alone = dataclasses.replace(log(), velocity=None)
+    assert "gear_ratio" not in names(checked(alone))
+    found = only(checked(times(alone, angle=300.0)), "gear_ratio")
+    assert found.severity is Severity.FIX
+    assert abs(found.value - 300.0 * 4.0 / 4.4) < 15.0  # by the weight of the model, which is 10 % off
 
 
 def test_a_wrong_parameter_is_no_unit(log, checked):

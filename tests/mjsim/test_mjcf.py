@@ -206,7 +206,7 @@ def spring(name: str, one: str, two: str, extra: str = "") -> str:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (bodies(ONE, actuator=""), "0 actuators and none bound .there are: none."),
+        (bodies(ONE, TWO, actuator=""), "0 actuators and none bound .there are: none., and 2 joints move"),
         (bodies(ONE, TWO, actuator=MOTOR + '<motor name="n" joint="b"/>'), "2 actuators and none bound .there are: 'm', 'n'."),
         (bodies("<freejoint/>", ONE, actuator=MOTOR), "is a free joint"),
         (bodies('<joint type="ball"/>', ONE, actuator=MOTOR), "is a ball joint"),

@@ -186,7 +186,6 @@ def test_a_bad_table_is_one_line(tmp_path, text, said):
         ('[recording]\ntorque = {column = "torque_Nm", unit = "V"}', "unit 'V' has no gain"),
         ('[recording]\ntorqe = "torque_Nm"', "key 'torqe' is not known"),
         ('[recording]\ntorque = {unit = "Nm"}', "no column named"),
-        ('[recording]\ntime = "time_s"', "no torque channel bound"),
         ('[recording]\ntorque = {column = "torque_Nm", row = 0}', "row 0 of 'torque_Nm'"),
         ("[recording", "not valid TOML"),
         ('[experiment]\nloop = "ajar"', "'ajar'; expected open or closed"),

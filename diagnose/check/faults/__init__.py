@@ -18,4 +18,5 @@ from diagnose.check.faults import skew as skew
 from diagnose.check.faults import spike as spike
 from diagnose.check.faults import stamps as stamps
 from diagnose.check.faults import unit as unit
+from diagnose.check.faults import unknown_gear as unknown_gear
 from diagnose.check.faults import unknown_scale as unknown_scale

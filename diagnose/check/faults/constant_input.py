@@ -17,7 +17,7 @@ __all__ = ["constant_input"]
 def constant_input(recording: Recording, machine: Machine, context: Context) -> list[Problem]:
     """The torque has one value throughout."""
     torque = torque_of(recording)
-    if torque is None or np.ptp(torque) > 0:
+    if torque is None or np.ptp(torque) > 0 or not recording.driven:
         return []
     return [
         Problem(

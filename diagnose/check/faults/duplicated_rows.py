@@ -40,7 +40,8 @@ def _repeated(recording: Recording) -> np.ndarray:
     response = recording.velocity if recording.velocity is not None else recording.angle
     torque = torque_of(recording)
     out = np.zeros(len(recording), bool)
-    if response is None or torque is None or (recording.velocity is not None and recording.angle is not None):
+    both = recording.velocity is not None and recording.angle is not None
+    if response is None or torque is None or both or not recording.driven:
         return out
     steps = np.diff(response)
     if plain_step(response) > 0 or len(np.unique(response)) < 0.5 * len(response):
