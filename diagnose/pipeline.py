@@ -10,7 +10,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diagnose.data.channels import with_common_channels
-from diagnose.data.experiment import corrected, without_derived_velocity
+from diagnose.data.derived import without_derived_velocity
+from diagnose.data.experiment import corrected
 from diagnose.data.servo import as_servo
 from diagnose.data.split import Split, split
 from diagnose.evidence.predictable import remaining_structure
@@ -60,13 +61,12 @@ def diagnose(
     recordings, held_out = ([without_derived_velocity(r) for r in group] for group in (recordings, held_out))
     derived = given and recordings[0].velocity is None
     view = choose_view(recordings, options.judge or recordings[0].judge or ("motion" if derived else None), nominal)
-    varies = _varies(nominal, recordings[0])
     taken = 0
 
     def by(experiments: Split) -> Diagnosis:
         nonlocal taken
         fitted, held = (corrected(group, corrections or {}) for group in experiments)
-        fitter = Fitter(nominal, view, fitted, held, options.jobs, varies, ledger=ledger)
+        fitter = Fitter(nominal, view, fitted, held, options.jobs, _varies(nominal, recordings[0]), ledger=ledger)
         fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS))
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one

@@ -224,7 +224,7 @@ def _targets(bench: _Bench, axis: Axis) -> list[np.ndarray]:
         if run is None:
             out.append(np.full(len(case.measured), np.inf))
         else:
-            out.append(judged(case, run) - (nominal.shifts[i] if nominal.shifts else 0.0))
+            out.append(judged(case, run) - (nominal.shifts[i] if nominal.simulator else 0.0))
     return out
 
 

@@ -19,7 +19,7 @@ from diagnose.check.answer import wrong_log
 from diagnose.check.left_out import told_as_left_out, without_late_velocity
 from diagnose.data.channels import with_common_channels
 from diagnose.data.content import at_content_rate
-from diagnose.data.experiment import without_derived_velocity
+from diagnose.data.derived import without_derived_velocity
 from diagnose.data.servo import as_servo
 from diagnose.data.split import split
 from diagnose.data.stretches import Stretches
@@ -27,6 +27,7 @@ from diagnose.fit.ledger import Ledger, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.result import Diagnosis
+from diagnose.verdict.notes import DERIVED
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
 from mjsim.control import as_driven
@@ -36,7 +37,8 @@ from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.notices import quiet
 from mjsim.ode import load_kernel
 from mjsim.recording import Recording
-from simgap.either_friction import by_either_friction
+from simgap.either_numerics import by_either_numerics
+from simgap.either_view import by_motion_too
 from simgap.following import following
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all, told, trend_sentences
@@ -152,8 +154,9 @@ def diagnose_recordings(
         log, recordings, held_out = _checked(Machine.of(load_model(model)), recordings, held_out, accept_log)
     if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
+    recordings, held_out, derived = _measured_alone(nominal, recordings, held_out)
     recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
-    said += [*alike, *slower]
+    said += [*alike, *derived, *slower]
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     try:
         with following(progress, ledger.recalled) as say, _compiling_told(say):
@@ -164,8 +167,9 @@ def diagnose_recordings(
             given = before_search(model, nominal, recordings, held_out, options)
             if given is None:
                 result = diagnose(nominal, recordings, held_out, options, say, ledger)
+                nominal, given, result = by_motion_too(model, nominal, result, recordings, held_out, options, say)
             else:
-                nominal, given, result = by_either_friction(given, recordings, held_out, options, say, ledger)
+                nominal, given, result = by_either_numerics(given, recordings, held_out, options, say, ledger)
     except InputError:
         ledger.discard()
         raise
@@ -191,6 +195,18 @@ def _checked(
     if fewer is None:
         return log, recordings, held_out
     return told_as_left_out(log, check_log(machine, [*fewer[0], *fewer[1]])), *fewer
+
+
+def _measured_alone(
+    nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording]
+) -> tuple[Sequence[Recording], Sequence[Recording], tuple[str, ...]]:
+    """Recordings without a velocity that all of them made of their angle, and a sentence that says so."""
+    if nominal.chain.servo is not None or recordings[0].velocity is None:
+        return recordings, held_out, ()
+    fitted, held = ([without_derived_velocity(r) for r in group] for group in (recordings, held_out))
+    if any(r.velocity is not None for r in (*fitted, *held)):
+        return recordings, held_out, ()
+    return fitted, held, (DERIVED,)
 
 
 def _at_content_rate(

@@ -11,12 +11,11 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from diagnose.evidence.intervals import half_width
 from diagnose.problem.noise_model import KnownNoise
-from diagnose.result import Diagnosis, Estimate, Finding
+from diagnose.result import Diagnosis, Finding
 from diagnose.thresholds import SMALL
 from diagnose.verdict.reference import Run, at_noise, chi_square
-from diagnose.verdict.reference_fit import Refit, refit_in_simulator
+from diagnose.verdict.reference_fit import refit_in_simulator
 from diagnose.verdict.reference_runs import run_files, starts_of
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
@@ -57,7 +56,7 @@ def without_weakest(
             if above or not at_noise(nominal.cases, after):
                 return None
             trial.replace(out)
-            return _told(result, weakest, better), better.axis, after
+            return _told(result, weakest), better.axis, after
         return None
     finally:
         trial.unlink(missing_ok=True)
@@ -81,24 +80,12 @@ def _gain(f: Finding) -> float:
     return 1.0 - (after / before) ** 2 if before > 0 else 0.0
 
 
-def _told(result: Diagnosis, left: Finding, better: Refit) -> Diagnosis:
-    """The diagnosis without a finding, the numbers of the others as they were refitted in MuJoCo."""
+def _told(result: Diagnosis, left: Finding) -> Diagnosis:
+    """The diagnosis without a finding. The numbers of the others stay those of the equations, which step exactly."""
     name = effect_class(left.law).name().replace("_", " ")
     note = (
         f"{name[:1].upper()}{name[1:]} at the {left.place} is not named: the equations of motion ask for it, and in MuJoCo the "
         "corrected file follows the recordings as well without it. It stands in for how the simulator steps the file."
     )
-    found = tuple(_refitted(f, better) if f.kind == "physics" else f for f in result.findings if f is not left)
+    found = tuple(f for f in result.findings if f is not left)
     return dataclasses.replace(result, findings=found, notes=(note, *result.notes))
-
-
-def _refitted(f: Finding, better: Refit) -> Finding:
-    """A finding at the numbers of a refit, with their intervals; as it was in the numbers that were not refitted."""
-    numbers = dict(f.parameters)
-    for name, before in f.parameters.items():
-        key = f"{f.law}@{f.place}.{name}"
-        if key in better.values and key in better.errors:
-            value = better.values[key]
-            half = half_width(1.0) * abs(value) * better.errors[key]
-            numbers[name] = Estimate(value, (value - half, value + half), before.unit)
-    return dataclasses.replace(f, parameters=numbers)

@@ -18,14 +18,12 @@ def without_late_velocity(
 ) -> tuple[list[Recording], list[Recording]] | None:
     """The recordings without a velocity that is late against the angle, where that is all that has to be fixed; else None.
 
-    The angle takes its place: unless the binding says otherwise, motion is judged by its rate.
+    The angle takes its place.
     """
     only = check.verdict is LogVerdict.FIX and all(p.problem == _FAULT for p in check.to_fix())
     if not only or any(r.angle is None for r in (*recordings, *held_out)):
         return None
-    first, second = (
-        [dataclasses.replace(r, velocity=None, judge=r.judge or "motion") for r in group] for group in (recordings, held_out)
-    )
+    first, second = ([dataclasses.replace(r, velocity=None) for r in group] for group in (recordings, held_out))
     return first, second
 
 

@@ -28,7 +28,6 @@ __all__ = [
     "smooth_velocity",
     "start_angle",
     "whole_step",
-    "without_derived_velocity",
 ]
 
 
@@ -115,23 +114,6 @@ def measured_angle(recording: Recording) -> np.ndarray:
         return recording.angle
     v = measured_velocity(recording)
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
-
-
-def without_derived_velocity(recording: Recording) -> Recording:
-    """The recording without a velocity that is the backward, forward or central difference of its angle.
-
-    Such a channel says nothing that the angle does not, and with the same noise: half a sample late or early, it would be taken
-    for a delay, and its agreement with the angle for a proof of motion.
-    """
-    v, q = recording.velocity, recording.angle
-    if v is None or q is None or len(v) < 10:
-        return recording
-    steps = np.diff(q) / recording.dt
-    noise = white_noise_level(v)
-    made = ((v[1:], steps), (v[:-1], steps), (v[1:-1], 0.5 * (steps[1:] + steps[:-1])))
-    if any(np.sqrt(np.mean((a - b) ** 2)) < SMALL * noise for a, b in made):
-        return dataclasses.replace(recording, velocity=None)
-    return recording
 
 
 def plain_step(v: np.ndarray) -> float:

@@ -29,8 +29,8 @@ SHARED = (
 )
 
 DERIVED = (
-    "The velocity column is the difference of the angle column, sample by sample: it holds the angle's noise and nothing more, "
-    "half a sample off. The angle alone is used."
+    "The velocity column was made of the angle column, by differences or behind a filter: it holds the angle's noise and nothing "
+    "more. The angle alone is used."
 )
 
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare, without_derived_velocity
+from diagnose.data.derived import without_derived_velocity
+from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare
 from diagnose.data.noise import channel_noise
 from diagnose.result import FitFigures
 from diagnose.thresholds import SIGMAS, SMALL

@@ -1,8 +1,8 @@
 """Before the search: whether engine and simulator differ on the nominal model, and which of the two the recordings bear.
 
-Where they differ by more than a fifth of the noise, the nominal structure is refitted by both. When the recordings bear the
-simulator's numerics (they were made with it, say), the difference of the two runs is taken out of what the search compares. That
-is then the user's simulator beside the recording, to first order in what the search changes,
+Where they differ by more than a fifth of the noise, the nominal structure is refitted by both. Where it comes near the noise and
+the recordings bear the simulator's numerics (they were made with it, say), the difference of the two runs is taken out of what
+the search compares. That is then the user's simulator beside the recording, to first order in what the search changes,
 
     y - [S(theta) + M(theta_0) - S(theta_0)],    M: the file in MuJoCo, S: the engine, theta_0: the nominal structure, refitted.
 
@@ -23,7 +23,7 @@ import numpy as np
 
 from diagnose.data.servo import as_servo
 from diagnose.result import Diagnosis, Traces
-from diagnose.thresholds import UNEXPLAINED
+from diagnose.thresholds import FAR, UNEXPLAINED
 from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files, run_surrogate
@@ -49,8 +49,8 @@ class Nominal:
     axis: of the file, with dry friction that is soft as in MuJoCo where that fits the recordings better; other: with the other
     kind of friction, None where MuJoCo holds a joint at rest; soft: how far the softness moves the file's run, over the noise.
     runs, engine: of each case, both free; apart: rms difference of the two over the noise, the largest of the recordings;
-    simulator: whether the recordings bear the simulator's numerics rather than the engine's; shifts: to add to the velocity of
-    each recording.
+    simulator: whether the recordings bear the simulator's numerics rather than the engine's: the refitted nominal structure
+    does with them, and comes near the noise; shifts: to add to the velocity of each recording, also where that is open.
     """
 
     path: Path
@@ -121,7 +121,8 @@ def compare_nominal(
         for case, start, run in zip(cases, starts, refitted.runs, strict=True)
     ]
     shifts = _shifts(cases, refitted.runs, same)
-    return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts), shifts=shifts)
+    near = refitted.chi2 <= FAR * chi_square(cases, refitted.runs)[1]
+    return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts) and near, shifts=shifts)
 
 
 def _reaches(limit: Limit, case: Case, run: Run | None) -> bool:

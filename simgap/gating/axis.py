@@ -12,7 +12,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from diagnose.data.channels import with_common_channels
-from diagnose.data.experiment import Experiment, hold_out_blocks, prepare, without_derived_velocity
+from diagnose.data.derived import without_derived_velocity
+from diagnose.data.experiment import Experiment, hold_out_blocks, prepare
 from diagnose.data.servo import as_servo
 from diagnose.pipeline import choose_view
 from diagnose.problem.view import View

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import butter, filtfilt, lfilter
 
+from diagnose.data.derived import without_derived_velocity
 from diagnose.data.experiment import (
     held_rows,
     hold_out_blocks,
     measured_velocity,
     prepare,
     smooth_velocity,
-    without_derived_velocity,
 )
 from diagnose.data.noise import white_noise_level
 from diagnose.data.scales import reversals
@@ -187,6 +188,11 @@ def test_a_velocity_that_is_a_difference_of_the_angle_is_no_second_channel():
     for own in (shown, shown + 0.05 * rng.standard_normal(len(t))):
         r = Recording(t, motion, own, angle, dt)
         assert without_derived_velocity(r) is r
+    b, a = butter(2, 0.2)
+    for made in (lfilter(b, a, np.gradient(angle, dt)), filtfilt(b, a, np.gradient(angle, dt))):
+        assert without_derived_velocity(Recording(t, motion, made, angle, dt)).velocity is None
+    for own in (lfilter(b, a, shown), lfilter(b, a, shown + 0.05 * rng.standard_normal(len(t)))):
+        assert without_derived_velocity(Recording(t, motion, own, angle, dt)).velocity is not None
     alone = Recording(t, motion, shown, None, dt)
     assert without_derived_velocity(alone) is alone
 
@@ -197,7 +203,7 @@ def test_a_diagnosis_says_that_the_velocity_is_the_angle(robot, record):
     made = [Recording(r.time, r.torque, np.append(0.0, np.diff(angle)) / r.dt, angle, r.dt)]
     result = diagnose(robot, made, (), Options(jobs=1, effects=("torque_offset", "time_delay")))
     assert result.channel == "velocity"
-    assert any("difference of the angle column" in note for note in result.notes)
+    assert any("made of the angle column" in note for note in result.notes)
     assert result.verdict is Verdict.PARAMETERS_ONLY
 
 

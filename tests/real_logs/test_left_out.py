@@ -33,7 +33,7 @@ def test_the_angle_takes_its_place(log):
     assert fewer is not None
     (kept,) = fewer[0]
     assert kept.velocity is None
-    assert kept.judge == "motion"
+    assert kept.judge is None
     told = told_as_left_out(check, check_log(MACHINE, [kept]))
     assert told.verdict is LogVerdict.LIMITS
     assert told.problems[0].problem == "channel_skew"

@@ -1,8 +1,8 @@
-"""The search with the kind of dry friction that fits the recordings: one that holds at rest, or MuJoCo's, which is soft.
+"""The search with the numerics that the recordings bear: the simulator's or exact ones, soft dry friction or one that holds.
 
-The nominal structure chooses between the two where the file has friction (`diagnose.verdict.reference_stage`). Friction that the
-file lacks, or physics that hides the difference, leaves the choice open: where the first kind does not lead to the noise, the
-other is searched too, and the diagnosis of the higher penalised likelihood counts.
+The nominal structure chooses (`diagnose.verdict.reference_stage`). Physics that it lacks leaves the choice open: where the first
+choice leads to more than noise, or to several effects, of which one may stand in for the other numerics, the search is made with
+the other too, and the diagnosis of the higher penalised likelihood counts.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from diagnose.fit.ledger import Ledger
 from diagnose.options import Options
@@ -24,25 +24,37 @@ from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.recording import Recording
 
-__all__ = ["by_either_friction"]
+__all__ = ["by_either_numerics"]
 
 
-def by_either_friction(
+def by_either_numerics(
     given: Nominal, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
-    say: Callable[[Step], None], ledger: Ledger,
+    say: Callable[[Step], None], ledger: Ledger | None,
 ) -> tuple[Axis, Nominal, Diagnosis]:  # fmt: skip
     """The nominal axis with the friction that fits the recordings, its runs, and the diagnosis beside it."""
     began = time.monotonic()
     first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections())
-    left = options.seconds - (time.monotonic() - began)
-    if given.other is None or left <= 0 or not _open(first, given.axis):
-        return given.axis, given, without_difference(first, given)
-    say(Step("search", "again with dry friction that " + ("holds at rest" if _soft(given.axis) else "is soft, as in MuJoCo")))
-    other = by_other_friction(given)
-    second = diagnose(other.axis, recordings, held_out, dataclasses.replace(options, seconds=left), say, None, None)
-    if not _better(second, first, sum(int(c.estimation.sum()) for c in given.cases)):
-        return given.axis, given, without_difference(first, given)
-    return other.axis, other, second
+    best, n = (given, first), sum(int(c.estimation.sum()) for c in given.cases)
+    for why, other in _others(given, first):
+        left = options.seconds - (time.monotonic() - began)
+        if left <= 0:
+            break
+        say(Step("search", f"again with {why}"))
+        within = dataclasses.replace(options, seconds=left)
+        second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections())
+        if _better(second, best[1], n):
+            best = other, second
+    return best[0].axis, best[0], without_difference(best[1], best[0])
+
+
+def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:
+    """Other numerics that the answer leaves open, and in words what they are."""
+    if given.shifts and (_far(first) or sum(f.kind == "physics" for f in first.findings) > 1):
+        kind = "exact numerics" if given.simulator else "the numerics of the simulator"
+        yield kind, dataclasses.replace(given, simulator=not given.simulator)
+    if given.other is not None and _open(first, given.axis):
+        kind = "holds at rest" if _soft(given.axis) else "is soft, as in MuJoCo"
+        yield f"dry friction that {kind}", by_other_friction(given)
 
 
 def _soft(axis: Axis) -> bool:
@@ -53,8 +65,13 @@ def _open(result: Diagnosis, axis: Axis) -> bool:
     """Whether friction is in the model or the answer, and the answer leaves more than noise or does not explain it."""
     physics = [effect_class(f.law) for f in result.findings if f.kind == "physics"]
     friction = any(family == "friction" for family in (*(c.family for c in physics), *(e.family for e in axis.effects)))
+    return friction and _far(result)
+
+
+def _far(result: Diagnosis) -> bool:
+    """Whether more than noise is left, or it is not explained."""
     far = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2
-    return friction and (far or result.verdict is Verdict.UNEXPLAINED)
+    return far or result.verdict is Verdict.UNEXPLAINED
 
 
 def _better(second: Diagnosis, first: Diagnosis, n: int) -> bool:

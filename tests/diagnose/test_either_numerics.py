@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from diagnose.result import FitFigures, Verdict
 from diagnose.thresholds import UNEXPLAINED
+from diagnose.verdict.reference_stage import Nominal
 from mjsim.effects import effect_class
-from simgap.either_friction import _better, _open
+from simgap.either_numerics import _better, _open, _others
 
 FRICTION = SimpleNamespace(effects=(effect_class("coulomb_friction")(torque_Nm=0.1),))
 NONE = SimpleNamespace(effects=(effect_class("gravity_load")(torque_Nm=0.1, phase_rad=0.0),))
@@ -37,3 +39,22 @@ def test_the_other_kind_counts_where_it_fits_better_by_its_price_and_held_out():
     richer = (SimpleNamespace(kind="physics", law="joint_spring", parameters=dict.fromkeys("ab")),)
     assert _better(result(Verdict.MISSING_PHYSICS, findings=richer), first, 1000)
     assert not _better(result(Verdict.MISSING_PHYSICS, findings=richer), first, 100)
+
+
+def given(**what):
+    return Nominal(None, FRICTION, None, 0.0, None, (), (), (), 1.0, **what)
+
+
+PHYSICS = SimpleNamespace(kind="physics", law="joint_spring", parameters={})
+
+
+def test_the_other_numerics_are_searched_where_an_effect_may_stand_in_for_them():
+    shifts = (np.ones(3),)
+    one, two = result(Verdict.MISSING_PHYSICS, findings=(PHYSICS,)), result(Verdict.MISSING_PHYSICS, findings=(PHYSICS,) * 2)
+    for simulator in (True, False):
+        ((why, other),) = _others(given(simulator=simulator, shifts=shifts), two)
+        assert other.simulator is not simulator
+        assert ("exact" in why) is simulator
+        assert list(_others(given(simulator=simulator, shifts=shifts), one)) == []
+        assert len(list(_others(given(simulator=simulator, shifts=shifts), result(Verdict.UNEXPLAINED, 1.1)))) == 1
+    assert list(_others(given(), two)) == []
