@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnose.robot.servos.fit import Number, jacobian, slots_of, start_of
+from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.pipeline import ServoOutcome
 from diagnose.robot.servos.state import JointSearch
 from mjsim.robot.closed_loop import closed_loop
@@ -26,7 +27,7 @@ from mjsim.robot.recording import RobotRecording
 from mjsim.robot.write import carried_effects
 from simgap.robot_written import write_corrected_servos
 
-__all__ = ["Polish", "polish_servos"]
+__all__ = ["Polish", "polish_servos", "stepped"]
 
 OWN = ("kp", "kv", "damp", "damping", "armature", "zero")  # numbers that MJCF has elements for, of the joint itself
 ROUNDS = 4  # steps at most; the engine's Jacobian is that of MuJoCo but for its integration error, so that one or two do
@@ -108,28 +109,37 @@ def _loss(searches: Sequence[JointSearch], errors: Mapping[str, np.ndarray]) -> 
     return sum(float(np.sum((s.weights * errors[s.problem.name])[s.problem.fitted] ** 2)) for s in searches)
 
 
-def _own(s: JointSearch) -> tuple[Number, ...]:
-    return tuple(n for n in s.now.fit.numbers if n.slot in OWN)
-
-
 def _stepped(s: JointSearch, slots: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
-    """Slots after one step against a closed-loop error (N,).
+    """Slots after one step of the joint's own numbers, see `stepped`."""
+    numbers = tuple(n for n in s.now.fit.numbers if n.slot in OWN)
+    return stepped(s.problem, numbers, slots, s.now.fit.slots, error, s.weights, damping)
 
-    A number with a prior has one of the same width about its value in the diagnosis, so that combinations that the motion
-    does not show stay.
+
+def stepped(
+    problem: JointProblem,
+    numbers: Sequence[Number],
+    slots: np.ndarray,
+    found: np.ndarray,
+    error: np.ndarray,
+    weights: np.ndarray,
+    damping: float,
+) -> np.ndarray:
+    """Slots (K,) after one damped Gauss-Newton step of numbers against an error (N,), with the joint's own Jacobian.
+
+    A number with a prior has one of the same width about its value in the slots ``found``, so that combinations that the
+    motion does not show stay.
     """
-    numbers = _own(s)
     if not numbers:
         return slots
-    x, found = start_of(numbers, slots), start_of(numbers, s.now.fit.slots)
-    part = s.problem.with_fitted()
-    weights = s.weights[part.rows]
-    J = jacobian(part, numbers, x, slots, weights)[: int(part.fitted.sum())]
+    x, center = start_of(numbers, slots), start_of(numbers, found)
+    part = problem.with_fitted()
+    own = weights[part.rows]
+    J = jacobian(part, numbers, x, slots, own)[: int(part.fitted.sum())]
     prior = np.array([0.0 if n.prior is None else n.prior[1] ** -2 for n in numbers])
     H = J.T @ J + np.diag(prior)
-    g = J.T @ (weights * error[part.rows])[part.fitted] + prior * (x - found)
+    g = J.T @ (own * error[part.rows])[part.fitted] + prior * (x - center)
     step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9 * np.trace(H) + 1e-30), g)
-    return slots_of(s.problem, numbers, x + np.clip(step, -LARGEST, LARGEST), slots)
+    return slots_of(problem, numbers, x + np.clip(step, -LARGEST, LARGEST), slots)
 
 
 def _told(searches: Sequence[JointSearch], now: Slots, timestep: float) -> tuple[str, ...]:
