@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from diagnose.check.types import LogCheck, Severity
 from diagnose.result import FitFigures
+from diagnose.robot.check.run import check_robot
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import Outcome, diagnose_robot
 from diagnose.robot.problem import Problem
@@ -61,6 +63,30 @@ def is_robot(recordings: Sequence[object], model: Path) -> bool:
     return len(bound or joints_named(first)) > 1
 
 
+WRONG = ("gear", "sign", "swapped", "unit")  # faults of a log with which every number of a diagnosis would be wrong
+
+
+def checked(robot: Robot, recordings: Sequence[RobotRecording], accept_log: bool = False) -> LogCheck:
+    """What is wrong with the log.
+
+    Raises InputError for a channel in another unit or direction, or behind a gear, unless ``accept_log``.
+    """
+    log = check_robot(robot, recordings)
+    wrong = [p for p in log.problems if p.severity is Severity.FIX and p.problem in WRONG]
+    if wrong and not accept_log:
+        first, more = wrong[0], f" So it is with {len(wrong) - 1} more." if len(wrong) > 1 else ""
+        raise InputError(
+            f"{first.recording}: {first.channel}", f"{first.sentence.rstrip('.')}.{more}", "channels as the model has them",
+            f"{first.advice}; simgap check tells all; --accept-log goes on without",
+        )  # fmt: skip
+    return log
+
+
+def _told(log: LogCheck) -> tuple[str, ...]:
+    """What of the log has to be fixed, for the notes."""
+    return tuple(f"The log, to be fixed: {p.sentence} {p.advice}." for p in log.problems if p.severity is Severity.FIX)
+
+
 def by_servo(robot: Robot, recordings: Sequence[RobotRecording]) -> bool:
     """Whether the log is diagnosed by commands and positions: servos in the model, and no torque of any joint in the log."""
     return has_servos(robot) and not any(r.has("torque", n) for r in recordings for n in r.joints)
@@ -89,14 +115,19 @@ def diagnose_robot_recordings(
     say: Callable[[str], None] = lambda line: None,
     *,
     page: bool = True,
+    accept_log: bool = False,
 ) -> RobotDiagnosis:
-    """As `diagnose_robot_files`, of recordings that are loaded; ``page``: whether report.html is written too."""
+    """As `diagnose_robot_files`, of recordings that are loaded; ``page``: whether report.html is written too.
+
+    The log is checked first; ``accept_log``: search even where a channel is in another unit or direction.
+    """
     if not is_whole(model):
         model = write_whole(model, out / WRITTEN)
     robot = load_robot(model)
     there = next(p for p in (out, *out.resolve().parents) if p.exists())
     if not there.is_dir():
         raise InputError(out, f"{there.name!r} is a file", "a folder", "choose another --out")
+    log = checked(robot, [*recordings, *held_out], accept_log)
     corrected = out / "corrected.xml"
     if by_servo(robot, [*recordings, *held_out]):
         from diagnose.robot.servos.pipeline import diagnose_servos
@@ -112,6 +143,7 @@ def diagnose_robot_recordings(
 
         say("all joints together in MuJoCo")
         result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
+    result = dataclasses.replace(result, log=log, notes=(*_told(log), *result.notes))
     if page:
         from diagnose.robot.page import write_page
         from diagnose.robot.picture import picture

@@ -12,6 +12,7 @@ from diagnose.evidence.held_out import compare
 from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.laws import law_parameters
 from diagnose.robot.options import RobotOptions
+from diagnose.robot.physical import consistent
 from diagnose.robot.problem import JOINT_PARAMETERS, Problem, Term
 from diagnose.robot.result import BaseParameter, RobotFinding
 from diagnose.robot.solve import Solution, covariance, held_out, normal, solve, told_apart, unpacked
@@ -157,7 +158,8 @@ def changes(search: Selection) -> tuple[str, ...]:
     """In words, the fewest groups of the file's own numbers that have to change: links, armatures, dampings.
 
     Groups enter one after the other, all else as in the file, until none gains more than its price: BIC with one number for a
-    joint's own parameter, and for a link as many as the data determine of its ten.
+    joint's own parameter, and for a link as many as the data determine of its ten. Where the values that fit best then are those
+    of no body, the values are those of the physical solution, in which all numbers are free.
     """
     p, s = search.problem, search.solution
     size = len(p.robot.links) * SIZE
@@ -192,6 +194,9 @@ def changes(search: Selection) -> tuple[str, ...]:
     x[use] = np.linalg.solve(n.H[np.ix_(use, use)], n.g[use])
     V = np.zeros_like(n.H)
     V[np.ix_(use, use)] = np.linalg.inv(n.H[np.ix_(use, use)])
+    if not consistent(p, p.nominal + p.scale * x[:P]):
+        x[:P] = (s.theta - p.nominal) / p.scale
+        V[:P, :P] = posterior(search)[0][:P, :P] / np.outer(p.scale, p.scale)
     return tuple(_in_words(p, name, groups[name], x, V) for name in chosen)
 
 
@@ -206,7 +211,8 @@ def _in_words(p: Problem, name: str, own: np.ndarray, x: np.ndarray, V: np.ndarr
 
     def told(k: int, unit: str) -> str:
         value, half = float(p.nominal[k] + x[k] * p.scale[k]), 1.96 * math.sqrt(V[k, k]) * float(p.scale[k])
-        return f"{p.nominal[k]:.4g} -> {value:.4g} {unit} [{value - half:.4g}, {value + half:.4g}]"
+        low = value - half if k < len(p.robot.links) * SIZE else max(value - half, 0.0)  # a joint's numbers are not negative
+        return f"{p.nominal[k]:.4g} -> {value:.4g} {unit} [{low:.4g}, {value + half:.4g}]"
 
     first = int(own[0])
     if len(own) == 1:

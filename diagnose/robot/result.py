@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.check.types import LogCheck
 from diagnose.json_file import write_json
 from diagnose.result import Estimate, FitFigures, Verdict
 
@@ -101,7 +102,8 @@ class JointResult:
 class RobotDiagnosis:
     """The outcome for a robot; see the contract. changed: in words, what of its own parameters differs from the file.
 
-    closed_loop: errors of all joints together in MuJoCo, by joint and recording; picture: HTML of the robot, for the page.
+    closed_loop: errors of all joints together in MuJoCo, by joint and recording; picture: HTML of the robot, for the page;
+    log: what the check of the log found.
     """
 
     verdict: Verdict
@@ -122,6 +124,7 @@ class RobotDiagnosis:
     judged_on: Mapping[str, Any] = field(default_factory=lambda: {"channel": "torque", "unit": "N m", "view": "force"})
     closed_loop: Mapping[str, Any] | None = None
     picture: str = ""
+    log: LogCheck | None = None
 
     @property
     def findings(self) -> tuple[RobotFinding, ...]:
@@ -144,6 +147,7 @@ class RobotDiagnosis:
             "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": None}},
             "judged_on": {**self.judged_on, "cutoff_hz": self.cutoff_hz},
             **({"closed_loop": dict(self.closed_loop)} if self.closed_loop is not None else {}),
+            "log": self.log.as_dict() if self.log is not None else None,
             "notes": list(self.notes),
             "next_experiment": None,
             "hypotheses": self.hypotheses,

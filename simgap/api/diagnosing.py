@@ -281,7 +281,7 @@ def diagnose(
     drawn = scratch is None
     if robot:
         group, kept = ([loaded(r, subject, robot=True) for r in x] for x in (given, held))
-        own = _robot(group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn)
+        own = _robot(group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn, accept_log=accept_log)
         return Diagnosis(own, subject, folder, scratch)
     options = Options(
         judge=judge, effects=tuple(effects), jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf
@@ -315,7 +315,7 @@ def _axis(
 
 def _robot(
     recordings: Sequence[Recording | RobotRecording], model: Model, out: Path, held: Sequence[Recording | RobotRecording],
-    joints: Sequence[str], effects: Sequence[str], seed: int, *, progress: bool | None, page: bool,
+    joints: Sequence[str], effects: Sequence[str], seed: int, *, progress: bool | None, page: bool, accept_log: bool,
 ) -> RobotDiagnosis:  # fmt: skip
     import sys
 
@@ -325,7 +325,7 @@ def _robot(
     group, kept = ([r for r in x if isinstance(r, RobotRecording)] for x in (recordings, held))
     say: Callable[[str], None] = (lambda line: print(line, file=sys.stderr)) if progress else (lambda line: None)
     options = RobotOptions(tuple(joints), tuple(effects), seed=seed)
-    return diagnose_robot_recordings(group, model.path, out, kept, options, say, page=page)
+    return diagnose_robot_recordings(group, model.path, out, kept, options, say, page=page, accept_log=accept_log)
 
 
 def _need_effects(names: Sequence[str], *, robot: bool) -> None:

@@ -17,9 +17,11 @@ from diagnose.robot.check.run import check_robot
 from lab.robot.arm import three_axes
 from lab.robot.cases import trajectory
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, simulate
-from mjsim.robot.model import robot_from
+from mjsim.errors import InputError
+from mjsim.robot.model import load_robot, robot_from
 from mjsim.robot.recording import RobotRecording
 from simgap.commands.check import command as check_command
+from simgap.robot import checked, diagnose_robot_recordings
 
 NOMINAL = ServoRobot(three_axes(), (ServoJoint(60.0, 6.0), ServoJoint(90.0, 8.0), ServoJoint(50.0, 4.0)))
 TRUE = NOMINAL.with_servo(1, friction=1.0).with_servo(2, kp=35.0)
@@ -170,6 +172,23 @@ def test_a_torque_is_compared_with_what_the_motion_needs(by_force, factor, probl
     robot, log = by_force
     found = told(check_robot(robot, [changed(log, "torque", 1, lambda x: factor * x)]))
     assert found == ([] if problem is None else [("joint2.torque", problem, Severity.FIX)])
+
+
+def test_a_torque_behind_the_gear_is_told_and_refused(by_force, tmp_path):
+    _, log = by_force
+    text = NOMINAL.arm.mjcf("arm")
+    for joint in (1, 2, 3):
+        text = text.replace(f'joint="joint{joint}"/>', f'joint="joint{joint}" gear="50"/>')
+    model = tmp_path / "arm.xml"
+    model.write_text(text)
+    geared = load_robot(model)
+    assert [p[:2] for p in told(check_robot(geared, [log]))] == [(f"joint{j}.torque", "gear") for j in (1, 2, 3)]
+    with pytest.raises(InputError, match=r"a gain of 0.02 in the binding.*--accept-log"):
+        diagnose_robot_recordings([log], model, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    before = dataclasses.replace(log, torque=log.torque / 50)
+    assert check_robot(geared, [before]).verdict is LogVerdict.READY
+    assert checked(geared, [log], accept_log=True).verdict is LogVerdict.FIX
 
 
 def test_swapped_torques_are_told(by_force):

@@ -8,9 +8,10 @@ from diagnose.check.thresholds import ACTUATOR_DELAY, FOLLOWED, MODE_RATE, PARAM
 from diagnose.check.types import Problem, Severity
 from diagnose.robot.check.relations import Relation
 
-__all__ = ["late_or_early", "out_of_range", "scaled", "slow", "still", "swapped"]
+__all__ = ["geared", "late_or_early", "out_of_range", "scaled", "slow", "still", "swapped"]
 
 ANGLES = {180 / math.pi: "degrees", 1 / (2 * math.pi): "turns"}
+GEARED = 1.25  # factor about a gear within which it explains a ratio: friction and masses of the file bend the ratio as well
 RATES = {180 / math.pi: "degrees per second", 30 / math.pi: "rpm", 1 / (2 * math.pi): "turns per second"}
 LENGTHS = {1e3: "millimetres", 1e2: "centimetres"}
 TORQUES = {1e3: "N mm", 1e2: "N cm", 1e-3: "kN m"}
@@ -60,6 +61,25 @@ def scaled(channel: str, joint: str, r: Relation, units: dict[float, str], again
         )
     )  # fmt: skip
     return out
+
+
+def geared(joint: str, r: Relation, gear: float) -> list[Problem]:
+    """A torque that is given at the joint, where the model's actuator gives it before its gear."""
+    ratio = abs(r.slope)
+    if (
+        r.explained < FOLLOWED or not ratio or abs(math.log(abs(gear))) < 2 * math.log(PARAMETER_FACTOR)
+    ):  # wrong masses do as much
+        return []
+    if abs(math.log(ratio / abs(gear))) > math.log(GEARED):
+        return []
+    return [
+        Problem(
+            f"{joint}.torque", "gear", ratio, "1",
+            f"The torque of {joint} is {ratio:.4g} times what the actuator needs by the model, whose gear is {gear:g}: it is "
+            "that of the joint, and the model wants it before the gear.",
+            f"give {joint}.torque a gain of {1 / gear:.4g} in the binding, or divide the column by {gear:g}", Severity.FIX,
+        )
+    ]  # fmt: skip
 
 
 def late_or_early(channel: str, joint: str, delay: float, expected: tuple[float, float], dt: float, cause: str) -> list[Problem]:

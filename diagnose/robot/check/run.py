@@ -22,7 +22,19 @@ from diagnose.check.machine import Machine
 from diagnose.check.thresholds import FOLLOWED, PARAMETER_FACTOR
 from diagnose.check.types import LogCheck, Problem, Severity
 from diagnose.robot.check.channels import beyond_limits, clipped, clipped_torque, coarse, held_rows
-from diagnose.robot.check.faults import ANGLES, LENGTHS, RATES, TORQUES, late_or_early, out_of_range, scaled, slow, still, swapped
+from diagnose.robot.check.faults import (
+    ANGLES,
+    LENGTHS,
+    RATES,
+    TORQUES,
+    geared,
+    late_or_early,
+    out_of_range,
+    scaled,
+    slow,
+    still,
+    swapped,
+)
 from diagnose.robot.check.relations import Relation, correlations, relate
 from diagnose.robot.servos.motion import moves, smoothed
 from mjsim.quantity import Motion
@@ -216,7 +228,8 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
         found = relate(needed, torque, r.dt, friction, delays=False)
         if found is not None:
             relations["torque over the model's"] = found
-            out += scaled("torque", name, found, TORQUES, f"the torque that the motion of {name} needs by the model")
+            needs = f"the torque that the motion of {name} needs by the model"
+            out += geared(name, found, float(log.robot.gear[j])) or scaled("torque", name, found, TORQUES, needs)
             out += clipped_torque(name, torque, needed, log.dz[:, j], "N" if log.slide(name) else "N m", r.time)
     return out
 
