@@ -22,6 +22,7 @@ from diagnose.robot.problem import Problem, build
 from diagnose.robot.remains import black_box
 from diagnose.robot.result import JointResult, RobotDiagnosis, Trace
 from diagnose.robot.select import select
+from diagnose.robot.shifted import shifted
 from diagnose.robot.solve import Solution
 from diagnose.robot.state import Selection
 from mjsim.errors import InputError, nearest
@@ -205,7 +206,7 @@ def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapp
         notes.append(f"Not diagnosed, since they do not move, have no torque or are not named: {', '.join(still)}.")
     if not consistent(p, search.solution.theta) or search.solution.stiffness is not None:
         notes.append("Without the demand for physical links the fit would take inertial parameters that no body has.")
-    return tuple(notes)
+    return (*notes, *shifted(joints))
 
 
 def _traces(p: Problem, j: int, *solutions: Solution) -> list[Trace]:

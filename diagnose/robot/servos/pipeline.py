@@ -20,7 +20,7 @@ from diagnose.check.unused import unused_of_robot
 from diagnose.result import Estimate
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import ORDER, overall, summary
-from diagnose.robot.result import JointResult, RobotDiagnosis
+from diagnose.robot.result import RobotDiagnosis
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of, scale_of_fit
 from diagnose.robot.servos.clocks import clocks
 from diagnose.robot.servos.fit import Fit, Number, covariance
@@ -30,6 +30,7 @@ from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
 from diagnose.robot.servos.state import JointSearch
 from diagnose.robot.servos.unfollowed import unfollowed_note
+from diagnose.robot.shifted import shifted
 from mjsim.errors import InputError, nearest
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
@@ -39,7 +40,6 @@ from mjsim.robot.rows import check_rows
 __all__ = ["ServoOutcome", "diagnose_servos"]
 
 FEWEST = 200  # samples of a joint in motion, fitted and held out each
-ALIKE_DELAYS = 0.1  # relative difference of delays that are taken for one
 SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of one kind
 
 
@@ -248,21 +248,6 @@ def pooled_payload(searches: Sequence[JointSearch]) -> Estimate | None:
     return Estimate(mean, (mean - half, mean + half), "kg")
 
 
-def _shifted(joints: Mapping[str, JointResult]) -> list[str]:
-    """A note where most joints, and two at least, have one delay in common: the columns of the log may be shifted."""
-    delays = [f.parameters["delay_s"] for r in joints.values() for f in r.findings if "delay_s" in f.parameters]
-    if len(delays) < 2 or 2 * len(delays) <= len(joints):
-        return []
-    low, high = max(e.ci95[0] for e in delays), min(e.ci95[1] for e in delays)
-    middle = float(np.mean([e.value for e in delays]))
-    if max(abs(e.value - middle) for e in delays) > max(high - low, ALIKE_DELAYS * middle):
-        return []
-    return [
-        f"{len(delays)} of {len(joints)} joints have a delay of {1e3 * middle:.3g} ms in common: that of the bus, or the "
-        "commands of the log are shifted against the positions (two clocks). Check the stamps before it is taken for physics."
-    ]
-
-
 def _told(
     robot: Robot, searches: Sequence[JointSearch], scales: dict[str, Scale], borrowed: dict[str, str], payload: Estimate | None,
     recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], begun: float,
@@ -283,7 +268,7 @@ def _told(
         notes.append(f"Not diagnosed, since they do not move enough, have no servo or are not named: {', '.join(still)}.")
     notes += unused_of_robot(recordings)
     notes += [f"{name}: {text}" for name, text in borrowed.items()]
-    notes += _shifted(joints)
+    notes += shifted(joints)
     notes += [x for s in searches if (x := unfollowed_note(s.problem, s.now.fit.error))]
     notes.append("Backlash between motor and joint is not looked for: an encoder at the joint does not show it.")
     return RobotDiagnosis(
