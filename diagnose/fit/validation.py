@@ -11,9 +11,8 @@ import numpy as np
 from diagnose.data.experiment import hold_out_blocks
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.path import over_horizons
 from diagnose.problem.view import MotionView, highest_observer_gain
-from diagnose.thresholds import FAR, MATERIAL, SAME, SMALL, UNEXPLAINED
+from diagnose.thresholds import FAR, MATERIAL, SAME, SMALL
 from mjsim.axis import Axis
 
 __all__ = ["error_on", "in_blocks", "observed_error", "pooled", "predicted_samples"]
@@ -41,10 +40,6 @@ def _fit_pooled(fitter: Fitter, fitted: Fitted) -> Fitted:
     much = fitter.noise.cost_at(FAR, sum(int(np.sum(fitter.counted(e))) for e in everything))
     h = wider.hypothesis(fitted.effects, fitted.linear, fitted.own)
     joint = (wider.by_secants if h.rough else partial(wider.fit, iterations=15, rival=True))(h, slow=(much, SAME))
-    if joint.ok and joint.chi2 > UNEXPLAINED * joint.n and fitted.rough and not fitter.spent:
-        # a nonsmooth free run diverges on a recording that the parameters were not fitted to
-        again = over_horizons(wider, joint, fitted.linear)
-        joint = again if again.ok and again.chi2 < joint.chi2 else joint
     fitter.count_work(wider.work)
     if not joint.ok:
         return fitted

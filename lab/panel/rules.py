@@ -32,11 +32,6 @@ def _returns(name: str, what: str, value: Any, *targets: str) -> Rule:
     return Rule(name, what, tuple({"target": t, "returns": value} for t in targets))
 
 
-def _passes(name: str, what: str, argument: int | list[int], *targets: str) -> Rule:
-    """Off when its functions return an argument, or some, as they were given; that of a method counts ``self`` as 0."""
-    return Rule(name, what, tuple({"target": t, "argument": argument} for t in targets))
-
-
 def _test(name: str, what: str, target: str) -> Rule:
     """Off when a test of evidence has nothing against any structure."""
     return Rule(name, what, ({"target": f"{SIGNIFICANCE}.{target}", "named": "diagnose.evidence.outcome.PASS"},))
@@ -52,8 +47,6 @@ _ALL = (
     _returns("other_orders", "a position-locked effect is tried at the orders that stand out now", [], f"{GRAPH}.other_orders"),
     _returns("confounders", "confounders of each finding are fitted before it is reported", [],
              "diagnose.structure.pruning.Pruning.fit_confounders"),
-    _passes("growing_horizon", "nonsmooth structures are fitted to all recordings over growing horizons", 1,
-            "diagnose.fit.validation.over_horizons"),
     # evidence
     _test("encoder_rival", "an encoder that errs over its turn is a rival of each effect", "no_error_of_the_encoder"),
     _test("servo_rival", "the answer of a servo is a rival where the noise is not known", "no_answer_of_a_servo"),
