@@ -2,11 +2,11 @@
 
     python -m lab.kill diagnose --count 100
     python -m lab.kill fleet --count 20
-    python -m lab.kill study --count 20
+    python -m lab.kill study --count 20 --within 30
     python -m lab.kill benchmark --count 20
 
 The command runs as a process group of its own, which receives SIGKILL after a uniform random part of the time that a whole
-run takes. After each kill, a file under a final name has the bytes of the reference (a run that was let alone) but for times.
+run takes, or of ``--within`` seconds: a long command then receives many kills before it ends. After each kill, a file under a final name has the bytes of the reference (a run that was let alone) but for times.
 The next run continues in the same folder; each that ends gives all files of the reference, and the folder is emptied. Two runs
 that are let alone are compared first. Exit code 1 where something differs.
 """
@@ -14,6 +14,7 @@ that are let alone are compared first. Exit code 1 where something differs.
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
@@ -36,7 +37,13 @@ MODEL = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbod
 </worldbody>
 <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
 EFFECT = "coulomb_friction"
-TIMES = ((rb'"seconds": ?[0-9.e+-]+', b'"seconds": 0'), (rb"; [0-9.]+ s; python", b"; 0 s; python"))
+TIMES = (
+    (rb'"seconds": ?[0-9.e+-]+', b'"seconds": 0'),
+    (rb"; [0-9.]+ s; python", b"; 0 s; python"),
+    (rb'"(median|worst|sum)": ?[0-9.e+-]+(?=,\n   ?"(worst|sum|slow)")', rb'"\1": 0'),  # `seconds` of benchmark.json
+    (rb'data-label="Seconds" class="n">[0-9.]+<', b'data-label="Seconds" class="n">0<'),
+    (rb"Seconds a case: median [0-9.]+, worst [0-9.]+", b"Seconds a case: median 0, worst 0"),
+)
 
 
 @dataclass
@@ -118,8 +125,11 @@ def differences(found: Mapping[str, object], reference: Mapping[str, object], *,
     return wrong + [f"{name}: missing" for name in reference if whole and name not in found]
 
 
-def kill(name: str, count: int, limit: float, seed: int, folder: Path) -> Outcome:
-    """Kill one command ``count`` times, or until ``limit`` seconds are over, and once more let it end."""
+def kill(name: str, count: int, limit: float, seed: int, folder: Path, within: float = math.inf) -> Outcome:
+    """Kill one command ``count`` times, or until ``limit`` seconds are over, and once more let it end.
+
+    ``within`` [s]: the latest moment of a kill; by default the time of a whole run.
+    """
     (folder / "pendulum.xml").write_text(MODEL)
     words = [sys.executable, "-m", "simgap", *COMMANDS[name](folder), "--out", "out"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parents[1]), *sys.path])}
@@ -151,7 +161,7 @@ def kill(name: str, count: int, limit: float, seed: int, folder: Path) -> Outcom
     while outcome.kills < count and time.perf_counter() - began < limit:
         process = start()
         try:
-            end(process.wait(timeout=float(rng.uniform(0, outcome.whole_s))))
+            end(process.wait(timeout=float(rng.uniform(0, min(within, outcome.whole_s)))))
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
@@ -165,11 +175,12 @@ def kill(name: str, count: int, limit: float, seed: int, folder: Path) -> Outcom
 @click.argument("name", metavar="COMMAND", type=click.Choice(sorted(COMMANDS)), default="diagnose")
 @click.option("--count", default=100, show_default=True, help="Kills.")
 @click.option("--limit", default=3600.0, show_default=True, help="Stop after so many seconds.")
+@click.option("--within", default=math.inf, help="Kill within so many seconds of a start (default: of a whole run).")
 @click.option("--seed", default=0, show_default=True, help="Of the moments.")
-def main(name: str, count: int, limit: float, seed: int) -> None:
+def main(name: str, count: int, limit: float, within: float, seed: int) -> None:
     """Kill COMMAND at random moments; prints one line of JSON."""
     with tempfile.TemporaryDirectory() as folder:
-        outcome = kill(name, count, limit, seed, Path(folder))
+        outcome = kill(name, count, limit, seed, Path(folder), within)
     click.echo(json.dumps(asdict(outcome)))
     sys.exit(int(bool(outcome.wrong)))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -57,28 +57,10 @@ class NativeWriter:
         editor.ignored += [m.name for m in self._motors]
         self._friction: dict[int, float] = {}
         self._torque = 0.0
-        self._writers: dict[type, Callable[[Any], str]] = {
-            N.DryFriction: self._dry_friction,
-            N.ViscousDamping: self._viscous_damping,
-            N.SquareDrag: self._square_drag,
-            N.BodyBristle: self._body_bristle,
-            N.CouplingBristle: self._coupling_bristle,
-            N.Slack: self._slack,
-            N.CubicSpring: self._cubic_spring,
-            N.SplitBody: self._split_body,
-            N.Weight: self._weight,
-            N.GroundSpring: self._ground_spring,
-            N.Cogging: self._cogging,
-            N.DriveTorque: self._drive_torque,
-            N.DriveLimit: self._drive_limit,
-            N.DriveLag: self._drive_lag,
-            N.DriveDelay: self._drive_delay,
-            N.SensorDelay: self._sensor_delay,
-        }
 
     def write(self, value: N.Value) -> str:
         """Write a value; returns what plain MuJoCo lacks of it then, "" when nothing."""
-        return self._writers[type(value)](value)
+        return _WRITERS[type(value)](self, value)
 
     def keep(self, value: N.Value) -> None:
         """A value that the file has and that stays as it is."""
@@ -398,3 +380,23 @@ class NativeWriter:
 def _stiffest(timestep: float) -> str:
     """solref of a limit that is critically damped and as stiff as the step allows."""
     return row([-float(f"{1 / timestep**2:.6g}"), -float(f"{2 / timestep:.6g}")])
+
+
+_WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
+    N.DryFriction: NativeWriter._dry_friction,
+    N.ViscousDamping: NativeWriter._viscous_damping,
+    N.SquareDrag: NativeWriter._square_drag,
+    N.BodyBristle: NativeWriter._body_bristle,
+    N.CouplingBristle: NativeWriter._coupling_bristle,
+    N.Slack: NativeWriter._slack,
+    N.CubicSpring: NativeWriter._cubic_spring,
+    N.SplitBody: NativeWriter._split_body,
+    N.Weight: NativeWriter._weight,
+    N.GroundSpring: NativeWriter._ground_spring,
+    N.Cogging: NativeWriter._cogging,
+    N.DriveTorque: NativeWriter._drive_torque,
+    N.DriveLimit: NativeWriter._drive_limit,
+    N.DriveLag: NativeWriter._drive_lag,
+    N.DriveDelay: NativeWriter._drive_delay,
+    N.SensorDelay: NativeWriter._sensor_delay,
+}

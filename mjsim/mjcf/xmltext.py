@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
@@ -14,16 +15,24 @@ __all__ = ["Node", "XmlText"]
 
 @dataclass
 class Node:
-    """An element: where its start tag (start..head) and the whole of it (start..end) stand in the text."""
+    """An element: where its start tag (start..head) and the whole of it (start..end) stand in the text.
+
+    above: its parent, weakly, so that a tree is freed with the text that holds its root.
+    """
 
     tag: str
     attributes: dict[str, str]
-    parent: Node | None
+    above: weakref.ref[Node] | None
     start: int
     head: int = 0
     end: int = 0
     close: int = 0  # where its end tag starts; equal to head when it has none
     children: list[Node] = field(default_factory=list)
+
+    @property
+    def parent(self) -> Node | None:
+        """The element that holds this one; None of the root."""
+        return None if self.above is None else self.above()
 
     def walk(self) -> Iterator[Node]:
         """This element and all below it."""
@@ -74,7 +83,7 @@ class XmlText:
         roots: list[Node] = []
 
         def opened(tag: str, attributes: dict[str, str]) -> None:
-            node = Node(tag, attributes, stack[-1] if stack else None, parser.CurrentByteIndex)
+            node = Node(tag, attributes, weakref.ref(stack[-1]) if stack else None, parser.CurrentByteIndex)
             node.head = self._tag_end(node.start)
             (stack[-1].children if stack else roots).append(node)
             stack.append(node)
@@ -88,7 +97,10 @@ class XmlText:
 
         parser.StartElementHandler = opened
         parser.EndElementHandler = closed
-        parser.Parse(self.data, True)
+        try:
+            parser.Parse(self.data, True)
+        finally:  # the functions hold the parser: without this its native memory waits for the garbage collector
+            parser.StartElementHandler = parser.EndElementHandler = None
         return roots[0]
 
     def _tag_end(self, start: int) -> int:
