@@ -6,9 +6,10 @@
     python -m lab.kill benchmark --count 20
 
 The command runs as a process group of its own, which receives SIGKILL after a uniform random part of the time that a whole
-run takes, or of ``--within`` seconds: a long command then receives many kills before it ends. After each kill, a file under a final name has the bytes of the reference (a run that was let alone) but for times.
-The next run continues in the same folder; each that ends gives all files of the reference, and the folder is emptied. Two runs
-that are let alone are compared first. Exit code 1 where something differs.
+run takes, or of ``--within`` seconds: a long command then receives many kills before it ends. After each kill, a file under a
+final name has the bytes of the reference (a run that was let alone) but for times. The next run continues in the same folder;
+each that ends gives all files of the reference, and the folder is emptied. Two runs that are let alone are compared first.
+Exit code 1 where something differs.
 """
 
 from __future__ import annotations
