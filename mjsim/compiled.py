@@ -3,21 +3,25 @@
 numba makes itself ready to compile (tables of types, the code behind every function of NumPy, scipy.linalg) before it looks
 whether the code is on disk: three quarters of the time until the kernel is there. Code that is found needs none of it but the
 runtime that counts references; what is not found is compiled as ever, after the same preparations.
+
+Where no folder can be written (neither NUMBA_CACHE_DIR, nor the one beside the source, nor that of the user) a function is
+compiled for this process alone.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.ccallback import CFunc
 from numba.core.runtime import rtsys
 
 from mjsim.notices import compiling
 
-__all__ = ["callback", "compiled"]
+__all__ = ["callback", "compiled", "kept_at"]
 
 
 class _Kept(FunctionCache):
@@ -32,13 +36,39 @@ class _Kept(FunctionCache):
             compiling()
         return found
 
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code, where the disk takes it."""
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
+
+
+class _Unkept(NullCache):
+    """In place of a cache where no folder can be written."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        """Nothing is there."""
+        compiling(kept=False)
+
+
+def _cache(function: Callable[..., Any]) -> _Kept | _Unkept:
+    try:
+        return _Kept(function)
+    except RuntimeError:  # numba found no folder that it may write
+        return _Unkept()
+
+
+def kept_at(dispatcher: Any) -> str | None:
+    """The folder that keeps the code of a function made by `compiled`; None where none can be written."""
+    path: str | None = dispatcher._cache.cache_path
+    return path
+
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Like `numba.njit`: a function that leaves the interpreter's lock, kept on disk."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = njit(nogil=True, **options)(function)
-        dispatcher._cache = _Kept(function)
+        dispatcher._cache = _cache(function)
         return dispatcher
 
     return decorate
@@ -47,6 +77,6 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def callback(function: Callable[..., Any], answer: Any, *arguments: Any) -> Any:
     """Like `numba.cfunc`: a function that C can call, kept on disk; ``answer``, ``arguments``: their types."""
     made: Any = CFunc(function, (arguments, answer), {}, {})
-    made._cache = _Kept(function)
+    made._cache = _cache(function)
     made.compile()
     return made

@@ -7,19 +7,19 @@ from contextlib import contextmanager
 
 __all__ = ["compiling", "quiet", "tell_compiling"]
 
-_LISTENERS: list[Callable[[], None]] = []
+_LISTENERS: list[Callable[[bool], None]] = []
 
 
-def tell_compiling(listener: Callable[[], None]) -> None:
-    """Call ``listener`` once, before the first function is compiled that is not on disk."""
+def tell_compiling(listener: Callable[[bool], None]) -> None:
+    """Call ``listener(kept)`` once, before the first function is compiled that is not on disk; ``kept``: whether it will be."""
     _LISTENERS.append(listener)
 
 
-def compiling() -> None:
-    """A function is not on disk and is compiled next."""
+def compiling(*, kept: bool = True) -> None:
+    """A function is not on disk and is compiled next; ``kept``: there is a folder for its code."""
     told, _LISTENERS[:] = list(_LISTENERS), []
     for listener in told:
-        listener()
+        listener(kept)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import gc
 import importlib
 import os
 import select
+import signal
 import sys
 import warnings
 from collections.abc import MutableMapping
@@ -26,8 +27,15 @@ __all__ = ["main"]
 
 HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # where no command is given; click < 8.2 ends the program itself
 COMPILING = "simgap: compiling the simulation, once on this machine: this takes up to three minutes ..."
+UNKEPT = (
+    "simgap: compiling the simulation for this run alone, up to three minutes: no folder for compiled code can be written; "
+    "set NUMBA_CACHE_DIR to one that can ..."
+)
 OWN = ("mjsim", "ident", "diagnose", "simgap", "lab")  # packages of this project
+TRACEBACK = "SIMGAP_TRACEBACK"  # environment variable: show the traceback of a fault of simgap
+LESS = "use a shorter recording or fewer --jobs, or allow more"
 REPORT = "report it with the input: it is a fault of simgap"
+TERMINATED = 143  # exit code of a program ended by SIGTERM, 128 + 15
 CLOSED = 141  # exit code when nobody reads standard output any more: that of a program ended by SIGPIPE, 128 + 13
 
 # name -> one line of help; the code of a command is simgap/commands/<name>.py, attribute `command`.
@@ -60,6 +68,12 @@ COLLECT = (50_000, 20, 50)
 
 class _ClosedPipe(Exception):  # noqa: N818  (no error: nobody reads what is written)
     """A pipe was closed by its reader; click would end with exit code 1, which means here that a check failed."""
+
+
+class _Termination(KeyboardInterrupt):
+    """SIGTERM: ends a command as Ctrl-C does, so that temporary files go and fits are kept."""
+
+    asked = False
 
 
 class LazyGroup(click.Group):
@@ -127,12 +141,29 @@ def main() -> None:
     atexit.register(gc.freeze)  # without it the interpreter scans every object once more as it ends, which takes half a second
     defer_rendering(os.environ)
     refuse_numerical_warnings()
-    tell_compiling(lambda: click.echo(COMPILING, err=True))
-    code = _outcome()
+    tell_compiling(lambda kept: click.echo(COMPILING if kept else UNKEPT, err=True))
+    end_on_sigterm()
+    try:
+        code = _outcome()
+    except SystemExit as ended:
+        if not _Termination.asked:
+            raise
+        code = _tell("terminated", ended.code if isinstance(ended.code, int) else TERMINATED)
     with contextlib.suppress(OSError):
         if code == CLOSED:  # what is still buffered would raise once more as the interpreter ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
+
+
+def end_on_sigterm() -> None:
+    """Let SIGTERM end the command as Ctrl-C does, with its own exit code; where this is not the main thread it is left alone."""
+
+    def end(number: int, frame: object) -> None:
+        _Termination.asked = True
+        raise _Termination
+
+    with contextlib.suppress(ValueError):
+        signal.signal(signal.SIGTERM, end)
 
 
 def defer_rendering(environ: MutableMapping[str, str]) -> None:
@@ -180,8 +211,19 @@ def _outcome() -> int:
         return CLOSED if _nobody_reads() else _tell(one_line(str(error)), 2)
     except OSError as error:
         return _tell(one_line(file_error(error)), 2)
-    except RuntimeWarning as warning:
-        return _tell(one_line(f"{warning} in {_place_of(warning)}; the numbers are no result; {REPORT}"), 1)
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        return _fault(error)
+
+
+def _fault(error: Exception) -> int:
+    """Tell of what no part of the command expected: no memory, numbers that are none, a fault of simgap."""
+    if isinstance(error, MemoryError):
+        return _tell(one_line(f"not enough memory{f' ({error})' if str(error) else ''}; {LESS}"), 2)
+    if isinstance(error, RuntimeWarning):
+        return _tell(one_line(f"{error} in {_place_of(error)}; the numbers are no result; {REPORT}"), 1)
+    return _tell(one_line(f"{type(error).__name__} in {_place_of(error)}: {error}; {REPORT} ({TRACEBACK}=1 shows more)"), 1)
 
 
 def _place_of(error: BaseException) -> str:
@@ -202,6 +244,9 @@ def _usage(error: click.UsageError) -> str:
 
 
 def _tell(line: str, code: int) -> int:
+    """Say what stopped the command; after SIGTERM that is what did, whatever else broke in its wake."""
+    if _Termination.asked:
+        line, code = "terminated", TERMINATED
     with contextlib.suppress(OSError):
         click.echo(f"simgap: {line}", err=True)
     return code

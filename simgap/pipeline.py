@@ -30,12 +30,14 @@ from diagnose.result import Diagnosis
 from diagnose.verdict.notes import DERIVED
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
+from mjsim.compiled import kept_at
 from mjsim.control import as_driven
 from mjsim.errors import InputError
+from mjsim.kernel import integrate
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.notices import quiet
-from mjsim.ode import load_kernel
+from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
 from simgap.either_numerics import by_either_numerics
 from simgap.either_view import by_motion_too
@@ -173,6 +175,9 @@ def diagnose_recordings(
     except InputError:
         ledger.discard()
         raise
+    except DivergedError as error:  # of the model as given: one that is tried and diverges is rejected where it is tried
+        ledger.discard()
+        raise InputError(model, f"its simulation diverges: {error}", "finite numbers", "check inertias and stiffnesses") from None
     finally:
         ledger.close()
     result = dataclasses.replace(
@@ -290,7 +295,7 @@ def _load_kernels(bodies: int) -> None:
     beside: list[subprocess.Popen[bytes]] = []
 
     def begin() -> None:
-        if sys.executable and not getattr(sys, "frozen", False):
+        if sys.executable and not getattr(sys, "frozen", False) and kept_at(integrate) is not None:
             with contextlib.suppress(OSError):  # no process can be had
                 beside.append(
                     subprocess.Popen([sys.executable, "-c", _COMPILE, str(bodies + 1), *sys.path], stderr=subprocess.DEVNULL)

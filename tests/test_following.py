@@ -28,20 +28,20 @@ def test_compiling_beside_the_search_is_told_once_in_a_while(capsys, monkeypatch
 
 def test_who_listens_is_told_once_and_not_where_another_follows():
     told = []
-    notices.tell_compiling(lambda: told.append("a"))
+    notices.tell_compiling(lambda kept: told.append(kept))
     with notices.quiet():
         notices.compiling()
     assert told == []
     notices.compiling()
     notices.compiling()
-    assert told == ["a"]
+    assert told == [True]
 
 
 CODE = """
 from mjsim.compiled import compiled
 from mjsim.notices import tell_compiling
 from simgap.cli import COMPILING
-tell_compiling(lambda: print(COMPILING))
+tell_compiling(lambda kept: print(COMPILING))
 @compiled(cache=True)
 def twice(x):
     return 2 * x

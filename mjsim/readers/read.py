@@ -89,7 +89,12 @@ def _guarded(path: Path, suffix: str, read: Callable[[], T]) -> T:
         return read()
     except InputError:
         raise
-    except (Exception, MemoryError, RecursionError) as error:
+    except MemoryError as error:
+        told = f"not enough memory to read it ({first_line(error)})"
+        raise InputError(
+            path, told, "less than the memory there is", "read a part of it, or record it again if it is damaged"
+        ) from None
+    except (Exception, RecursionError) as error:
         kind = FORMATS[suffix]
         told = f"not a readable {suffix.removeprefix('.').upper()} file ({first_line(error)})"
         raise InputError(path, told, kind, "name it by its true format, or record it again") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import shutil
@@ -282,12 +283,14 @@ def diagnose(
     if robot:
         group, kept = ([loaded(r, subject, robot=True) for r in x] for x in (given, held))
         own = _robot(group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn, accept_log=accept_log)
+        gc.collect()
         return Diagnosis(own, subject, folder, scratch)
     options = Options(
         judge=judge, effects=tuple(effects), jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf
     )
     read = _loaded(given, held, subject, joint)
     result = _axis(read, subject, folder, options, progress, accept_log, drawn)
+    gc.collect()  # of many diagnoses in one process: else cyclic garbage waits until a quarter of all objects is new
     return Diagnosis(result, subject, folder, scratch)
 
 

@@ -98,8 +98,16 @@ def _linear_algebra() -> dict[str, Any]:
 
 def _compiled() -> dict[str, Any]:
     from mjsim import kernel
+    from mjsim.compiled import kept_at
 
-    folder = Path(kernel.integrate._cache.cache_path)
+    where = kept_at(kernel.integrate)
+    if where is None:
+        return {
+            "folder": None, "files": 0, "megabytes": 0.0, "simulation": False,
+            "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR"),
+            "problem": "no folder can be written: every run compiles anew; set NUMBA_CACHE_DIR to a writable folder",
+        }  # fmt: skip
+    folder = Path(where)
     kept = list(folder.glob("*.nbc")) if folder.is_dir() else []
     stem = Path(str(kernel.__file__)).stem
     there = next(p for p in (folder, *folder.parents) if p.exists())
