@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 from mjsim.errors import InputError, nearest
@@ -18,6 +19,7 @@ __all__ = [
     "need_known",
     "need_known_experiment",
     "need_no_misspelt_table",
+    "need_no_model_table",
     "table_of",
 ]
 
@@ -53,6 +55,12 @@ def need_no_misspelt_table(tables: Collection[str], path: object) -> None:
     for name in tables:
         if name not in TABLES and (advice := nearest(name, TABLES, "")):
             raise InputError(path, f"table [{name}] is not known", ", ".join(f"[{t}]" for t in TABLES), advice)
+
+
+def need_no_model_table(tables: Collection[str], path: Path) -> None:
+    """Raise InputError for a table ``[model]`` beside a recording; it is read from the file of the model's name only."""
+    if "model" in tables and not path.with_suffix(".xml").is_file():
+        raise InputError(path, "[model] is not read beside a recording", "[model] beside MODEL.xml", "move it to MODEL.toml")
 
 
 def need_known_experiment(given: Mapping[str, Any], path: object) -> None:

@@ -11,7 +11,7 @@ import select
 import signal
 import sys
 import warnings
-from collections.abc import MutableMapping
+from collections.abc import Iterator, MutableMapping
 from typing import TYPE_CHECKING
 
 import click
@@ -142,28 +142,40 @@ def main() -> None:
     defer_rendering(os.environ)
     refuse_numerical_warnings()
     tell_compiling(lambda kept: click.echo(COMPILING if kept else UNKEPT, err=True))
-    end_on_sigterm()
-    try:
-        code = _outcome()
-    except SystemExit as ended:
-        if not _Termination.asked:
-            raise
-        code = _tell("terminated", ended.code if isinstance(ended.code, int) else TERMINATED)
+    with _ended_by_sigterm():
+        code = _ended()
     with contextlib.suppress(OSError):
         if code == CLOSED:  # what is still buffered would raise once more as the interpreter ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
 
 
-def end_on_sigterm() -> None:
+@contextlib.contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
     """Let SIGTERM end the command as Ctrl-C does, with its own exit code; where this is not the main thread it is left alone."""
 
     def end(number: int, frame: object) -> None:
         _Termination.asked = True
         raise _Termination
 
+    before = None
     with contextlib.suppress(ValueError):
-        signal.signal(signal.SIGTERM, end)
+        before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
+
+
+def _ended() -> int:
+    """The exit code of the command, also where SIGTERM made it exit by itself."""
+    try:
+        return _outcome()
+    except SystemExit:
+        if not _Termination.asked:
+            raise
+        return _tell("terminated", TERMINATED)
 
 
 def defer_rendering(environ: MutableMapping[str, str]) -> None:

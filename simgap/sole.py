@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["sole"]
+__all__ = ["sole", "sole_in_python"]
 
 BUSY = -1
 
@@ -36,6 +36,13 @@ def sole(out: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 _place(out).unlink()
             os.close(held)
+
+
+def sole_in_python(out: Path) -> contextlib.AbstractContextManager[None]:
+    """`sole`, for a call from Python; a command holds its folder itself, before it calls."""
+    import click
+
+    return sole(out) if click.get_current_context(silent=True) is None else contextlib.nullcontext()
 
 
 def _place(out: Path) -> Path:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import simgap as api
 from mjsim.errors import InputError
 from mjsim.models import shipped_model
 from simgap import cli
@@ -229,6 +230,19 @@ def test_two_runs_into_one_folder(simgap):
         refused(simgap("run", "step", "--duration", "0.1", "--out", "link"), "link", "another run writes")
         assert simgap("run", "step", "--duration", "0.1", "--out", "other")[0] == 0
     assert simgap("run", "step", "--duration", "0.1", "--out", "out")[0] == 0
+
+
+@pytest.mark.parametrize("words", [("proof", "summary"), ("crosscheck", "emps")])
+def test_two_runs_of_a_proof_or_a_crosscheck(simgap, words):
+    with sole(Path("out")):
+        refused(simgap(*words, "--out", "out"), "out", "another run writes")
+
+
+def test_two_diagnoses_from_python_into_one_folder(tmp_path):
+    log = recording(tmp_path / "log.csv")
+    with sole(tmp_path / "out"), pytest.raises(InputError, match="another run writes"):
+        api.diagnose(log, "robot_axis1", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_run_that_was_killed_does_not_hold_its_folder(tmp_path):

@@ -142,3 +142,16 @@ def test_a_name_that_resembles_none_is_told_with_the_choices(run_cli):
     assert code == 2
     assert "robot_axis1" in err
     assert "did you mean" not in err
+
+
+def test_a_model_table_beside_a_log_is_refused_and_read_beside_the_model(run_cli):
+    """It would be read by nobody; where log and model share the name, it is the model's."""
+    Path("log.csv").write_text(LOG)
+    Path("log.toml").write_text('[model]\nactuator = "motor"\n')
+    code, _, err = run_cli("identify", "log.csv", "--out", "out")
+    assert code == 2
+    assert "[model] is not read beside a recording" in err
+    assert "MODEL.toml" in err
+    Path("log.xml").write_text("<mujoco/>")
+    code, _, err = run_cli("identify", "log.csv", "--decimate", "1", "--orders", "1,1,1,1,1", "--out", "out")
+    assert "[model]" not in err

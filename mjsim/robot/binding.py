@@ -11,7 +11,14 @@ from typing import Any
 
 from mjsim.binding import Binding, Channel
 from mjsim.errors import InputError, nearest
-from mjsim.experiment_table import CHANNEL_KEYS, need_known, need_known_experiment, need_no_misspelt_table, table_of
+from mjsim.experiment_table import (
+    CHANNEL_KEYS,
+    need_known,
+    need_known_experiment,
+    need_no_misspelt_table,
+    need_no_model_table,
+    table_of,
+)
 from mjsim.hold import HOLDS
 from mjsim.readers import part_of
 
@@ -55,6 +62,7 @@ class RobotBinding:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        need_no_model_table(table, path)
         return cls.from_tables(table, path)
 
     @classmethod

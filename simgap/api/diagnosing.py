@@ -28,6 +28,7 @@ from simgap.api.recording import loaded
 from simgap.api.scratch import Scratch
 from simgap.long_logs import Loaded, load_all
 from simgap.robot import is_robot
+from simgap.sole import sole_in_python
 
 if TYPE_CHECKING:
     import pandas
@@ -255,7 +256,7 @@ def diagnose(
     further fit starts. ``effort``: limit of the simulations, 0 for none. ``accept_log``: search even where the check of
     the log says that it has to be fixed. ``progress``: on standard error; None: only that something is compiled.
 
-    Raises `InputError` for recordings or a model that cannot be used.
+    Raises `InputError` for recordings or a model that cannot be used, and where another run writes into ``out``.
 
     >>> import numpy as np
     >>> import simgap
@@ -280,16 +281,19 @@ def diagnose(
     scratch = Scratch() if out is None else None
     folder = scratch.path if scratch is not None else Path(str(out))
     drawn = scratch is None
-    if robot:
-        group, kept = ([loaded(r, subject, robot=True) for r in x] for x in (given, held))
-        own = _robot(group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn, accept_log=accept_log)
-        gc.collect()
-        return Diagnosis(own, subject, folder, scratch)
     options = Options(
         judge=judge, effects=tuple(effects), jobs=jobs, seed=seed, seconds=budget or math.inf, effort=effort or math.inf
     )
-    read = _loaded(given, held, subject, joint)
-    result = _axis(read, subject, folder, options, progress, accept_log, drawn)
+    result: AxisResult | RobotDiagnosis
+    with sole_in_python(folder):
+        if robot:
+            group, kept = ([loaded(r, subject, robot=True) for r in x] for x in (given, held))
+            result = _robot(
+                group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn, accept_log=accept_log
+            )
+        else:
+            read = _loaded(given, held, subject, joint)
+            result = _axis(read, subject, folder, options, progress, accept_log, drawn)
     gc.collect()  # of many diagnoses in one process: else cyclic garbage waits until a quarter of all objects is new
     return Diagnosis(result, subject, folder, scratch)
 

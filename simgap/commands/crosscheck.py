@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile, OutputFolder, need_folder
+from simgap.arguments import ModelFile, OutputFolder, take_folder
 from simgap.terminal import lines_wanted
 
 __all__ = ["command"]
@@ -36,7 +36,7 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
     from mjsim.ode import DivergedError
 
     if out is not None:
-        need_folder(out)
+        take_folder(out)
     report = Report(())
     shown = not as_json and sys.stderr.isatty()
     try:

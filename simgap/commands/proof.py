@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, InputFile, OutputFolder, need_folder
+from simgap.arguments import Choice, InputFile, OutputFolder, take_folder
 
 __all__ = ["PAGES", "command"]
 
@@ -41,7 +41,7 @@ def command(name: str, out: Path, source: Path | None, benchmark: Path | None, j
 
     from lab.proof.page import plain, write_page
 
-    need_folder(out)
+    take_folder(out)
     page = _made(name, out, source, benchmark, jobs)
     # the summary stands above the pages that it names
     path = write_page(page, out.resolve().parent, figures=False) if name == "summary" else write_page(page, out)
