@@ -75,7 +75,7 @@ def run(
 ) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT), *sys.path])} | more
     return subprocess.run([sys.executable, "-c", code, *words], cwd=folder, env=environment, capture_output=True, text=True,
-                          timeout=300, check=False)  # fmt: skip
+                          timeout=900, check=False)  # fmt: skip
 
 
 def line(ended: subprocess.CompletedProcess[str], code: int, *parts: str) -> None:

@@ -383,20 +383,12 @@ def _stiffest(timestep: float) -> str:
 
 
 _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
-    N.DryFriction: NativeWriter._dry_friction,
-    N.ViscousDamping: NativeWriter._viscous_damping,
-    N.SquareDrag: NativeWriter._square_drag,
-    N.BodyBristle: NativeWriter._body_bristle,
-    N.CouplingBristle: NativeWriter._coupling_bristle,
-    N.Slack: NativeWriter._slack,
-    N.CubicSpring: NativeWriter._cubic_spring,
-    N.SplitBody: NativeWriter._split_body,
-    N.Weight: NativeWriter._weight,
-    N.GroundSpring: NativeWriter._ground_spring,
-    N.Cogging: NativeWriter._cogging,
-    N.DriveTorque: NativeWriter._drive_torque,
-    N.DriveLimit: NativeWriter._drive_limit,
-    N.DriveLag: NativeWriter._drive_lag,
-    N.DriveDelay: NativeWriter._drive_delay,
-    N.SensorDelay: NativeWriter._sensor_delay,
-}
+    N.DryFriction: NativeWriter._dry_friction, N.ViscousDamping: NativeWriter._viscous_damping,
+    N.SquareDrag: NativeWriter._square_drag, N.BodyBristle: NativeWriter._body_bristle,
+    N.CouplingBristle: NativeWriter._coupling_bristle, N.Slack: NativeWriter._slack,
+    N.CubicSpring: NativeWriter._cubic_spring, N.SplitBody: NativeWriter._split_body,
+    N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
+    N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
+    N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag,
+    N.DriveDelay: NativeWriter._drive_delay, N.SensorDelay: NativeWriter._sensor_delay,
+}  # fmt: skip
