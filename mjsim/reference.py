@@ -30,6 +30,8 @@ class NotAffineError(ValueError):
 
 def not_affine(axis: Axis) -> str | None:
     """Why the exact reference does not cover this axis (one line), or None when it does."""
+    if axis.chain.bodies[0].limit is not None:
+        return "the limits of the driven joint are not affine"
     for effect in axis.effects:
         for port in effect.ports(axis.chain):
             if isinstance(port, P.Friction):
@@ -40,7 +42,7 @@ def not_affine(axis: Axis) -> str | None:
             elif isinstance(port, P.BodyTorque):
                 if port.state or constant(port.law, port.p, 1.0) is None:
                     return f"the torque of {effect.key} is not constant"
-            elif isinstance(port, P.CouplingTorque | P.Twist | P.BodyInertia):
+            elif isinstance(port, P.CouplingTorque | P.Twist | P.BodyInertia | P.JointLimit):
                 return f"{effect.key} is not affine"
     return None
 

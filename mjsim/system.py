@@ -15,7 +15,7 @@ from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, RATE, STATE, Law
 from mjsim.servo import Target
 
-__all__ = ["MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "restoring", "split_chain"]
+__all__ = ["LIMIT", "MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "restoring", "split_chain"]
 
 STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
 SLIDES = 4.0  # times a bristle settles within a step, past which it only slides: the spring that it is at rest is not there
@@ -24,7 +24,7 @@ MOST_STEPS = 64  # of the accuracy rule in a sample
 
 _Element = P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction
 _KIND = {P.Twist: 0, P.CouplingTorque: 1, P.BodyTorque: 2, P.BodyInertia: 3, P.Friction: 4}
-_SOFT, _LIMIT = 5, 6
+_SOFT, LIMIT = 5, 6
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,16 @@ class System:
 
     @property
     def soft(self) -> bool:
-        """Whether any friction or limit is soft as in MuJoCo."""
-        return bool((self.elements[:, 0] >= _SOFT).any())
+        """Whether any friction is soft."""
+        return bool((self.elements[:, 0] == _SOFT).any())
+
+    @property
+    def limit(self) -> Limit | None:
+        """The limits of body 0, None where there are none."""
+        if not len(self.elements) or self.elements[-1, 0] != LIMIT:
+            return None
+        low, high, stiffness, damping, *impedance = self.parameters[self.elements[-1, 3] :][:9].tolist()
+        return Limit(low, high, stiffness, damping, tuple(impedance))
 
     def tied(self) -> System:
         """The same with all laws over the angle tied to a recorded one, gravity and springs too: nearly linear in its numbers."""
@@ -179,7 +187,7 @@ class _Elements:
     @property
     def uneven(self) -> bool:
         """Whether soft friction or a limit makes the equations other than affine."""
-        return any(kind in (_SOFT, _LIMIT) for kind, *_ in self.rows)
+        return any(kind in (_SOFT, LIMIT) for kind, *_ in self.rows)
 
     def add(self, port: _Element, ratios: np.ndarray) -> None:
         """Take up a port; ``ratios`` (n,): of the coupling behind each body."""
@@ -219,7 +227,7 @@ class _Elements:
         inertia, most = self.bodies[0].inertia, max(limit.impedance[:2])
         self.stiff[0] += inertia * most**2 * limit.stiffness
         self.damping[0] += inertia * most * limit.damping
-        self.rows.append((_LIMIT, 0, 0, len(self.values), -1, True))
+        self.rows.append((LIMIT, 0, 0, len(self.values), -1, True))
         self.values.extend((limit.lower, limit.upper, limit.stiffness, limit.damping, *limit.impedance))
 
     def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:

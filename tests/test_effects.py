@@ -57,7 +57,7 @@ def driven(axis):
         velocity = run.velocity + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
         log = Recording(TIME, TORQUE, velocity, run.angle, DT, command=command)
         of = scales_by_place(carrier, prepare(log))
-        out.append((carrier, run, {place: dataclasses.replace(s, orders=(1.0, 3.0)) for place, s in of.items()}))
+        out.append((carrier, run, {place: dataclasses.replace(s, orders=(1.0, 3.0), stops=None) for place, s in of.items()}))
     return out
 
 

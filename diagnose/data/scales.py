@@ -6,6 +6,7 @@ import numpy as np
 
 from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, smooth_velocity, whole_step
 from diagnose.data.runs import free_run
+from diagnose.data.stops import stops_of
 from diagnose.thresholds import LINE, TURNS
 from mjsim.axis import Axis
 from mjsim.effects import Scales
@@ -121,6 +122,7 @@ def scales_by_place(
     asked = (float(np.max(force)), *(float(x) for x in np.quantile(force, (0.9, 0.7)))) if np.any(force) else ()
     steps = value_steps(measured_velocity(r), experiment.sigma)
     turning = turning and chain.motion is Motion.HINGE and len(orders) > 0
+    stops = stops_of(q, v, r.dt)
     turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
     for place in PLACES:
         found = chain.body(place)
@@ -138,6 +140,6 @@ def scales_by_place(
             dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
             following=0.0 if r.command is None else _rms(r.command - q), asked=asked,
-            move=r.duration / (1 + reversals(v)),
+            move=r.duration / (1 + reversals(v)), stops=stops if at == 0 else (),
         )  # fmt: skip
     return out

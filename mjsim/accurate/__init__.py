@@ -24,7 +24,7 @@ from mjsim.axis import Axis
 from mjsim.effects.base import NotApplicableError, need_torque_input
 from mjsim.mjcf.compile import caught_warnings
 from mjsim.ode import DivergedError, Trajectory, _sense, apply_input
-from mjsim.system import System, assemble
+from mjsim.system import LIMIT, System, assemble
 
 __all__ = ["NativeModel", "native_model", "native_xml", "simulate"]
 
@@ -49,6 +49,7 @@ def simulate(
     need_torque_input(s.chain)
     if s.soft:
         raise NotApplicableError("soft friction is MuJoCo's own: run the file")
+    elements = s.elements[s.elements[:, 0] != LIMIT]  # MuJoCo's own too, and in the model
     n, count = s.n, len(torque)
     mine = native_model(s)
     m, d = mine.model, mine.data
@@ -67,7 +68,7 @@ def simulate(
     with caught_warnings() as warnings:
         mujoco.mj_forward(m, d)
         status, at = _run(
-            address, staged, s.f, s.gap_law, s.chain.gain, s.elements, s.parameters, s.has_friction, mine.tendon, u, dt, shift,
+            address, staged, s.f, s.gap_law, s.chain.gain, elements, s.parameters, s.has_friction, mine.tendon, u, dt, shift,
             split, float(before), s.input_lag, n_sub, x0, np.zeros(s.n_states), t0, out, d.qpos, d.qvel, d.qacc, d.qfrc_smooth,
             d.ctrl, d.qfrc_applied, m.dof_armature, m.dof_M0, m.tendon_stiffness, m.tendon_damping,
             m.tendon_lengthspring.reshape(-1, 2), mine.timestep,

@@ -20,13 +20,21 @@ def native_xml(system: System) -> str:
     """The axis as MJCF in absolute coordinates: bodies side by side, couplings as fixed tendons; no effects."""
     chain = system.chain
     joint = "hinge" if chain.motion is Motion.HINGE else "slide"
-    bodies, tendons = [], []
+    bodies, tendons, limit = [], [], system.limit
+    limited, constraint = "", ' constraint="disable"'
+    if limit is not None:
+        most = max(limit.impedance[:2])
+        solimp = " ".join(map(repr, limit.impedance))
+        limited = f' limited="true" range="{limit.lower!r} {limit.upper!r}" solimplimit="{solimp}"'
+        limited += f' solreflimit="{-limit.stiffness * most**2!r} {-limit.damping * most!r}"'
+        constraint = ""
     for i, b in enumerate(chain.bodies):
         size = f'mass="1" diaginertia="{b.inertia!r} {b.inertia!r} {b.inertia!r}"'
         if chain.motion is Motion.SLIDE:
             size = f'mass="{b.inertia!r}" diaginertia="1 1 1"'
+        more = "" if i else limited
         bodies.append(
-            f'    <body name="b{i}"><joint name="j{i}" type="{joint}" axis="0 0 1" damping="{b.viscous!r}"/>'
+            f'    <body name="b{i}"><joint name="j{i}" type="{joint}" axis="0 0 1" damping="{b.viscous!r}"{more}/>'
             f'<inertial pos="0 0 0" {size}/></body>'
         )
     for j, c in enumerate(chain.couplings):
@@ -39,7 +47,7 @@ def native_xml(system: System) -> str:
             '<mujoco model="axis">',
             '  <compiler angle="radian" boundmass="0" boundinertia="0" balanceinertia="false"/>',
             '  <option integrator="RK4" gravity="0 0 0" jacobian="dense">',
-            '    <flag contact="disable" constraint="disable" autoreset="disable"/>',
+            f'    <flag contact="disable"{constraint} autoreset="disable"/>',
             "  </option>",
             "  <worldbody>",
             *bodies,

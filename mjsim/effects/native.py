@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mjsim.chain import Limit
+
 __all__ = [
     "BodyBristle",
     "Cogging",
@@ -19,6 +21,7 @@ __all__ = [
     "DriveTorque",
     "DryFriction",
     "GroundSpring",
+    "JointRange",
     "Native",
     "SensorDelay",
     "Slack",
@@ -124,6 +127,13 @@ class GroundSpring:
 
 
 @dataclass(frozen=True)
+class JointRange:
+    """Soft limits of the driven joint, over the angle of the chain."""
+
+    limit: Limit
+
+
+@dataclass(frozen=True)
 class Cogging:
     """Torque amplitude sin(cycles angle + phase) on the driven body [N m | N], positive drives forward; whole cycles per turn."""
 
@@ -179,6 +189,7 @@ Value = (
     | Weight
     | Cogging
     | GroundSpring
+    | JointRange
     | DriveTorque
     | DriveLimit
     | DriveLag

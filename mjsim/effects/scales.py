@@ -21,7 +21,8 @@ class Scales:
     its values show any; following: rms error of a servo between command and angle [rad | m]; asked: levels of the force that
     the input, or a servo's law without its limit, asks of the actuator [N m | N]: the largest, and those exceeded in a tenth
     and in three tenths of the time; move: mean time between reversals of the velocity [s],
-    the duration where it does not reverse.
+    the duration where it does not reverse; stops: (side, angle [rad | m], time constant [s]) of each end of the travel at which the
+    motion is turned back as at a stop, side -1 or +1; None where this was not looked for.
     """
 
     torque: float
@@ -44,3 +45,4 @@ class Scales:
     following: float = 0.0
     asked: tuple[float, ...] = ()
     move: float = 0.0
+    stops: tuple[tuple[int, float, float], ...] | None = None

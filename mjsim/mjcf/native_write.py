@@ -204,6 +204,21 @@ class NativeWriter:
         self.linear.weigh(value.body, value.torque / own.torque, turn)
         return ""
 
+    def _joint_range(self, value: N.JointRange) -> str:
+        """Range and solver settings of the driven joint, by direct numbers, which MuJoCo takes as they are at any timestep."""
+        editor, limit, joint = self.editor, value.limit, self.editor.joint_of(0)
+        if joint is None:
+            return NOT_ONE_JOINT
+        most = limit.impedance[1]
+        zero = float(editor.model.qpos0[editor.model.joint(joint).qposadr[0]])
+        span = [limit.lower + zero, limit.upper + zero]
+        editor.set(
+            "joint", joint, limited="true", range=row([math.degrees(x) for x in span] if editor.degrees() else span),
+            solreflimit=row([-limit.stiffness * most**2, -limit.damping * most]), solimplimit=row(limit.impedance),
+            margin="0" if editor.model.joint(joint).margin[0] else None,
+        )  # fmt: skip
+        return ""
+
     # ---- couplings --------------------------------------------------------------------------------------------------------
 
     def _slack(self, value: N.Slack) -> str:
@@ -387,7 +402,7 @@ _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
     N.SquareDrag: NativeWriter._square_drag, N.BodyBristle: NativeWriter._body_bristle,
     N.CouplingBristle: NativeWriter._coupling_bristle, N.Slack: NativeWriter._slack,
     N.CubicSpring: NativeWriter._cubic_spring, N.SplitBody: NativeWriter._split_body,
-    N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
+    N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring, N.JointRange: NativeWriter._joint_range,
     N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
     N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag,
     N.DriveDelay: NativeWriter._drive_delay, N.SensorDelay: NativeWriter._sensor_delay,

@@ -28,7 +28,8 @@ def scales(record):
 
 def lay_out(scales, chosen, recordings=1, moving=False, varies=()):
     effects = tuple(
-        make(n, p, registered()[n].starts(dataclasses.replace(scales[p], orders=(1.0,)))[0]) for n, p in dict.fromkeys(chosen)
+        make(n, p, registered()[n].starts(dataclasses.replace(scales[p], orders=(1.0,), stops=None))[0])
+        for n, p in dict.fromkeys(chosen)
     )
     return Hypothesis.build(AXIS, effects, scales, recordings, (moving,) * recordings, varies=varies)
 

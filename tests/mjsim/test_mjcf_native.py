@@ -23,8 +23,9 @@ PLACED = [(name, place) for name, cls in registered().items() for place in cls.p
 VALUES = {
     "gap_rad": 5e-4, "inertia_kgm2": 0.5, "stiffness_Nm_rad": 2.5e3, "peak": 2.0, "cycles_per_rev": 8.0, "time_constant_s": 0.004,
     "delay_s": 0.00321, "limit_Nm": 0.8, "torque_Nm": 0.1 / 3, "coefficient_Nm_rad3": 1e8,
+    "lower_rad": -0.3, "upper_rad": 0.4,
 }  # fmt: skip
-IN_THE_CHAIN = (native.ViscousDamping, native.SplitBody)  # a file that holds them is another chain
+IN_THE_CHAIN = (native.ViscousDamping, native.SplitBody, native.JointRange)  # a file that holds them is another chain
 PENDULUM = (
     '<mujoco><compiler angle="radian"/><option timestep="5e-4" integrator="RK4" gravity="0 0 -9.81"/><worldbody>'
     '<body name="bob"><joint name="j" axis="0 1 0" damping="0.05"/>'

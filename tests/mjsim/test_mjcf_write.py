@@ -24,6 +24,7 @@ CHANGED = {"Jm": 5e-4, "Jg": 9.0, "ka": 4e4, "fm": 0.04, "dg": -50.0, "da": 25.0
 VALUES = {
     "gap_rad": 5e-4, "inertia_kgm2": 0.5, "stiffness_Nm_rad": 2.5e3, "peak": 2.0, "cycles_per_rev": 8.0, "time_constant_s": 0.004,
     "delay_s": 0.00321, "limit_Nm": 0.8, "torque_Nm": 0.1 / 3, "coefficient_Nm_rad3": 1e8,
+    "lower_rad": -0.3, "upper_rad": 0.4,
 }  # fmt: skip
 
 PLACED = [(name, place) for name, cls in registered().items() for place in cls.places if cls.family != "servo"]
