@@ -14,7 +14,7 @@ __all__ = ["stops_of"]
 STRONGEST = 0.02  # share of the samples, those of the largest acceleration
 AT_END = 0.1  # of the travel
 MOST = 0.7  # share of the strongest accelerations that are such
-VISITS = 3  # of an end, from which on it is one
+VISITS = 3  # of both ends together, each with such accelerations, from which on they are stops
 
 
 def stops_of(q: np.ndarray, v: np.ndarray, dt: float) -> tuple[tuple[int, float, float], ...]:
@@ -28,16 +28,16 @@ def stops_of(q: np.ndarray, v: np.ndarray, dt: float) -> tuple[tuple[int, float,
         return ()
     change = np.gradient(v, dt)
     strong = np.abs(change) >= np.quantile(np.abs(change), 1.0 - STRONGEST)
-    found, hits = [], 0
+    found, hits, times = [], 0, 0
     for side in (-1, 1):
         end = float(np.max(side * q))
         near = side * q > end - AT_END * span
         at = np.flatnonzero(strong & near & (side * change < 0))
         visits = np.cumsum(np.diff(near.astype(int), prepend=0) > 0)
-        if len(np.unique(visits[at])) < VISITS:
+        if not len(at):
             continue
-        hits += len(at)
+        hits, times = hits + len(at), times + len(np.unique(visits[at]))
         angle = float(np.quantile(side * q[at], 0.1))
         speed = float(np.quantile(np.abs(v[at]), 0.9))
         found.append((side, side * angle, max(math.e * (end - angle) / max(speed, 1e-300), 0.5 * dt)))
-    return tuple(found) if hits >= MOST * int(np.sum(strong)) else ()
+    return tuple(found) if times >= VISITS and hits >= MOST * int(np.sum(strong)) else ()

@@ -177,7 +177,10 @@ def simplified(fitter: Fitter, f: Fitted, effect: Effect) -> list[tuple[Effect, 
     for name in type(effect).refines:
         cls = effect_class(name)
         if effect.place in cls.places and f"{name}@{effect.place}" not in present:
-            values = dict(cls.starts(fitter.scales_for(cls, effect.place))[0])
+            starts = cls.starts(fitter.scales_for(cls, effect.place))
+            if not starts:
+                continue
+            values = dict(starts[0])
             values.update({k: v for k, v in effect.values.items() if k in values})
             out.append((*rest, make(name, effect.place, values)))
     return out

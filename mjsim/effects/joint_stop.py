@@ -1,4 +1,4 @@
-"""Joint stop: the driven joint runs against a soft stop at either end of its range, as MuJoCo limits a joint.
+"""Joint stop: the driven joint runs against soft stops at both ends of its range, as MuJoCo limits a joint.
 
 f = max(0, m (r / T^2 d - 2 zeta v / T - a)) past a stop by r > 0, with v and a away from it;   m = J d / (1 - d)
 
@@ -17,14 +17,13 @@ from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.native import JointRange, Native
 from mjsim.effects.ports import JointLimit, Port
 from mjsim.effects.registry import register
+from mjsim.effects.stop_starts import ends_of, limit_at, softness_starts, time_range
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
     from mjsim.chain import Chain
 
 __all__ = ["JointStop"]
-
-NARROWEST = 1e-6  # [rad | m], between stops that a fit has moved past each other
 
 
 @register
@@ -43,50 +42,34 @@ class JointStop(Effect):
     family: ClassVar[str] = "stop"
     multistart: ClassVar[int] = 3
     rough: ClassVar[bool] = True
+    refines: ClassVar[tuple[str, ...]] = ("lower_joint_stop", "upper_joint_stop")
 
     lower_rad: float = parameter(Quantity.ANGLE, "angle of the lower stop")
     upper_rad: float = parameter(Quantity.ANGLE, "angle of the upper stop")
     time_constant_s: float = parameter(Quantity.TIME, "inverse of the undamped frequency at the stop", lower=1e-5)
     damping_ratio: float = parameter(Quantity.RATIO, "damping at the stop over the critical one", lower=0.0)
 
-    @property
-    def limit(self) -> Limit:
+    def limit(self, chain: Chain) -> Limit:
         """The limits of the joint that it stands for."""
-        rate = 1.0 / self.time_constant_s
-        low, high = sorted((self.lower_rad, self.upper_rad))
-        return Limit(low, max(high, low + NARROWEST), rate * rate, 2.0 * self.damping_ratio * rate)
+        return limit_at(self.lower_rad, self.upper_rad, self.time_constant_s, self.damping_ratio)
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
-        return (JointLimit(self.limit),)
+        return (JointLimit(self.limit(chain)),)
 
     def native(self, chain: Chain) -> Native:
         """Values of MJCF's own elements that stand for it."""
-        return Native((JointRange(self.limit),))
+        return Native((JointRange(self.limit(chain)),))
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        return (
-            Range("time constant in s", self.time_constant_s, 0.1 * scales.dt, scales.duration, "the sampling and the length"),
-        )
+        return time_range(self.time_constant_s, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
-        """Starts of a fit: where the motion turned back, as abruptly as it did; none where it did so at no end.
-
-        Where it did so at one end, the other stop starts out of reach.
-        """
-        if scales.stops is None:
-            ends = [(-1, -0.15 * scales.travel, 0.02), (1, 0.15 * scales.travel, 0.02)]
-        else:
-            ends = list(scales.stops)
-        if not ends:
+        """Starts of a fit, where the motion was turned back at both ends."""
+        ends = ends_of(scales)
+        if len(ends) < 2:
             return []
-        at = {side: angle for side, angle, _ in ends}
-        low, high = at.get(-1, at.get(1, 0.0) - 2.0 * scales.travel), at.get(1, at.get(-1, 0.0) + 2.0 * scales.travel)
-        longest = max(time for _, _, time in ends)
-        return [
-            {"lower_rad": low, "upper_rad": high, "time_constant_s": part * longest, "damping_ratio": damping}
-            for part in (1.0, 0.3)
-            for damping in (1.0, 0.2)
-        ]
+        angles = {"lower_rad": ends[-1][0], "upper_rad": ends[1][0]}
+        return [{**angles, **s} for s in softness_starts([time for _, time in ends.values()])]

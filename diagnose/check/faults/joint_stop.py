@@ -36,7 +36,7 @@ def joint_stop(recording: Recording, machine: Machine, context: Context) -> list
     todo = (
         "record within the range of the model, unless its stiffness and damping at the stop are wanted (solreflimit, solimplimit)"
         if has
-        else "state it in the model (limited, range, solreflimit of the joint) and record within it: no effect stands for a stop"
+        else "a diagnosis names it (joint_stop); or state it in the model (limited, range, solreflimit of the joint)"
     )
     return [
         Problem(
