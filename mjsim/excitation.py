@@ -120,7 +120,7 @@ def close_loop(axis: Axis, reference: np.ndarray, dt: float, cascade: Cascade, n
         if part > 0:
             before = acting[k - whole - 1] if k > whole else 0.0
         status, _, _ = kernel.integrate(
-            (0,) * n, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, np.full(2, held),
+            s.bodies, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, np.full(2, held),
             np.zeros(2), dt, 0, part,
             before, s.input_lag, n_sub, 1, s.affine, x, states, np.zeros(2), False, k * dt, out,
         )  # fmt: skip

@@ -7,7 +7,8 @@ in the parameters. Laws are called by address (`mjsim.effects.law`), so that one
 Where the axis is affine between events (``affine``), a whole step is one product with the matrix exponential of the mode, kept
 for each mode that occurs; the matrices are read off the same rates, and RK4 only lands on events.
 
-``bodies``: a tuple of n zeros; its length is a constant of the compiled code, so that every loop over bodies unrolls.
+``bodies``: a tuple of n zeros, floats where body 0 has limits, else integers; length and kind are constants of the compiled
+code, so that every loop over bodies unrolls.
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
@@ -75,6 +76,20 @@ def _view_of(typingctx, array):  # pragma: no cover
 
 
 _view: Any = _view_of
+
+
+@intrinsic
+def _bounded_of(typingctx, bodies):  # pragma: no cover
+    """Whether ``bodies`` are floats: a constant of the compiled code, so that axes without limits have none of theirs."""
+    value = isinstance(bodies[0], types.Float)
+
+    def codegen(context, builder, signature, args):
+        return cgutils.true_bit if value else cgutils.false_bit
+
+    return types.boolean(bodies), codegen
+
+
+_bounded: Any = _bounded_of
 
 
 def _bound_of(servo, side, v):
@@ -206,6 +221,33 @@ def _held_by_limit(p, at, side, q, v, a, share):
     return -stop if side * stop > 0.0 else 0.0
 
 
+@compiled(error_model="numpy")
+def _push_back(f, el, p, x, mode, w):
+    """Add the force of the joint limits to what `_rates` has gathered for body 0, and solve for soft friction beside it."""
+    side = mode[5, 0]
+    if side == 0:
+        return
+    last = el.shape[0] - 1
+    at = el[last, 3]
+    q = x[0, 0] + w[14 if el[last, 5] else 13, 0]
+    if mode[0, 0] == 0:
+        w[1, 0] += _held_by_limit(p, at, side, q, 0.0, 0.0, f[0, 0])
+        return
+    dry = w[10, 0]
+    softness = -1
+    e = last - 1
+    while e >= 0 and el[e, 0] == KIND_SOFT:
+        if el[e, 1] == 0:
+            softness = el[e, 3]
+        e -= 1
+    if softness >= 0:
+        soft = p[softness] * (w[1, 0] + p[softness + 1] * w[11, 0] * x[1, 0])
+        dry -= min(max(soft, -p[softness + 3]), p[softness + 2])
+    stop, soft = _limited(p, at, side, q, x[1, 0], w[1, 0] - dry, w[11, 0], f[0, 0], softness)
+    w[10, 0] = dry - soft
+    w[1, 0] += stop
+
+
 def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     """Accelerations and internal rates at one instant.
 
@@ -282,34 +324,18 @@ def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
         w[3, i] = 0.0
         w[10, i] = 0.0
         w[11, i] = f[0, i]
-    softness = -1
     while e < el.shape[0]:
         kind = el[e, 0]
         i = el[e, 1]
         si = el[e, 4]
+        if _bounded(bodies) and kind == KIND_LIMIT:
+            _push_back(f, el, p, x, mode, w)
+            e += 1
+            continue
         if kind == KIND_SOFT:  # `mjsim.chain.Softness`
             at = el[e, 3]
             soft = p[at] * (w[1, i] + p[at + 1] * w[11, i] * x[1, i])
             w[10, i] += min(max(soft, -p[at + 3]), p[at + 2])
-            if i == 0:
-                softness = at
-            e += 1
-            continue
-        if kind == KIND_LIMIT:
-            side = mode[5, 0]
-            if side != 0:
-                at = el[e, 3]
-                q = x[0, 0] + w[14 if el[e, 5] else 13, 0]
-                if mode[0, 0] == 0:
-                    w[1, 0] += _held_by_limit(p, at, side, q, 0.0, 0.0, f[0, 0])
-                else:
-                    dry = w[10, 0]
-                    if softness >= 0:
-                        soft = p[softness] * (w[1, 0] + p[softness + 1] * w[11, 0] * x[1, 0])
-                        dry -= min(max(soft, -p[softness + 3]), p[softness + 2])
-                    stop, soft = _limited(p, at, side, q, x[1, 0], w[1, 0] - dry, w[11, 0], f[0, 0], softness)
-                    w[10, 0] = dry - soft
-                    w[1, 0] += stop
             e += 1
             continue
         if el[e, 2] == 0:  # friction of constant levels
@@ -424,7 +450,7 @@ def _margin(event, bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
     joint limits of body 0.
     """
     n = len(bodies)
-    if event == 2 * n + 1:
+    if _bounded(bodies) and event == 2 * n + 1:
         last = el.shape[0] - 1
         at = el[last, 3]
         q = x[0, 0] + w[14 if el[last, 5] else 13, 0]
@@ -638,7 +664,7 @@ def integrate(
     limited = np.isfinite(servo[2]) or np.isfinite(servo[3])
     slack = servo[5] > 0.0
     last = el.shape[0] - 1
-    stop = last >= 0 and el[last, 0] == KIND_LIMIT
+    stop = _bounded(bodies)
     n_event = 2 * n + 2 if stop else (2 * n + 1 if limited or slack else 2 * n - 1)
     ratio = np.ones(n)
     for i in range(1, n):
@@ -973,7 +999,7 @@ def integrate(
                                 side_ev = mode[0, ev]
                                 smooth = side_ev != 0
                                 g0, s0, s1 = side_ev * x[1, ev], side_ev * wk[1, ev], side_ev * wk[10, ev]
-                            elif ev == 2 * n + 1:
+                            elif stop and ev == 2 * n + 1:
                                 at_p = el[last, 3]
                                 q0 = x[0, 0] + w[14 if el[last, 5] else 13, 0]
                                 q1 = q0 + xn[0, 0] - x[0, 0]
@@ -1121,7 +1147,7 @@ def integrate(
                             else:
                                 _rates(bodies, f, gap_law, gain, servo, el, p, x, t, lag, mode, w, z)
                                 mode[0, hit] = 1 if w[1, hit] > 0.5 * (w[2, hit] - w[3, hit]) else -1
-                        elif hit == 2 * n + 1:
+                        elif stop and hit == 2 * n + 1:
                             mode[5, 0] = _beyond(el, p, x, w) if mode[5, 0] == 0 else 0
                         elif hit == 2 * n - 1:
                             if mode[3, 0] != 0:

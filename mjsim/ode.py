@@ -198,7 +198,7 @@ def _run(
     """Write the free run of `simulate` to ``out`` (N, `_width`)."""
     from mjsim import kernel
 
-    n, count = s.n, len(torque)
+    count = len(torque)
     u, slope, before = _input(s, np.asarray(torque, float), dt, hold, before)
     x0 = s.initial(initial)
     s0 = np.zeros(s.n_states) if states is None else _own(states)
@@ -217,7 +217,7 @@ def _run(
     if n_sub * parts > most_substeps:
         raise DivergedError(f"the model is too stiff: it needs {n_sub * parts} steps a sample, {most_substeps} are allowed")
     status, at, work = kernel.integrate(
-        (0,) * n, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, u, slope, dt, shift, split,
+        s.bodies, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, u, slope, dt, shift, split,
         float(before), s.input_lag, n_sub, parts, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
     )  # fmt: skip
     count_work(work)
@@ -345,7 +345,7 @@ def inverse(
     n_sub = s.substeps(dt, speed)
     count_work(4 * len(angle) * n_sub)
     status, at = kernel.drive(
-        (0,) * s.n, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters,
+        s.bodies, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters,
         _own(angle), _own(velocity), _own(acceleration),
         dt, n_sub, t0, np.zeros((2, s.n)) if rest is None else _own(rest), out,
     )  # fmt: skip

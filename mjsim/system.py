@@ -68,6 +68,11 @@ class System:
         return bool((self.elements[:, 0] == _SOFT).any())
 
     @property
+    def bodies(self) -> tuple[float, ...]:
+        """What stands for the bodies in `mjsim.kernel`: zeros (n,), floats where body 0 has limits."""
+        return (0.0,) * self.n if len(self.elements) and self.elements[-1, 0] == LIMIT else (0,) * self.n
+
+    @property
     def limit(self) -> Limit | None:
         """The limits of body 0, None where there are none."""
         if not len(self.elements) or self.elements[-1, 0] != LIMIT:
