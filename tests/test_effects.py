@@ -57,7 +57,9 @@ def driven(axis):
         velocity = run.velocity + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
         log = Recording(TIME, TORQUE, velocity, run.angle, DT, command=command)
         of = scales_by_place(carrier, prepare(log))
-        out.append((carrier, run, {place: dataclasses.replace(s, orders=(1.0, 3.0), stops=None) for place, s in of.items()}))
+        low, high = np.quantile(run.angle, (0.2, 0.8))
+        stops = ((-1, float(low), 0.02), (1, float(high), 0.02))
+        out.append((carrier, run, {place: dataclasses.replace(s, orders=(1.0, 3.0), stops=stops) for place, s in of.items()}))
     return out
 
 

@@ -60,6 +60,7 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
         deflection=deflection, inertia=chain.bodies[body].inertia, stiffness=stiffness, travel=travel, input=rms(u),
         max_input=float(np.max(np.abs(u))), output=rms(run.velocity), dt=dt, duration=float(run.time[-1]),
         orders=(2 * math.pi * 3 / turned,),
+        stops=tuple((side, float(np.quantile(run.q[:, 0], 0.5 + 0.3 * side)), 0.02) for side in (-1, 1)),
     )  # fmt: skip
 
 
