@@ -18,13 +18,18 @@ from mjsim.mjcf.chain import Found
 from mjsim.mjcf.general import spelled_out
 from mjsim.mjcf.xmltext import Node, XmlText
 
-__all__ = ["MjcfEditor", "element", "number", "row"]
+__all__ = ["MjcfEditor", "element", "number", "row", "stiffest"]
 
 
 def number(value: float) -> str:
     """Shortest text that reads back as the same number."""
     text = repr(float(value))
     return text.removesuffix(".0")
+
+
+def stiffest(timestep: float) -> str:
+    """solref of a limit that is critically damped and as stiff as the step [s] allows."""
+    return row([-float(f"{1 / timestep**2:.6g}"), -float(f"{2 / timestep:.6g}")])
 
 
 def row(values: Sequence[float]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mjsim.effects import native as N  # noqa: N812
 from mjsim.effects.ports import BacklashLaw
-from mjsim.mjcf.editor import MjcfEditor, element, number, row
+from mjsim.mjcf.editor import MjcfEditor, element, number, row, stiffest
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
 from mjsim.mjcf.servo import bias_of
@@ -21,14 +21,12 @@ __all__ = ["FRICTION_STEP", "NativeWriter"]
 
 # largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf.md)
 FRICTION_STEP = 1e-4
-SLACK_STEP = 5e-5
-DELAY_STEP = 1e-4
+SLACK_STEP, DELAY_STEP = 5e-5, 1e-4
 SLACK_ARMATURE = 5e-4  # largest inertia of a free node [kg m^2 | kg], and its part of the lighter body's
 SLACK_SHARE = 2e-4
 CLOSED = 1e-9  # [rad | m], of a gap that is closed: MuJoCo wants a range that is not empty
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], MuJoCo's own
 IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
-
 NOT_ONE_JOINT = "its angle is not one joint's"
 
 
@@ -209,11 +207,10 @@ class NativeWriter:
         editor, limit, joint = self.editor, value.limit, self.editor.joint_of(0)
         if joint is None:
             return NOT_ONE_JOINT
-        most = limit.impedance[1]
-        zero = float(editor.model.qpos0[editor.model.joint(joint).qposadr[0]])
-        span = [limit.lower + zero, limit.upper + zero]
+        most, zero = limit.impedance[1], float(editor.model.qpos0[editor.model.joint(joint).qposadr[0]])
+        span = np.array([limit.lower + zero, limit.upper + zero])
         editor.set(
-            "joint", joint, limited="true", range=row([math.degrees(x) for x in span] if editor.degrees() else span),
+            "joint", joint, limited="true", range=row(list(np.degrees(span) if editor.degrees() else span)),
             solreflimit=row([-limit.stiffness * most**2, -limit.damping * most]), solimplimit=row(limit.impedance),
             margin="0" if editor.model.joint(joint).margin[0] else None,
         )  # fmt: skip
@@ -233,7 +230,7 @@ class NativeWriter:
             half = math.degrees(half) if editor.degrees() else half
             span, armature = row([-half, half]), number(self._slack_armature(value.coupling))
             editor.set("joint", slack, limited="true", range=span, armature=armature, solimplimit=IMPEDANCE)
-            editor.follow(lambda: editor.set("joint", slack, solreflimit=_stiffest(editor.timestep)))
+            editor.follow(lambda: editor.set("joint", slack, solreflimit=stiffest(editor.timestep)))
             self._release(slack)
         if self.law is BacklashLaw.UNGATED:
             return ""
@@ -392,18 +389,12 @@ class NativeWriter:
         self.editor.set(kind, name, delay=number(delay), nsample=str(samples), **more)
 
 
-def _stiffest(timestep: float) -> str:
-    """solref of a limit that is critically damped and as stiff as the step allows."""
-    return row([-float(f"{1 / timestep**2:.6g}"), -float(f"{2 / timestep:.6g}")])
-
-
 _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
     N.DryFriction: NativeWriter._dry_friction, N.ViscousDamping: NativeWriter._viscous_damping,
     N.SquareDrag: NativeWriter._square_drag, N.BodyBristle: NativeWriter._body_bristle,
-    N.CouplingBristle: NativeWriter._coupling_bristle, N.Slack: NativeWriter._slack,
-    N.CubicSpring: NativeWriter._cubic_spring, N.SplitBody: NativeWriter._split_body,
-    N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring, N.JointRange: NativeWriter._joint_range,
-    N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
-    N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag,
-    N.DriveDelay: NativeWriter._drive_delay, N.SensorDelay: NativeWriter._sensor_delay,
+    N.CouplingBristle: NativeWriter._coupling_bristle, N.Slack: NativeWriter._slack, N.CubicSpring: NativeWriter._cubic_spring,
+    N.SplitBody: NativeWriter._split_body, N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
+    N.JointRange: NativeWriter._joint_range, N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
+    N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag, N.DriveDelay: NativeWriter._drive_delay,
+    N.SensorDelay: NativeWriter._sensor_delay,
 }  # fmt: skip
