@@ -124,6 +124,7 @@ def test_a_circle_is_found():
 
 # files outside mjsim/effects that hold an effect's identifier as text, and why
 NAMES_AN_EFFECT = {
+    "diagnose/check/faults/joint_stop.py": "a fault of the log that has the name of the physics behind it",
     "lab/real_use/design.py": "makes logs of models that lack known effects",
     "diagnose/robot/laws.py": "the laws of a force regression, under the identifiers of the contract",
     "diagnose/robot/servos/library.py": "the laws of a servo joint, under the identifiers of the contract",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from diagnose.check.stops import stops_of
 from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, smooth_velocity, whole_step
 from diagnose.data.runs import free_run
-from diagnose.data.stops import stops_of
 from diagnose.thresholds import LINE, TURNS
 from mjsim.axis import Axis
 from mjsim.effects import Scales

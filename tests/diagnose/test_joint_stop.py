@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diagnose.check.stops import VISITS, stops_of
 from diagnose.data.experiment import prepare
 from diagnose.data.scales import scales_by_place
-from diagnose.data.stops import VISITS, stops_of
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
 from diagnose.result import Verdict
