@@ -186,7 +186,7 @@ def test_the_site_is_built(tmp_path):
     for name in NOTEBOOKS:
         page = (out / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
         assert "coulomb" in page or "cubic drag" in page
-        assert "removing" in page or "Missing:" in page  # what a cell printed
+        assert "left out" in page or "Missing:" in page  # what a cell printed
     assert (out / "notebooks" / "own_robot_0.png").is_file()
     headings = re.findall(r'<h2 id="([\w-]+)"', (out / "reference" / "effects.html").read_text(encoding="utf-8"))
     assert [h for h in headings if not (out / "reference" / "effects" / f"{h}.png").is_file()] == []

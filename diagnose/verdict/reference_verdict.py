@@ -61,7 +61,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
     if files.numerics:
-        out = _numerics(out, files.numerics)
+        out = _numerics(out, files)
     if out.verdict is Verdict.NO_MISMATCH and not at_noise(nominal.cases, nominal.runs):
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
     elif files.bears or (out.verdict is Verdict.UNEXPLAINED and at_noise(nominal.cases, files.runs)):
@@ -73,7 +73,9 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     # an effect that the equations explain keeps its name; the warning says that the file does not step it
     told = files.lacks or files.sensitive or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
     if missed and not told and not at_noise(nominal.cases, files.runs):
-        out = dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
+        return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
+    if out.verdict is Verdict.MISSING_PHYSICS and not files.bears and not files.numerics:
+        return dataclasses.replace(out, summary=_lacked(out, files.lacks))
     return out
 
 
@@ -148,17 +150,18 @@ def _no_mismatch(result: Diagnosis, notes: Sequence[str]) -> Diagnosis:
     )  # fmt: skip
 
 
-def _numerics(result: Diagnosis, found: Sequence[Finding]) -> Diagnosis:
+def _numerics(result: Diagnosis, files: Files) -> Diagnosis:
     """Say that a setting and not physics makes the difference."""
-    names = " and ".join(f.effect.replace("_", " ") for f in found)
-    f = found[0].evidence
+    names = " and ".join(f.effect.replace("_", " ") for f in files.numerics)
+    f = files.numerics[0].evidence
     told = (
         f"A setting of the simulator makes a difference, not physics: {names}. Mended in corrected.xml, the held-out error is "
         f"{f['held_out_error_after']:.4g} {result.unit} instead of {f['held_out_error_before']:.4g}."
     )
     if result.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
         return dataclasses.replace(result, verdict=Verdict.PARAMETERS_ONLY, summary=f"No physics is missing. {told}")
-    return dataclasses.replace(result, summary=f"{result.summary} {told}")
+    first = _lacked(result, files.lacks) if result.verdict is Verdict.MISSING_PHYSICS else result.summary
+    return dataclasses.replace(result, summary=f"{first} {told}")
 
 
 _UNMADE = ("Structure remains", "No torque map", "Motion that the model misses", "has taken its place", "in place of")  # of notes
@@ -167,7 +170,7 @@ _UNMADE = ("Structure remains", "No torque map", "Motion that the model misses",
 def _explained(result: Diagnosis, form: str) -> Diagnosis:
     """What the equations leave unexplained, the corrected file in MuJoCo does not: its numerics are in the recordings."""
     physics = [f for f in result.findings if f.kind == "physics"]
-    names = " and ".join(f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at the {f.place}" for f in physics)
+    names = _names(result)
     what = f"The simulation left out {names}" if names else "No physics is missing: the numbers of the model were off"
     fit, engine = result.fit["corrected"], result.surrogate["corrected"]
     return dataclasses.replace(
@@ -180,6 +183,23 @@ def _explained(result: Diagnosis, form: str) -> Diagnosis:
             *(n for n in result.notes if not any(part in n for part in _UNMADE)),
         ),
     )  # fmt: skip
+
+
+def _lacked(result: Diagnosis, lacks: Sequence[str]) -> str:
+    """What is missing, by the figures of the two files in MuJoCo; by the engine's where MJCF has no element for it."""
+    given, mended, engine = result.fit["nominal"], result.fit["corrected"], result.surrogate["corrected"]
+    what = f"The simulation left out {_names(result)}: on held-out data the file as given misses by {_told(given.held_out_rms)}"
+    if lacks:
+        return (
+            f"{what} {result.unit} in MuJoCo, corrected.xml by {_told(mended.held_out_rms)}, and by {engine.held_out_rms:.4g} in "
+            "simgap's replay, which has what MJCF lacks."
+        )
+    return f"{what}, corrected.xml by {_told(mended.held_out_rms)} {result.unit}, both stepped by MuJoCo."
+
+
+def _names(result: Diagnosis) -> str:
+    physics = [f for f in result.findings if f.kind == "physics"]
+    return " and ".join(f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at the {f.place}" for f in physics)
 
 
 def _as_given(result: Diagnosis) -> str:
