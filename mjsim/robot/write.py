@@ -20,6 +20,7 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import compile_file, save_compiled
 from mjsim.mjcf.xmltext import Node, XmlText
+from mjsim.robot.carried import effect_slots
 from mjsim.robot.inertia import to_body
 from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.write_servo import NewServo, write_servos
@@ -27,7 +28,8 @@ from mjsim.robot.write_servo import NewServo, write_servos
 __all__ = ["CUSTOM", "carried_effects", "write_robot"]
 
 CUSTOM = "simgap_robot"
-STEP_RATE = 1.0  # over the timestep: how fast a stiff frictionloss acts on velocity (docs/decisions/mjcf-native.md)
+STEP_RATE = 1.0  # over the timestep: how fast a stiff frictionloss acts on velocity
+DRY = frozenset({"friction", "extra", "sublinear", "load", "load_back"})  # slots of the level of dry friction
 
 
 def write_robot(
@@ -52,9 +54,13 @@ def write_robot(
     for at, body in enumerate(robot.links):
         if not np.allclose(links[at], robot.nominal[at] - robot.fixed[at], rtol=1e-12, atol=1e-300):
             _inertial(xml, source, robot, body, links[at])
-    degrees = _in_degrees(xml)
-    for name, values in joints.items():
-        for key, text in _attributes(values, degrees and _is_hinge(model, robot, name), float(model.opt.timestep)).items():
+    degrees, timestep, rubbing = _in_degrees(xml), float(model.opt.timestep), _rubbing(effects, robot)
+    for name in dict.fromkeys((*joints, *rubbing)):
+        values = joints.get(name, {})
+        attributes = _attributes(values, degrees and _is_hinge(model, robot, name))
+        if values.get("frictionloss") or name in rubbing:
+            attributes |= _stiff(timestep)
+        for key, text in attributes.items():
             xml.set(_joint(xml, source, robot, name), key, text)
     write_servos(xml, source, model, list(servos))
     _drop(xml)
@@ -78,14 +84,21 @@ def carried_effects(path: Path) -> list[dict[str, Any]]:
         raise InputError(f"{path}: <custom> text {CUSTOM!r}", "not readable", "what simgap writes", "take a fresh copy") from None
 
 
-def _attributes(values: Mapping[str, float], degrees: bool, timestep: float) -> dict[str, str]:
-    """Attributes of a joint: MuJoCo's damping is a polynomial of the speed, and dry friction acts stiffly on it."""
+def _rubbing(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[str, ...]:
+    """Joints at which a carried effect sets the level of dry friction, which acts through the joint's ``frictionloss``."""
+    return tuple(dict.fromkeys(e["joint"] for e in effects if set(effect_slots(e, robot) or ()) & DRY))
+
+
+def _stiff(timestep: float) -> dict[str, str]:
+    """Attributes with which dry friction holds a joint: MuJoCo's default softness lets it creep under a load."""
+    return {"solreffriction": f"-1 {_number(-STEP_RATE / timestep)}", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
+
+
+def _attributes(values: Mapping[str, float], degrees: bool) -> dict[str, str]:
+    """Attributes of a joint: MuJoCo's damping is a polynomial of the speed."""
     out = {k: _number(math.degrees(v) if k == "springref" and degrees else v) for k, v in values.items() if k != "quadratic"}
     if "quadratic" in values:
         out["damping"] = f"{_number(values.get('damping', 0.0))} {_number(values['quadratic'])}"
-    if values.get("frictionloss"):
-        out["solreffriction"] = f"-1 {_number(-STEP_RATE / timestep)}"
-        out["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
     return out
 
 

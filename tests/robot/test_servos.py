@@ -28,7 +28,7 @@ from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import load_robot, robot_from
 from mjsim.robot.recording import RobotRecording, load_robot_recording
 from mjsim.robot.rows import link_rows
-from mjsim.robot.write import carried_effects
+from mjsim.robot.write import carried_effects, write_robot
 from simgap.commands.gate import command as gate
 from simgap.robot import diagnose_robot_files
 
@@ -276,6 +276,32 @@ def test_a_law_acts_alike_in_the_sealed_plant_the_kernel_and_mujoco(robot, chang
     )  # the start from rest is smoothed in the other joints' motion
     run = closed_loop(robot, r, [whole])
     assert np.sqrt(np.mean((run.z - q)[:, 1] ** 2)) < 0.12 * without
+
+
+@pytest.mark.parametrize(
+    ("change", "effect"),
+    [
+        ({"load": 0.3}, {"effect": "load_dependent_friction", "parameters": {"coefficient": 0.3}}),
+        ({"friction": 1.0, "extra": 0.5, "speed": 0.2},
+         {"effect": "stribeck_friction",
+          "parameters": {"torque_Nm": 1.0, "extra_static_torque_Nm": 0.5, "stribeck_velocity_rad_s": 0.2}}),
+    ],
+)  # fmt: skip
+def test_friction_that_a_corrected_file_carries_holds_a_joint_under_load(robot, tmp_path, change, effect):
+    """MuJoCo's default softness of dry friction lets it creep by 10 mrad here: the file has to make it stiff."""
+    t = np.arange(0, 6.0, 0.01)
+    command = 0.3 * np.minimum(t, 1.0)[:, None] * np.ones(3)
+    q = simulate(NOMINAL.with_servo(1, **change), command, 0.01)
+    nominal, out = tmp_path / "arm.xml", tmp_path / "corrected.xml"
+    nominal.write_text(servo_mjcf(NOMINAL))
+    write_robot(
+        nominal, robot, out, robot.nominal - robot.fixed, {"joint2": {"frictionloss": 0.0}}, [{**effect, "joint": "joint2"}]
+    )
+    r = RobotRecording(t, robot.joints, 0.01, q, command=command)
+    error = (closed_loop(load_robot(out), r, carried_effects(out)).z - q)[:, 1]
+    assert np.max(np.abs(error[150:])) < 5e-4
+    assert np.ptp(q[200:, 1]) < 1e-6  # it sticks, off its command
+    assert abs(q[-1, 1] - 0.3) > 0.02
 
 
 def test_a_position_that_is_logged_late_is_late_in_the_kernel_and_in_mujoco(robot):
