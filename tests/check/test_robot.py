@@ -207,6 +207,25 @@ def test_a_relation_tells_slope_and_delay_to_a_part_of_a_sample(delay):
     assert relate(np.ones(1000), y, DT) is None
 
 
+def test_a_sine_late_by_half_its_period_has_no_sign_that_can_be_told(robot, log):
+    t = np.arange(1000) * DT
+    joint = log.joints.index("joint2")
+
+    def problems(harmonic):
+        def wave(s):
+            return 0.1 * np.sin(2 * np.pi * s / 0.8) + harmonic * np.sin(0.9 * s)
+
+        command, angle = np.array(log.command), np.array(log.angle)
+        command[:, joint], angle[:, joint] = wave(t), -wave(t)
+        reversed_ = dataclasses.replace(log, command=command, angle=angle, velocity=None)
+        return {p.problem for p in check_robot(robot, [reversed_]).problems if p.channel == "joint2.angle"}
+
+    assert "sign" not in problems(0.0)
+    assert "sign" in problems(0.3)  # which the other sign follows at no delay
+    found = relate(np.sin(2 * np.pi * t / 0.8), -np.sin(2 * np.pi * t / 0.8), DT)
+    assert found.explained == pytest.approx(found.opposite, abs=1e-6)
+
+
 def test_the_command_gives_exit_codes_and_files(robot, log, tmp_path):
     (tmp_path / "arm.xml").write_text(servo_mjcf(NOMINAL))
     names = [f"joint{k}.{c}" for c in ("command_rad", "angle_rad") for k in (1, 2, 3)]

@@ -27,11 +27,14 @@ def swapped(channel: str, joint: str, other: str, crossed: float, own: float, wh
 
 
 def scaled(channel: str, joint: str, r: Relation, units: dict[float, str], against: str) -> list[Problem]:
-    """A sign or a unit: the slope of a channel over what it should equal, where the relation explains it."""
+    """A sign or a unit: the slope of a channel over what it should equal, where the relation explains it.
+
+    No sign where another delay with the other sign explains it as well.
+    """
     size, out = abs(r.slope), []
     if r.explained < FOLLOWED or size == 0.0:
         return []
-    if r.slope < 0:
+    if r.slope < 0 and r.opposite < FOLLOWED:
         out.append(
             Problem(
                 f"{joint}.{channel}", "sign", r.slope, "1",

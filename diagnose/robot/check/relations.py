@@ -15,11 +15,16 @@ SHARE = 0.1  # of the duration: the largest delay of a short log
 
 @dataclass(frozen=True)
 class Relation:
-    """y(t) = slope x(t - delay) + constant (+ other columns): slope, delay [s] and explained part of the variance of y."""
+    """y(t) = slope x(t - delay) + constant (+ other columns): slope, delay [s] and explained part of the variance of y.
+
+    opposite: part that the other sign of the slope explains, at its own best delay. A sine that is late by half its period has
+    the other sign.
+    """
 
     slope: float
     delay: float
     explained: float
+    opposite: float = 0.0
 
 
 def relate(x: np.ndarray, y: np.ndarray, dt: float, beside: np.ndarray | None = None, *, delays: bool = True) -> Relation | None:
@@ -45,14 +50,16 @@ def relate(x: np.ndarray, y: np.ndarray, dt: float, beside: np.ndarray | None = 
         slope = float(moved @ left) / size if size > 1e-24 * n else 0.0
         return float(left @ left) - slope * slope * size, slope
 
-    errors = np.array([at(k)[0] for k in range(-most, most + 1)])
+    errors, slopes = np.array([at(k) for k in range(-most, most + 1)]).T
     best = int(np.argmin(errors))
+    other_sign = errors[slopes * slopes[best] < 0.0]
     offset = 0.0
     if 0 < best < len(errors) - 1:
         a, b, c = errors[best - 1 : best + 2]
         curve = a - 2 * b + c
         offset = 0.5 * (a - c) / curve if curve > 0 else 0.0
-    return Relation(at(best - most)[1], (best - most + offset) * dt, 1.0 - errors[best] / total)
+    opposite = 1.0 - float(np.min(other_sign)) / total if len(other_sign) else 0.0
+    return Relation(float(slopes[best]), float((best - most + offset) * dt), float(1.0 - errors[best] / total), opposite)
 
 
 def correlations(x: np.ndarray, y: np.ndarray) -> np.ndarray:
