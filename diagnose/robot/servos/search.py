@@ -30,7 +30,7 @@ FINALISTS = 5  # laws that are fitted: those with the largest gain in the screen
 PROMISING = 0.25  # of what is needed to enter: a promise is that of one start alone
 ROUNDS = 12  # moves at most
 STAYS = 5.0  # times the level to enter, at which a law stays: what enters at 1 % may stay at 5 %
-REFITTED = 2  # finalists that are fitted to all samples, at least
+REFITTED = 2  # finalists that are fitted to all samples
 NOT_PHYSICAL = "its numbers are not physical"
 
 
@@ -135,7 +135,6 @@ def _merge(s: JointSearch) -> bool:
 def _settle(s: JointSearch) -> None:
     """Refit what stands, in the weights of its own errors; the fit without effects is counted in the same weights."""
     p = s.problem
-    s.refused.clear()
     weights = block_weights(p, s.now.fit.error)
     s.now = Structure(s.now.laws, fit(p, s.now.fit.numbers, s.now.fit.slots, weights))
     s.refitted = Structure((), fit(p, s.numbers, s.refitted.fit.slots, weights, QUICK))
@@ -162,23 +161,16 @@ def _any(law: ServoLaw) -> bool:
 
 
 def _enter(s: JointSearch, allowed: Callable[[ServoLaw], bool]) -> bool:
-    """Let the best candidate enter that passes; remember why others do not.
-
-    The best `REFITTED` finalists are fitted to all samples, and the next ones until one passes: the part of the samples that
-    ranks them may favour laws that the whole refuses.
-    """
+    """Let the best candidate enter that passes; remember why others do not."""
     there = {x.key for x in s.now.laws} | s.removed
     candidates = [x for x in s.laws if x.key not in there and allowed(x) and not any(x.id in y.holds for y in s.now.laws)]
     best: tuple[float, Structure] | None = None
-    for rank, (law, begun) in enumerate(_finalists(s, s.now, candidates, FINALISTS)):
-        if (rank >= REFITTED and best is not None and not law.common) or begun.key in s.refused:
-            continue
+    for law, begun in _finalists(s, s.now, candidates):
         trial = s.fitted(begun.laws, begun.fit.slots)
         step = s.step(s.now, trial)
         why = s.why_not(step, law) if s.sane(trial) else NOT_PHYSICAL
         if why:
             s.refusals[law.key] = why
-            s.refused.add(begun.key)
         elif best is None or step.total > best[0]:
             best = step.total, trial
     if best is None:

@@ -67,7 +67,6 @@ class JointSearch:
     refusals: dict[str, str] = field(default_factory=dict)
     removed: set[str] = field(default_factory=set)
     visited: set[frozenset[str]] = field(default_factory=set)
-    refused: set[frozenset[str]] = field(default_factory=set)  # structures that do not pass from the present one
     without: dict[str, Structure] = field(default_factory=dict)
     alike: dict[str, tuple[str, ...]] = field(default_factory=dict)
     clock: str = ""
