@@ -53,7 +53,7 @@ KINDS: dict[str, tuple[str, str, tuple[str, ...], tuple[str, ...]]] = {
     "hard_shaft": ("effect", "hardening_stiffness", ("two_mass",), _TORQUE),
     "cam": ("effect", "torque_ripple", ("two_mass",), _TORQUE),
     "spring": ("outside", "joint_spring", _ANY, _EVERY),
-    "stop": ("outside", "", _ANY, _EVERY),
+    "stop": ("outside", "joint_stop", _ANY, _EVERY),
 }
 
 

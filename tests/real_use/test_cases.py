@@ -81,7 +81,9 @@ def test_outcomes():
     assert outcome(_record(exit=2)) == Outcome.ERROR
     assert outcome(_record(group="nothing", kind="nothing")) == Outcome.ALARM
     assert outcome(_record(group="nothing", kind="nothing", found=[], verdict="no_mismatch")) == Outcome.RIGHT
-    assert outcome(_record(group="outside", kind="stop", found=[], verdict="unexplained")) == Outcome.RIGHT
+    assert outcome(_record(group="outside", kind="stop", found=[], verdict="unexplained")) == Outcome.MISSED
+    for found in ("joint_stop", "upper_joint_stop"):
+        assert outcome(_record(group="outside", kind="stop", found=[found], verdict="missing_physics")) == Outcome.RIGHT
     assert outcome(_record(group="outside", kind="stop")) == Outcome.WRONG
     assert outcome(_record(group="outside", kind="spring", found=["joint_spring"])) == Outcome.RIGHT
 
