@@ -329,6 +329,10 @@ def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, S
     try:
         other, better = _write(bench, trial)
         change = mended(MujocoPlant.load(trial).model, cause.setting.id)
+        gain, p = numerics.gain_of(nominal.cases, runs, better)
+        if change is not None and gain > 0 and p < ALPHA:  # with the setting as it was, at a finer timestep
+            trial.replace(out)
+            return other, better, ()
         if change is not None:
             adjust(trial, change[1])
             better = bench.run(trial)

@@ -12,6 +12,7 @@ import numpy as np
 __all__ = ["stops_of"]
 
 STRONGEST = 0.02  # share of the samples, those of the largest acceleration
+NEAR_PEAK = 0.25  # of the largest acceleration: impacts are short, and may be fewer samples than that
 AT_END = 0.1  # of the travel
 MOST = 0.7  # share of the strongest accelerations that are such
 VISITS = 3  # of both ends together, each with such accelerations, from which on they are stops
@@ -27,7 +28,19 @@ def stops_of(q: np.ndarray, v: np.ndarray, dt: float) -> tuple[tuple[int, float,
     if span <= 0 or len(q) < VISITS / STRONGEST:
         return ()
     change = np.gradient(v, dt)
-    strong = np.abs(change) >= np.quantile(np.abs(change), 1.0 - STRONGEST)
+    size = np.abs(change)
+    level = float(np.quantile(size, 1.0 - STRONGEST))
+    found: dict[int, tuple[int, float, float]] = {}
+    for strong in (size >= level, size >= max(level, NEAR_PEAK * float(np.max(size)))):
+        found |= {end[0]: end for end in _turned_back(q, v, change, strong, dt)}
+    return tuple(found[side] for side in sorted(found))
+
+
+def _turned_back(
+    q: np.ndarray, v: np.ndarray, change: np.ndarray, strong: np.ndarray, dt: float
+) -> tuple[tuple[int, float, float], ...]:
+    """The ends at which the ``strong`` accelerations (N,) bool act; none where too many of them act elsewhere."""
+    span = float(np.ptp(q))
     found, hits, times = [], 0, 0
     for side in (-1, 1):
         end = float(np.max(side * q))

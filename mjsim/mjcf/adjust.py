@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,14 +21,15 @@ LIMIT_SETTINGS = ("solreflimit", "solimplimit", "armature")  # armature: of the 
 _SHORTENS = ("solreflimit", "delay")  # attributes whose forms need a short timestep too, as added actuators do
 
 
-def author_settings(carried: Carried) -> list[Edit]:
+def author_settings(carried: Carried, found: Container[str | None] = ()) -> list[Edit]:
     """Edits that give dry friction and limits back the solver settings and the timestep that the author's file has.
 
-    Limits: of joints that the author's file limits already, and does not hold within their limits.
+    Limits: of joints that the author's file limits already, and does not hold within their limits. Those of the joints ``found``
+    stay: how stiff they are was fitted.
     """
     held = any((kind, key) == ("equality", "active") for kind, _, key, _ in carried.undo)
     ranges = {name for kind, name, key, old in carried.undo if (kind, key) == ("joint", "range") and old is not None}
-    limited = set() if held else ranges
+    limited = set() if held else {name for name in ranges if name not in found}
     back = [
         (kind, name, key, old)
         for kind, name, key, old in carried.undo

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from mjsim.axis import Axis
 from mjsim.effects import BacklashLaw, Effect
-from mjsim.effects.native import Slack
+from mjsim.effects.native import JointRange, Slack
 from mjsim.effects.ports import Friction, Gap
 from mjsim.mjcf.adjust import adjust, author_settings
 from mjsim.mjcf.compile import compile_file
@@ -110,6 +110,12 @@ def _forms(model: Path, axis: Axis) -> Iterator[tuple[str, Writer]]:
         yield f"{e.key} carried only", partial(without, key=e.key)
 
 
+def _found_ranges(axis: Axis) -> set[str]:
+    """The driven joint, where an effect of the axis is its range."""
+    values = (v for e in axis.effects for v in e.native(axis.chain).values)
+    return {axis.chain.bodies[0].joint or ""} if any(isinstance(v, JointRange) for v in values) else set()
+
+
 def has_dry_friction(axis: Axis) -> bool:
     """Whether an effect of the axis is dry friction, which MuJoCo has with solver settings of its own."""
     return any(isinstance(port, Friction) for e in axis.effects for port in e.ports(axis.chain))
@@ -139,5 +145,5 @@ def write_as_author(model: Path, axis: Axis, out: Path) -> tuple[str, ...]:
     lacks = write_corrected(model, axis, out).lacks
     carried = load_model(out, bound={}).carried
     if carried is not None:
-        adjust(out, author_settings(carried))
+        adjust(out, author_settings(carried, _found_ranges(axis)))
     return lacks

@@ -19,6 +19,7 @@ from mjsim.effects import effect_class
 from mjsim.effects.joint_stop import JointStop
 from mjsim.effects.stop_starts import FAR
 from mjsim.mjcf import load_model, write_corrected
+from mjsim.mjcf.faithful import write_as_author
 from mjsim.mjcf.joint_limit import limit_of
 from mjsim.ode import simulate
 from mjsim.recording import Recording
@@ -135,3 +136,26 @@ def test_a_stop_is_written_as_the_range_of_the_joint(tmp_path, compiler: str, jo
     assert found.impedance == LIMIT.impedance
     write_corrected(tmp_path / "corrected.xml", axis, tmp_path / "taken_back.xml")
     assert limit_of(load_model(tmp_path / "taken_back.xml")) == limit_of(load_model(tmp_path / "model.xml"))
+
+
+def test_the_authors_settings_of_limits_leave_a_stop_that_was_found(tmp_path) -> None:
+    """The author's range is another one: how stiff the stop is was fitted, and stays."""
+    model, out = tmp_path / "model.xml", tmp_path / "corrected.xml"
+    model.write_text("""<mujoco><compiler angle="radian"/><worldbody><body>
+        <joint name="j" axis="0 0 1" limited="true" range="-2 2"/>
+        <inertial pos="0 0 0" mass="1" diaginertia=".05 .05 .05"/></body></worldbody>
+        <actuator><motor name="u" joint="j"/></actuator></mujoco>""")
+    axis = load_model(model).axis + STOP
+    assert write_as_author(model, axis, out) == ()
+    found = limit_of(load_model(out))
+    assert found is not None
+    assert (found.stiffness, found.damping) == pytest.approx((LIMIT.stiffness, LIMIT.damping))
+
+
+def test_short_impacts_are_stops() -> None:
+    """Fewer samples than the strongest fiftieth, and far stronger than all others."""
+    t = 1e-3 * np.arange(8000)
+    q = np.abs(np.sin(2 * np.pi * 0.4 * t)) + 0.05 * np.sin(2 * np.pi * 3.1 * t)
+    q = np.convolve(q, np.ones(4) / 4, "same")[10:-10]
+    found = stops_of(-q, np.gradient(-q, 1e-3), 1e-3)
+    assert found[-1][:2] == (1, pytest.approx(0.0, abs=0.06))
