@@ -22,8 +22,6 @@ torque = {column = "torque_Nm", unit = "Nm", gain = 2.0}
 angle = {column = "angle_rad", unit = "rad"}
 hold = "linear"
 jitter = 0.1
-[model]
-actuator = "drive"
 """
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -78,10 +77,11 @@ def carried_binding(model: Model, recording: Path) -> Binding | None:
     """The binding that a corrected model carries, when no TOML file stands beside the recording or the model."""
     if any(p.with_suffix(".toml").is_file() for p in (recording, model.path)) or not (model.carried and model.carried.binding):
         return None
-    with tempfile.TemporaryDirectory() as work:
-        at = Path(work) / model.path.with_suffix(".toml").name
-        at.write_text(model.carried.binding, encoding="utf-8")
-        found = Binding.from_toml(at)
+    try:
+        table = tomllib.loads(model.carried.binding)  # of a file beside the model: its [model] was read there
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(model.path, f"its binding is not valid TOML ({error})", "a TOML text", "correct the text") from None
+    found = Binding.from_tables(table, model.path.with_suffix(".toml"))
     return None if found is None else dataclasses.replace(found, source=f"{model.path}: <custom> text {custom.NAME!r}")
 
 
