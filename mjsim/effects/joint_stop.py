@@ -12,12 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from mjsim.chain import Limit
-from mjsim.effects.admissible import Range
-from mjsim.effects.base import Effect, Scales, parameter
-from mjsim.effects.native import JointRange, Native
-from mjsim.effects.ports import JointLimit, Port
+from mjsim.effects.base import Scales, parameter
 from mjsim.effects.registry import register
-from mjsim.effects.stop_starts import ends_of, limit_at, softness_starts, time_range
+from mjsim.effects.soft_stop import SoftStop, ends_of, limit_at, softness_starts
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
@@ -28,20 +25,14 @@ __all__ = ["JointStop"]
 
 @register
 @dataclass(frozen=True, kw_only=True)
-class JointStop(Effect):
+class JointStop(SoftStop):
     """Joint stop; law, convention and source as in the module's text."""
 
     id: ClassVar[str] = "joint_stop"
-    places: ClassVar[tuple[str, ...]] = ("motor",)
     sentence: ClassVar[str] = (
         "The {place} runs against stops at {lower_rad} and {upper_rad}, which push it back within {time_constant_s} "
         "(damping ratio {damping_ratio})."
     )
-    citation: ClassVar[str] = "Todorov, Erez, Tassa, MuJoCo (2012); MuJoCo documentation, Solver parameters"
-    tolerance: ClassVar[float] = 5e-3
-    family: ClassVar[str] = "stop"
-    multistart: ClassVar[int] = 3
-    rough: ClassVar[bool] = True
     refines: ClassVar[tuple[str, ...]] = ("lower_joint_stop", "upper_joint_stop")
 
     lower_rad: float = parameter(Quantity.ANGLE, "angle of the lower stop")
@@ -52,18 +43,6 @@ class JointStop(Effect):
     def limit(self, chain: Chain) -> Limit:
         """The limits of the joint that it stands for."""
         return limit_at(self.lower_rad, self.upper_rad, self.time_constant_s, self.damping_ratio)
-
-    def ports(self, chain: Chain) -> tuple[Port, ...]:
-        """Where the law acts."""
-        return (JointLimit(self.limit(chain)),)
-
-    def native(self, chain: Chain) -> Native:
-        """Values of MJCF's own elements that stand for it."""
-        return Native((JointRange(self.limit(chain)),))
-
-    def admissible(self, scales: Scales) -> tuple[Range, ...]:
-        """What a recording shows of it."""
-        return time_range(self.time_constant_s, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -1,6 +1,6 @@
 """Upper joint stop: the driven joint runs against a soft stop at the upper end of its range, as MuJoCo limits a joint.
 
-f = max(0, m (r / T^2 d - 2 zeta v / T - a)) past the stop by r > 0, with v and a away from it;   m = J d / (1 - d)
+f = max(0, m (r / T^2 d - 2 zeta v / T - a)) past a stop by r > 0, with v and a away from it;   m = J d / (1 - d)
 
 d(r) is the impedance of MuJoCo's default solimplimit: .9 at the stop, .95 from 1 mrad [mm] on. The lower end is that of the model,
 or out of reach.
@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from mjsim.chain import Limit
-from mjsim.effects.admissible import Range
-from mjsim.effects.base import Effect, Scales, parameter
-from mjsim.effects.native import JointRange, Native
-from mjsim.effects.ports import JointLimit, Port
+from mjsim.effects.base import Scales, parameter
 from mjsim.effects.registry import register
-from mjsim.effects.stop_starts import FAR, ends_of, limit_at, softness_starts, time_range
+from mjsim.effects.soft_stop import FAR, SoftStop, ends_of, limit_at, softness_starts
 from mjsim.quantity import Quantity
 
 if TYPE_CHECKING:
@@ -29,20 +26,14 @@ __all__ = ["UpperJointStop"]
 
 @register
 @dataclass(frozen=True, kw_only=True)
-class UpperJointStop(Effect):
+class UpperJointStop(SoftStop):
     """Upper joint stop; law, convention and source as in the module's text."""
 
     id: ClassVar[str] = "upper_joint_stop"
-    places: ClassVar[tuple[str, ...]] = ("motor",)
     sentence: ClassVar[str] = (
         "The {place} runs against a stop at {angle_rad}, the upper end of its range, which pushes it back within {time_constant_s} "
         "(damping ratio {damping_ratio})."
     )
-    citation: ClassVar[str] = "Todorov, Erez, Tassa, MuJoCo (2012); MuJoCo documentation, Solver parameters"
-    tolerance: ClassVar[float] = 5e-3
-    family: ClassVar[str] = "stop"
-    multistart: ClassVar[int] = 3
-    rough: ClassVar[bool] = True
 
     angle_rad: float = parameter(Quantity.ANGLE, "angle of the stop")
     time_constant_s: float = parameter(Quantity.TIME, "inverse of the undamped frequency at the stop", lower=1e-5)
@@ -52,18 +43,6 @@ class UpperJointStop(Effect):
         """The limits of the joint that it stands for; the lower one as the chain has it."""
         own = chain.bodies[0].limit
         return limit_at(-FAR if own is None else own.lower, self.angle_rad, self.time_constant_s, self.damping_ratio)
-
-    def ports(self, chain: Chain) -> tuple[Port, ...]:
-        """Where the law acts."""
-        return (JointLimit(self.limit(chain)),)
-
-    def native(self, chain: Chain) -> Native:
-        """Values of MJCF's own elements that stand for it."""
-        return Native((JointRange(self.limit(chain)),))
-
-    def admissible(self, scales: Scales) -> tuple[Range, ...]:
-        """What a recording shows of it."""
-        return time_range(self.time_constant_s, scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

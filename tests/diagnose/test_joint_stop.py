@@ -17,7 +17,7 @@ from mjsim.axis import Axis, Body, Chain
 from mjsim.chain import Limit
 from mjsim.effects import effect_class
 from mjsim.effects.joint_stop import JointStop
-from mjsim.effects.stop_starts import FAR
+from mjsim.effects.soft_stop import FAR
 from mjsim.mjcf import load_model, write_corrected
 from mjsim.mjcf.faithful import write_as_author
 from mjsim.mjcf.joint_limit import limit_of
