@@ -20,10 +20,11 @@ from diagnose.result import Diagnosis, Verdict
 from diagnose.thresholds import FAR
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
-from mjsim.effects import Effect, NotApplicableError, effect_class
+from mjsim.effects import NotApplicableError
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from simgap.either_numerics import by_either_numerics
+from simgap.found import as_fitted, physics_found
 from simgap.judging import before_search
 
 __all__ = ["by_motion_too"]
@@ -71,17 +72,11 @@ def _follows_freely(
 ) -> bool:
     """Whether a free run of what was found by force, its numbers refitted to the motion, leaves less than `FAR` times the noise
     variance on the estimation data."""
-    effects: list[Effect] = [
-        effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()}) for f in result.findings
-    ]
-    values = {k: v.value for k, v in result.linear_parameters.items()}
-    for own in result.nominal_effects:
-        values |= own.values
     fitter: Fitter | None = None
     try:
         view = MotionView.of(nominal, recordings)
         fitter = Fitter(nominal, view, *split(recordings, held_out), options.jobs, recordings[0].varies)
-        fitted = fitter.fit(fitter.hypothesis(effects, values))
+        fitted = fitter.fit(fitter.hypothesis(physics_found(result), as_fitted(result)))
         return fitted.ok and not fitter.above(fitted, FAR)
     except (InputError, NotApplicableError):
         return False

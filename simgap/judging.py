@@ -37,6 +37,7 @@ from mjsim.mjcf.faithful import (
 from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.plant.settings import mended
 from mjsim.recording import Recording
+from simgap.found import effect_found
 from simgap.plain_friction import plainer_friction, refit_to_noise
 from simgap.weakest_effect import without_weakest
 
@@ -249,9 +250,7 @@ def _without_creep(bench: _Bench, cause: numerics.Cause | None) -> tuple[Diagnos
         return None
     others = [f for f in result.findings if f not in friction]
     values = {k: v.value for k, v in result.linear_parameters.items()}
-    axis = bench.given.with_values(values).with_effects(
-        [effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()}) for f in others]
-    )
+    axis = bench.given.with_values(values).with_effects([effect_found(f) for f in others])
     write = partial(write_as_author, bench.model)
     try:
         refitted = refit_to_noise(axis, write, nominal.cases, out, bench.threads)

@@ -42,6 +42,7 @@ from mjsim.recording import Recording
 from simgap.either_numerics import by_either_numerics
 from simgap.either_view import by_motion_too
 from simgap.following import following
+from simgap.found import corrected_axis
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all, told, trend_sentences
 
@@ -53,21 +54,6 @@ IN_ONE_FILE = (
     "corrected.xml is a copy of it."
 )
 MAP_COMMENT = "This file holds a torque map: fitted, not derived. It predicts better and explains nothing."
-
-
-def corrected_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis:
-    """The nominal axis with its numbers as fitted and the findings; one that refines an effect of it takes its place."""
-    from mjsim.effects import effect_class
-
-    values = {k: v.value for k, v in diagnosis.linear_parameters.items()}
-    for own in diagnosis.nominal_effects:
-        values |= own.values
-    found = [
-        effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
-        for f in diagnosis.findings
-        if f.kind == "physics"
-    ]
-    return nominal.with_values(values).with_effects(found)
 
 
 def mapped_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis | None:

@@ -25,6 +25,7 @@ from mjsim.effects import Effect, effect_class
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import AUTHOR, Faithful, Writer, write_as_author
 from mjsim.plant import MujocoPlant
+from simgap.found import effect_found
 
 __all__ = ["plainer_friction", "refit_to_noise"]
 
@@ -48,7 +49,7 @@ def plainer_friction(
     fitted = given.with_values({k: v.value for k, v in result.linear_parameters.items()})
     refitted, group = None, alone
     for group, start in product(groups, (fitted, given)):  # numbers fitted beside a richer law may lead to another minimum
-        effects = [richer.get(f.law) or _as_found(f) for f in group if f.kind == "physics"]
+        effects = [richer.get(f.law) or effect_found(f) for f in group if f.kind == "physics"]
         with contextlib.suppress(InputError, ValueError):
             refitted = refit_to_noise(start.with_effects(effects), write, nominal.cases, out, threads)
         if refitted is not None:
@@ -86,10 +87,6 @@ def refit_to_noise(
     return (better, lacks, runs) if at_noise(cases, runs) else None
 
 
-def _as_found(f: Finding) -> Effect:
-    return effect_class(f.law)(place=f.place, **{k: v.value for k, v in f.parameters.items()})
-
-
 def _simplest(f: Finding, itself: bool) -> Effect | None:
     """The simplest law of friction that a found one refines, at the numbers that they share; None where there is none.
 
@@ -98,7 +95,7 @@ def _simplest(f: Finding, itself: bool) -> Effect | None:
     cls = effect_class(f.law)
     simpler = [effect_class(name) for name in cls.refines if effect_class(name).family == "friction"]
     if cls.family == "friction" and not cls.refines and itself:
-        return _as_found(f)
+        return effect_found(f)
     if cls.family != "friction" or not simpler:
         return None
     simplest = simpler[-1]

@@ -30,6 +30,7 @@ from mjsim.effects import Effect, effect_class
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from mjsim.recording import Recording, load
+from simgap.found import physics_found
 
 __all__ = ["LEAD", "SERVO", "emps_page", "ringing"]
 
@@ -87,7 +88,7 @@ def emps_page(files: Mapping[str, Path], say: Say = lambda _: None, jobs: int = 
 
 def _steps(fitter: Fitter, result: Diagnosis) -> list[tuple[str, Fitted]]:
     """The refitted nominal model, with Coulomb friction, with asymmetry too, and with all that was found: each fitted alone."""
-    found = tuple(effect_class(f.law)(place=f.place, **{n: e.value for n, e in f.parameters.items()}) for f in result.findings)
+    found = tuple(physics_found(result))
     level = next((e.values["torque_Nm"] for e in found if "friction" in e.id and "torque_Nm" in e.values), 0.1)
     coulomb = make("coulomb_friction", "motor", {"torque_Nm": level})
     friction = tuple(e for e in found if "cycles_per_rev" not in e.values)
