@@ -24,7 +24,7 @@ from mjsim.recording import Recording
 from mjsim.servo import Target
 from mjsim.system import assemble
 
-__all__ = ["as_servo"]
+__all__ = ["as_servo", "command_of"]
 
 WEIGHT = "gravity_load@arm.torque_Nm"
 NO_ANGLE = (
@@ -68,11 +68,7 @@ def as_servo(
         fitted, kept = ([dataclasses.replace(r, command=None) for r in group] for group in (recordings, held_out))
         return nominal, fitted, kept, (*said, *_supply(every))
     for r in every:
-        if r.command is None:
-            raise InputError(
-                r.source, f"no command, and {nominal.chain.actuator!r} of the model is a servo", "a column command_rad",
-                "bind it ([recording] command = ...), or drive the model by <motor>",
-            )  # fmt: skip
+        command_of(nominal.chain, r)
         if r.angle is None and nominal.chain.servo.target is not Target.VELOCITY:
             raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
     chain, notes = _known(nominal.chain, recordings, held_out)
@@ -83,6 +79,16 @@ def as_servo(
         [r if r.angle is None else dataclasses.replace(r, velocity=None) for r in group] for group in (recordings, held_out)
     )
     return dataclasses.replace(nominal, chain=chain), fitted, kept, (*said, *_supply(every), *notes, *more)
+
+
+def command_of(chain: Chain, recording: Recording) -> np.ndarray:
+    """The command (N,) of the servo of a chain. Raises InputError for a recording without one."""
+    if recording.command is None:
+        raise InputError(
+            recording.source, f"no command, and {chain.actuator!r} of the model is a servo", "a column command_rad",
+            "bind it ([recording] command = ...), or drive the model by <motor>",
+        )  # fmt: skip
+    return recording.command
 
 
 def _undriven(

@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnose.check.types import LogCheck, Problem
 from diagnose.check.unused import unused_channels
+from diagnose.data.servo import command_of
 from diagnose.robot.check.run import check_robot
 from mjsim.axis import Chain
 from mjsim.errors import InputError
@@ -35,11 +36,11 @@ def check_servo_axis(chain: Chain, robot: Robot, recordings: Sequence[Recording]
     told = {"chain": _chain(chain), "servo": _servo(chain)}
     for topic, text in found.understood.items():
         if topic != "robot":
-            told[topic.replace(name, "axis") if topic == name else topic] = text
+            told["axis" if topic == name else topic] = text
     unused = unused_channels(recordings, servo=True)
     if unused:
         told["channels not fitted"] = " ".join(unused)
-    measured = {source: {key.replace(name, "axis") if key == name else key: v for key, v in numbers.items()}
+    measured = {source: {"axis" if key == name else key: v for key, v in numbers.items()}
                 for source, numbers in found.measured.items()}  # fmt: skip
     return dataclasses.replace(
         found, understood=told, problems=tuple(_renamed(p, name) for p in found.problems), measured=measured
@@ -52,17 +53,16 @@ def _driven(robot: Robot) -> str:
 
 
 def _as_robot(chain: Chain, robot: Robot, name: str, r: Recording) -> RobotRecording:
-    if r.command is None:
-        raise InputError(
-            r.source, f"no command, and {chain.actuator!r} of the model is a servo", "a column command_rad",
-            "bind it ([recording] command = ...), or drive the model by <motor>",
-        )  # fmt: skip
+    command = command_of(chain, r)
     if r.angle is None:
-        raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
+        raise InputError(
+            r.source, "a command and no angle", "the angle of the joint, which the check compares with the command",
+            "record or bind it; simgap diagnose takes the log of a velocity servo as it is",
+        )  # fmt: skip
     torque = None if np.isnan(r.torque).any() else r.torque[:, None]
     held = tuple((j, float(robot.model.qpos0[robot.leading(k)])) for k, j in enumerate(robot.joints) if j != name)
     return RobotRecording(
-        r.time, (name,), r.dt, r.angle[:, None], torque=torque, command=r.command[:, None],
+        r.time, (name,), r.dt, r.angle[:, None], torque=torque, command=command[:, None],
         velocity=None if r.velocity is None else r.velocity[:, None], source=r.source, sha256=r.sha256, hold=r.hold, held_at=held,
         notes=r.notes,
     )  # fmt: skip
