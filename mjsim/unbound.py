@@ -1,4 +1,4 @@
-"""Which columns stand for what, as far as a binding does not say: by the default names, and by what their headers say."""
+"""Channels that a binding does not name: from the default column names, and from words and units in the headers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["by_headers", "completed", "guesses", "without_input"]
 
 
 def by_headers(binding: Binding, table: Table, *, driven: bool) -> Binding:
-    """The binding by the default names; channels without one by what their headers say, where these tell all that is needed."""
+    """The binding by the default names, other channels by the words of their headers where time, input and response are found."""
     needed = driven and binding.driven
     channels = plain_channels(table, needed=needed)
     if not binding.driven:
@@ -59,7 +59,7 @@ def without_input(channels: Mapping[str, Channel]) -> dict[str, Channel]:
 
 
 def guesses(before: Binding, after: Binding) -> list[str]:
-    """A note on the columns that were bound by what their headers say."""
+    """A note on the columns that were bound by the words of their headers."""
     if before.joints or not after.named:
         return []
     bound = before.channels if before.named else {}

@@ -1,8 +1,8 @@
-"""The search with the numerics that the recordings bear: the simulator's or exact ones, soft dry friction or one that holds.
+"""The search with the numerics that fit the recordings: the simulator's or exact ones, soft dry friction or one that holds.
 
 The nominal structure chooses (`diagnose.verdict.reference_stage`). Physics that it lacks leaves the choice open: where the first
-choice leads to more than noise, or to several effects, of which one may stand in for the other numerics, the search is made with
-the other too, and the diagnosis of the higher penalised likelihood counts.
+choice leaves more than noise, or finds several effects, of which one may compensate for the numerics, the search is repeated with
+the other choice, and the diagnosis of the higher penalised likelihood counts.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def _told(result: Diagnosis, left: Finding) -> Diagnosis:
     name = effect_class(left.law).name().replace("_", " ")
     note = (
         f"{name[:1].upper()}{name[1:]} at the {left.place} is not named: the equations of motion ask for it, and in MuJoCo the "
-        "corrected file follows the recordings as well without it. It stands in for how the simulator steps the file."
+        "corrected file follows the recordings as well without it. It compensates for the integration error of the simulator."
     )
     found = tuple(f for f in result.findings if f is not left)
     return dataclasses.replace(result, findings=found, notes=(note, *result.notes))

@@ -44,7 +44,7 @@ def spike(recording: Recording, machine: Machine, context: Context) -> list[Prob
                     name, "spike", float(x[first]), unit,
                     f"{len(at)} single samples of the {name} lie further from both neighbours than all others range; the first "
                     f"is {x[first]:.4g} {unit} at {recording.time[first]:.6g} s.",
-                    "replace them by what was measured, or record again; they bias every estimate", Severity.FIX,
+                    "replace them by the measured values, or record again; they bias every estimate", Severity.FIX,
                     marks=tuple((float(recording.time[i - 1]), float(recording.time[i + 1])) for i in at[:MARKED]),
                 )
             )  # fmt: skip

@@ -38,9 +38,8 @@ def with_start(s: JointSearch, law: ServoLaw, start: dict[str, float], base: np.
 def screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tuple[float, ServoLaw, np.ndarray]]:
     """(promised gain less the price, law, slots of its best start), most first.
 
-    A run at a start is one direction d of the error; what it explains beside the free numbers is (d'r)^2 / d'd, all projected
-    on what their
-    derivatives do not span. A law that is linear in several numbers is screened along all of them.
+    A run at a start is one direction d of the error; what it explains beside the free numbers is (d'r)^2 / d'd, both projected
+    on the complement of their derivatives. A law that is linear in several numbers is screened along all of them.
     """
     part = s.problem.windows(THIN)
     weights = s.weights[part.rows]
