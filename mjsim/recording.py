@@ -262,11 +262,17 @@ def _arrays(path: Path, table: Table, binding: Binding) -> dict[str, np.ndarray]
     return arrays
 
 
+COMMAND_UNITS = dict(zip(NAMES["command"], ("rad", "m", "rad/s", "m/s"), strict=True))
+"""SI unit of a command by the default name of its column."""
+
+
 def _units(binding: Binding) -> dict[str, str]:
     """SI unit of each role that the binding tells it of."""
+    command = binding.channels.get("command")
+    by_name = {} if command is None or command.unit is not None else {"command": COMMAND_UNITS.get(command.column, "")}
     if not binding.named:
-        return dict(DEFAULT_UNITS)
-    units = {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
+        return {**DEFAULT_UNITS, **by_name}
+    units = by_name | {role: SI_UNITS.get(c.unit, "") for role, c in binding.channels.items() if c.unit is not None}
     control = binding.channels.get("control")
     if control is not None and control.unit in ("A", "mA", "V", "mV"):
         units["control"] = control.unit[-1]

@@ -31,7 +31,8 @@ def understood(contexts: Sequence[Context], machine: Machine) -> dict[str, str]:
         ) + "."  # fmt: skip
     out["gear"] = ", ".join(f"{g:.6g}" for g in machine.gears) if machine.gears else "none: every side has one ratio"
     driven = chain.driven and all(c.recording.driven for c in contexts)
-    out["input"] = f"actuator {chain.actuator!r}, {chain.gain:.6g} {'N' if slide else 'N m'} at the joint per unit of input."
+    name = f"actuator {chain.actuator!r}" if chain.actuator else "the actuator"
+    out["input"] = f"{name}, {chain.gain:.6g} {'N' if slide else 'N m'} at the joint per unit of input."
     if not driven:
         out["input"] = NONE if chain.driven else f"{NONE} The model has no actuator."
     effects = "; ".join(e.describe(chain.motion) for e in machine.axis.effects)

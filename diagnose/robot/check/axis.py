@@ -86,4 +86,5 @@ def _servo(chain: Chain) -> str:
     assert servo is not None
     limit = f", force at most {servo.limit:.4g}" if np.isfinite(servo.limit) else ""
     kp = "" if servo.kp == 0 else f"kp {servo.kp:.4g}, "
-    return f"actuator {chain.actuator!r} takes the {servo.target.value} of the joint: {kp}kv {servo.kv:.4g}{limit}."
+    name = f"actuator {chain.actuator!r}" if chain.actuator else "the actuator"
+    return f"{name} takes the {servo.target.value} of the joint: {kp}kv {servo.kv:.4g}{limit}."
