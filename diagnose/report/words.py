@@ -105,12 +105,14 @@ def where(d: Diagnosis, other: Mismatch | None = None) -> list[str]:
     if not placed(d):
         left = f"{percent(m.above_noise)} of its squared error above" if m.above_noise > 0 else "nothing above"
         return [f"With its numbers fitted anew, the nominal model leaves {left} the noise: there is nothing to place."]
-    linear = f"{percent(m.linear_share)} of that follows the input linearly, the rest is nonlinear or a disturbance."
+    linear = "."
+    if math.isfinite(m.linear_share):  # there is an input
+        linear = f"; {percent(m.linear_share)} of that follows the input linearly, the rest is nonlinear or a disturbance."
     if known:
-        out = [f"Of the refitted nominal model's squared error, {percent(m.above_noise)} is more than noise; {linear}"]
+        out = [f"Of the refitted nominal model's squared error, {percent(m.above_noise)} is more than noise{linear}"]
     else:
         whole = "The noise of this channel is not known beforehand: all of the refitted nominal model's error is placed"
-        out = [f"{whole}; {linear}"]
+        out = [f"{whole}{linear}"]
     if m.time:
         out.append("In time: " + _listed(_merged(m.time), "s") + ".")
     else:

@@ -116,6 +116,6 @@ def traces(fitter: Fitter, base: Fitted, best: Fitted, mapped: Fitted | None = N
 
 def _recorded(r: Recording, every: int) -> dict[str, tuple[np.ndarray, str]]:
     """The recorded channels on the view's grid: name -> (values (M,), unit)."""
-    channels = {"angle": r.angle, "velocity": r.velocity, "command": r.command, "torque": r.torque}
+    channels = {"angle": r.angle, "velocity": r.velocity, "command": r.command, "torque": r.torque if r.driven else None}
     known = {name: y for name, y in channels.items() if y is not None and np.all(np.isfinite(y))}
     return {name: (y[::every], r.units.get(name, "")) for name, y in known.items()}

@@ -11,6 +11,7 @@ import pytest
 import simgap
 from diagnose.data.servo import as_servo
 from diagnose.pipeline import Options, diagnose
+from diagnose.report.words import where
 from diagnose.result import Verdict
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
@@ -94,6 +95,8 @@ def test_friction_of_a_free_swing_is_found_with_the_drive_off(free, tmp_path):
     assert found.effect == "coulomb_friction"
     assert abs(found.parameters["torque_Nm"].value - 0.012) < 2e-4
     assert any("The weight is taken as the model has it" in note for note in result.notes)
+    assert all("torque" not in trace.states for trace in result.traces)
+    assert not any("the input" in sentence for sentence in where(result))  # there is none
     corrected = load_axis(tmp_path / "corrected.xml")
     assert not corrected.chain.driven
     run = simgap.simulate(tmp_path / "corrected.xml", swing(free, 2.2, 0.012))
