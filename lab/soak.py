@@ -6,18 +6,22 @@
 Each recording is 1 s of a pendulum with Coulomb friction. The resident set is read after each diagnosis (for ``fleet``: of the
 command and of its workers together, once a second). The growth is the slope of a straight line through the last two thirds of
 the curve, by Theil and Sen: the median of the slopes of all pairs of points, with its 95 % interval (`scipy.stats.theilslopes`),
-which a single step does not sway. Prints one line of JSON. Exit code 1 where the interval lies above ``--allowed`` as a whole.
+which a single step does not sway. Prints one line of JSON. Exit code 1 where the interval lies above ``--allowed`` as a whole, or
+where the table of the fleet does not hold each recording once. ``--curve`` is written as it grows; ``--folder`` keeps the records
+of a fleet, from which the next run continues.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import click
@@ -26,7 +30,7 @@ from scipy.stats import theilslopes
 
 from lab.kill import EFFECT, MODEL, write_log
 
-__all__ = ["Growth", "growth", "main", "resident"]
+__all__ = ["Curve", "Growth", "growth", "lost_or_repeated", "main", "resident"]
 
 WARM = 1 / 3
 """Part of a curve in which caches fill, which is left out."""
@@ -46,6 +50,7 @@ class Growth:
     first_mb: float
     last_mb: float
     largest_mb: float
+    lost_or_repeated: int = 0
 
 
 def resident(pid: int) -> int:
@@ -68,40 +73,70 @@ def growth(command: str, curve: list[tuple[float, float]], seconds: float) -> Gr
     return Growth(command, int(done[-1]), seconds, float(slope), (float(low), float(high)), mb[0], mb[1], mb[2])
 
 
-def _diagnoses(folder: Path, count: int, limit: float) -> list[tuple[float, float]]:
+class Curve:
+    """Points of (diagnoses, resident set [kB]), written to a CSV file as they come."""
+
+    def __init__(self, kept: Path | None) -> None:
+        self.points: list[tuple[float, float]] = []
+        self.kept = kept
+        if kept is not None:
+            kept.write_text("diagnoses,resident_kB\n")
+
+    def add(self, done: float, size: float) -> None:
+        """One more point."""
+        self.points.append((done, size))
+        if self.kept is not None:
+            with self.kept.open("a") as handle:
+                handle.write(f"{done:.9g},{size:.9g}\n")
+
+
+def _diagnoses(folder: Path, count: int, limit: float, curve: Curve) -> None:
     """The same few recordings again and again, so that what grows is no work for the data."""
     import simgap
 
     logs = [folder / f"{i}.npz" for i in range(4)]
     for i, log in enumerate(logs):
         write_log(log, 0.1 + 0.05 * i, i, 250)
-    curve, began = [], time.perf_counter()
+    began = time.perf_counter()
     for i in range(count):
         if i >= FEWEST and time.perf_counter() - began > limit:
             break
         simgap.diagnose(logs[i % len(logs)], folder / "pendulum.xml", effects=(EFFECT,), seed=i)
-        curve.append((i + 1.0, float(resident(os.getpid()))))
-    return curve
+        curve.add(i + 1.0, float(resident(os.getpid())))
 
 
-def _fleet(folder: Path, count: int, workers: int) -> list[tuple[float, float]]:
-    for i in range(count):
-        write_log(folder / f"logs/robot{i % 10}/{i:06d}.npz", 0.1 + 0.01 * (i % 10), i, 250)
+def _fleet(folder: Path, count: int, workers: int, curve: Curve) -> None:
+    logs = [folder / f"logs/robot{i % 10}/{i:06d}.npz" for i in range(count)]
+    for i, log in enumerate(logs):
+        if not log.exists():
+            write_log(log, 0.1 + 0.01 * (i % 10), i, 250)
     words = [
         sys.executable, "-m", "simgap", "fleet", "logs/*/*.npz", "--model", "pendulum.xml", "--effects", EFFECT,
         "--out", "out", "--workers", str(workers), "--quiet",
     ]  # fmt: skip
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parents[1]), *sys.path])}
-    curve = []
     process = subprocess.Popen(words, cwd=folder, env=environment)
     while process.poll() is None:
         time.sleep(1.0)
         done = sum(1 for _ in (folder / "out" / "records").glob("*/*.json"))
         if done and (size := resident(process.pid)):
-            curve.append((float(done), float(size)))
+            curve.add(float(done), float(size))
     if process.returncode:
         raise click.ClickException(f"simgap fleet ended with {process.returncode}")
-    return curve
+
+
+def lost_or_repeated(folder: Path, count: int) -> int:
+    """How many of the recordings do not stand in the table of the fleet with a verdict, and how many rows are too many.
+
+    Each recording has one finding or none, with one parameter, hence one row.
+    """
+    import pyarrow.parquet as pq
+
+    from simgap.fleet.table import NONE
+
+    table = pq.read_table(folder / "out" / "fleet.parquet", columns=["log", "verdict"]).to_pylist()
+    told = Counter(Path(row["log"]).stem for row in table if row["verdict"] not in (None, *NONE.values()))
+    return sum(abs(told[f"{i:06d}"] - 1) for i in range(count)) + len(table) - told.total()
 
 
 @click.command()
@@ -111,17 +146,21 @@ def _fleet(folder: Path, count: int, workers: int) -> list[tuple[float, float]]:
 @click.option("--workers", default=1, show_default=True, help="Of the fleet.")
 @click.option("--allowed", default=20.0, show_default=True, help="Growth of one diagnosis that is no fault [kB].")
 @click.option("--curve", "kept", type=click.Path(path_type=Path), help="Write the curve to this CSV file.")
-def main(command: str, count: int, limit: float, workers: int, allowed: float, kept: Path | None) -> None:
+@click.option("--folder", type=click.Path(path_type=Path), help="Of recordings and records (default: a temporary one).")
+def main(command: str, count: int, limit: float, workers: int, allowed: float, kept: Path | None, folder: Path | None) -> None:
     """Diagnose many short recordings and print how the resident set grows."""
-    with tempfile.TemporaryDirectory() as name:
-        folder, began = Path(name), time.perf_counter()
-        (folder / "pendulum.xml").write_text(MODEL)
-        curve = _diagnoses(folder, count, limit) if command == "diagnose" else _fleet(folder, count, workers)
-        found = growth(command, curve, time.perf_counter() - began)
-    if kept is not None:
-        np.savetxt(kept, np.array(curve), delimiter=",", header="diagnoses,resident_kB", comments="", fmt="%.9g")
+    with contextlib.nullcontext(folder) if folder else tempfile.TemporaryDirectory() as name:
+        place, began, curve, wrong = Path(name), time.perf_counter(), Curve(kept), 0
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "pendulum.xml").write_text(MODEL)
+        if command == "diagnose":
+            _diagnoses(place, count, limit, curve)
+        else:
+            _fleet(place, count, workers, curve)
+            wrong = lost_or_repeated(place, count)
+        found = replace(growth(command, curve.points, time.perf_counter() - began), lost_or_repeated=wrong)
     click.echo(json.dumps(asdict(found)))
-    sys.exit(int(found.ci95[0] > allowed))
+    sys.exit(int(found.ci95[0] > allowed or wrong > 0))
 
 
 if __name__ == "__main__":

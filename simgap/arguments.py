@@ -7,7 +7,7 @@ A type says what a path is for: a recording or another file that is read, a fold
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -24,6 +24,7 @@ __all__ = [
     "NamedSource",
     "OutputFile",
     "OutputFolder",
+    "model_root",
     "need_file",
     "need_folder",
     "spare_inputs",
@@ -31,6 +32,7 @@ __all__ = [
 ]
 
 ADVICE = "choose another --out"
+_ROOTS = "SIMGAP_MODEL_ROOT"  # of `mjsim.mjcf.limits`, which a command line without a model does not import
 
 
 class Choice(click.Choice):
@@ -136,6 +138,33 @@ class ModelFile(click.ParamType):
         from mjsim.models import model_path
 
         return model_path(value)
+
+
+def model_root(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The option ``--model-root`` of a command: folders outside the model's own from which it may read, while the command runs.
+
+    Workers that the command starts have them as well, by the environment variable `mjsim.mjcf.limits.ROOTS`.
+    """
+
+    def allow(context: click.Context, _: click.Parameter, folders: tuple[str, ...]) -> None:
+        if not folders:
+            return
+        before = os.environ.get(_ROOTS)
+        os.environ[_ROOTS] = os.pathsep.join([*map(os.path.abspath, folders), *([before] if before else [])])
+
+        def restore() -> None:
+            os.environ.pop(_ROOTS, None)
+            if before is not None:
+                os.environ[_ROOTS] = before
+
+        context.call_on_close(restore)
+
+    said = "A folder outside the model's own from which it may read meshes, textures and included files (repeatable)."
+    folder = click.Path(exists=True, file_okay=False)
+    option = click.option(
+        "--model-root", type=folder, multiple=True, expose_value=False, is_eager=True, callback=allow, help=said
+    )
+    return option(command)
 
 
 def need_folder(out: Path, advice: str = ADVICE) -> None:

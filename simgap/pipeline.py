@@ -35,6 +35,7 @@ from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.kernel import integrate
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
+from mjsim.mjcf.assets import bring_assets
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.notices import quiet
 from mjsim.ode import DivergedError, load_kernel
@@ -130,6 +131,7 @@ def diagnose_recordings(
     if not is_whole(model):
         said.append(IN_ONE_FILE.format(given=model.name))
         model = write_whole(model, out / WRITTEN)
+        bring_assets(model)
     nominal = load_axis(model)
     check_writable(model, nominal)
     for name in options.effects:
@@ -232,6 +234,8 @@ def _written(
         mapped.unlink(missing_ok=True)
     else:
         write_corrected(model, with_map, mapped, MAP_COMMENT)
+        bring_assets(mapped)
+    bring_assets(corrected)
     if page:
         from diagnose.report import write_report
 

@@ -20,6 +20,7 @@ from diagnose.robot.pipeline import Outcome, diagnose_robot
 from diagnose.robot.problem import Problem
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from mjsim.errors import InputError
+from mjsim.mjcf.assets import bring_assets
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.recording import Recording
@@ -123,6 +124,7 @@ def diagnose_robot_recordings(
     """
     if not is_whole(model):
         model = write_whole(model, out / WRITTEN)
+        bring_assets(model)
     robot = load_robot(model)
     there = next(p for p in (out, *out.resolve().parents) if p.exists())
     if not there.is_dir():
@@ -143,6 +145,7 @@ def diagnose_robot_recordings(
 
         say("all joints together in MuJoCo")
         result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
+    bring_assets(corrected)
     result = dataclasses.replace(result, log=log, notes=(*_told(log), *result.notes))
     if page:
         from diagnose.robot.page import write_page

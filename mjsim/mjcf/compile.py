@@ -12,7 +12,7 @@ import mujoco
 from mjsim.errors import InputError
 from mjsim.mjcf.limits import need_finite, need_sizes
 
-__all__ = ["caught_warnings", "compile_file", "save_compiled"]
+__all__ = ["caught_warnings", "compile_file", "read_spec", "save_compiled"]
 
 
 @contextlib.contextmanager
@@ -46,6 +46,12 @@ def compile_file(path: str | Path) -> mujoco.MjModel:
             raise InputError(path, f"the name {name!r} is not UTF-8", "UTF-8", "save the model as UTF-8") from None
     need_finite(model, path)
     return model
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """The specification of an MJCF file, its limits checked. Raises InputError, and ValueError where MuJoCo does not read it."""
+    need_sizes(path)
+    return mujoco.MjSpec.from_file(str(path))
 
 
 def save_compiled(content: bytes, out: Path, load: Callable[[Path], object] = compile_file) -> None:

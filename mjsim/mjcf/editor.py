@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.parsers import expat
@@ -14,6 +13,7 @@ import numpy as np
 
 from mjsim.chain import Chain
 from mjsim.errors import InputError
+from mjsim.mjcf.assets import relocate
 from mjsim.mjcf.chain import Found
 from mjsim.mjcf.general import spelled_out
 from mjsim.mjcf.xmltext import Node, XmlText
@@ -220,20 +220,7 @@ class MjcfEditor:
 
     def relocate(self, out: Path) -> None:
         """Keep file references valid when the copy stands in another directory."""
-        here, there = self.path.resolve().parent, out.resolve().parent
-        if here == there:
-            return
-        relative = Path(os.path.relpath(here, there))
-        refers = [n for n in self.xml.root.walk() if "file" in n.attributes]
-        for include in [n for n in refers if n.tag == "include"]:
-            self.xml.set(include, "file", str(relative / include.attributes["file"]))
-        if any(n.tag != "include" for n in refers):
-            self._section("compiler", first=True)
-            for key in ("assetdir", "meshdir", "texturedir"):
-                compiler = self.xml.root.child("compiler")
-                assert compiler is not None
-                if key == "assetdir" or key in compiler.attributes:
-                    self.xml.set(compiler, key, str(relative / compiler.attributes.get(key, ".")))
+        relocate(self.xml, self.path, out)
 
 
 def _parsed(path: Path) -> XmlText:

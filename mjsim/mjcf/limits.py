@@ -1,16 +1,19 @@
-"""What is checked of an MJCF file around its compilation: sizes and kinds of files before, finite numbers after."""
+"""What is checked of an MJCF file around its compilation: sizes, kinds and places of files before, finite numbers after."""
 
 from __future__ import annotations
 
-import re
+import os
+import stat
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.mjcf.tags import Tag, tags
 
-__all__ = ["MOST_BYTES", "MOST_COPIES", "MOST_FILES", "MOST_KEYS", "need_finite", "need_sizes"]
+__all__ = ["MOST_ASSETS", "MOST_BYTES", "MOST_COPIES", "MOST_FILES", "MOST_KEYS", "ROOTS", "need_finite", "need_sizes", "roots"]
 
 MOST_COPIES = 10_000
 """Largest number of copies by nested ``<replicate>``: MuJoCo compiles so many bodies within seconds."""
@@ -21,12 +24,18 @@ MOST_FILES = 200
 """Largest number of ``<include>`` elements, those of included files among them."""
 MOST_BYTES = 2**26
 """Largest size of a model with all files that it includes [bytes]."""
+MOST_ASSETS = 2**30
+"""Largest size of all meshes, textures and height fields together [bytes]; MuJoCo reads each as a whole."""
 
-_INCLUDE = re.compile(rb"""<include\b[^>]*?\bfile\s*=\s*["']([^"']+)["'][^>]*?>""")
-_REPLICATE = re.compile(rb"</replicate\s*>|<replicate\b[^>]*?(/?)>")
-_COUNT = re.compile(rb"""\bcount\s*=\s*["']\s*([0-9.eE+]+)""")
-_FILE = re.compile(rb"""\bfile\s*=\s*["']([^"']+)["']""")
-_FOLDER = re.compile(rb"""\b(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']+)["']""")
+ROOTS = "SIMGAP_MODEL_ROOT"
+"""Environment variable with further folders from which models may read, separated as in PATH."""
+
+FOLDERS = ("assetdir", "meshdir", "texturedir")
+NESTED = ("include", "model")  # elements whose file is MJCF as well
+
+_read: set[str] = set()
+"""Real paths of files that models of this process have read: a model derived from one of them may stand elsewhere."""
+
 _NUMBERS = (
     "body_pos", "body_quat", "body_mass", "body_inertia", "jnt_pos", "jnt_axis", "jnt_stiffness", "jnt_range", "qpos0",
     "qpos_spring", "dof_damping", "dof_armature", "dof_frictionloss", "geom_pos", "geom_size", "actuator_gear",
@@ -35,75 +44,132 @@ _NUMBERS = (
 )  # fmt: skip
 
 
+def roots(model: Path) -> list[str]:
+    """Real paths of the folders from which a model may read: its own, that of the file that it links to, and `ROOTS`."""
+    given = [entry for entry in os.environ.get(ROOTS, "").split(os.pathsep) if entry]
+    own = (os.path.dirname(os.path.abspath(model)), os.path.dirname(os.path.realpath(model)))
+    return list(dict.fromkeys(os.path.realpath(folder) for folder in (*own, *given)))
+
+
 def need_sizes(path: Path) -> None:
-    """Raise InputError for a file that expands beyond the limits, with all that it includes.
+    """Raise InputError for a file that expands beyond the limits, with all that it includes, or that reads outside its folder.
 
-    As well for one that refers to something that is no regular file, or includes a file outside its own folder.
+    Every file that it refers to is a regular file in one of the `roots`, after links are followed. A file that is not there is
+    left to MuJoCo, which names it.
     """
-    text = _expanded(path, path, [], [0, 0])
-    copies = _copies(text)
-    if copies > MOST_COPIES:
-        raise InputError(path, f"<replicate> makes {copies:.3g} copies", f"at most {MOST_COPIES}", "lower its count")
-    keys = len(re.findall(rb"<key\b", text))
-    if keys > MOST_KEYS:
-        raise InputError(path, f"{keys} keyframes", f"at most {MOST_KEYS}", "remove those that are not needed")
-    folders = [path.parent, *(path.parent / found.decode(errors="replace") for found in _FOLDER.findall(text))]
-    for name in _FILE.findall(text):
-        for folder in folders:
-            file = folder / name.decode(errors="replace")
-            if file.exists() and not file.is_file():
-                raise InputError(path, f"{str(file)!r} is not a regular file", "a file", "name a file")
+    model = _Model(path)
+    model.walk(path, [], 1.0)
+    size = 0
+    for name in model.assets:
+        for file in model.existing(name, [*model.folders, *model.below]):
+            size += os.stat(file).st_size
+            if size > MOST_ASSETS:
+                most = f"{MOST_ASSETS / 2**20:.4g} MB"
+                raise InputError(path, f"its meshes and textures have more than {most}", "smaller ones", "reduce the meshes")
+            model.accepted.add(file)
+    _read.update(model.accepted)
 
 
-def _expanded(path: Path, model: Path, within: list[Path], read: list[int]) -> bytes:
-    """The text of a file without comments, its includes replaced by what they include.
+class _Model:
+    """What has been found of a model and the files that it reads."""
 
-    within: the files that include this one; read: how many files and bytes so far. What is missing, and a file that includes
-    itself, are left to MuJoCo, which names them.
-    """
-    try:
-        text = re.sub(rb"<!--.*?-->", b"", path.read_bytes(), flags=re.DOTALL)
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", "an MJCF model", "check the path") from None
-    read[0] += 1
-    read[1] += len(text)
-    if read[0] > MOST_FILES + 1 or read[1] > MOST_BYTES:
-        most = f"{MOST_FILES} files or {MOST_BYTES / 2**20:.3g} MB"
-        raise InputError(model, f"it includes more than {most}", "a smaller model", "merge the files")
+    def __init__(self, path: Path) -> None:
+        self.path, self.roots = path, roots(path)
+        self.files = self.bytes = self.keys = 0
+        self.folders = [os.path.dirname(os.path.abspath(path))]  # of the model and of the files that it includes
+        self.below: list[str] = []  # of meshes and textures
+        self.assets: dict[str, None] = {}
+        self.accepted: set[str] = set()
 
-    def included(found: re.Match[bytes]) -> bytes:
-        name = found.group(1).decode(errors="replace")
-        for folder in dict.fromkeys((model.parent, path.parent)):
-            file = folder / name
-            if not file.exists():
-                continue
-            if not file.resolve().is_relative_to(model.parent.resolve()):
-                raise InputError(model, f"it includes {name!r} outside its folder", "a file beside it", "copy it there")
-            if not file.is_file():
-                raise InputError(model, f"{str(file)!r} is not a regular file", "a file", "name a file")
-            return found.group() if file in (*within, path) else _expanded(file, model, [*within, path], read)
-        return found.group()
-
-    return _INCLUDE.sub(included, text)
-
-
-def _copies(text: bytes) -> float:
-    """The largest product of the counts of nested elements."""
-    nested, largest = [1.0], 1.0
-    for found in _REPLICATE.finditer(text):
-        if found.group().startswith(b"</"):
-            if len(nested) > 1:
-                nested.pop()
-            continue
-        count = _COUNT.search(found.group())
+    def walk(self, file: Path, within: Sequence[str], copies: float) -> None:
+        """Count what is in a file and in those that it includes; ``within``: files around it, copies: how often it stands."""
         try:
-            product = nested[-1] * (float(count.group(1)) if count else 1.0)
-        except ValueError:
-            continue  # MuJoCo names it
-        largest = max(largest, product)
-        if not found.group(1):
-            nested.append(product)
-    return largest
+            raw = file.read_bytes()
+        except OSError as error:
+            raise InputError(file, f"cannot be read ({error.strerror})", "an MJCF model", "check the path") from None
+        self.files += 1
+        self.bytes += len(raw)
+        if self.files > MOST_FILES + 1 or self.bytes > MOST_BYTES:
+            most = f"{MOST_FILES} files or {MOST_BYTES / 2**20:.3g} MB"
+            raise InputError(self.path, f"it includes more than {most}", "a smaller model", "merge the files")
+        nested = [copies]
+        for tag in tags(raw, file):
+            self._count(tag, nested)
+            for key, value in tag.attributes:
+                name = os.fsdecode(value)
+                if tag.name == "compiler" and key in FOLDERS:
+                    self.below += [os.path.join(folder, name.replace("\\", "/")) for folder in self.folders]
+                elif key.startswith("file") and tag.name in NESTED:
+                    self._enter(name, [*within, os.path.realpath(file)], nested[-1])
+                elif key.startswith("file"):
+                    self.assets[name] = None
+
+    def _count(self, tag: Tag, nested: list[float]) -> None:
+        self.keys += tag.name == "key" and tag.opens
+        if self.keys > MOST_KEYS:
+            raise InputError(self.path, f"{self.keys} keyframes", f"at most {MOST_KEYS}", "remove those that are not needed")
+        if tag.name != "replicate":
+            return
+        if tag.opens:
+            copies = nested[-1] * _number(dict(tag.attributes).get("count", b"1"))
+            if copies > MOST_COPIES:
+                raise InputError(self.path, f"<replicate> makes {copies:.3g} copies", f"at most {MOST_COPIES}", "lower its count")
+            nested.append(copies)
+        if tag.closes and len(nested) > 1:
+            nested.pop()
+
+    def _enter(self, name: str, within: Sequence[str], copies: float) -> None:
+        for file in self.existing(name, self.folders):
+            self.accepted.add(file)
+            if file not in within:  # MuJoCo names a file that includes itself
+                self.folders = list(dict.fromkeys([*self.folders, os.path.dirname(file)]))
+                self.walk(Path(file), within, copies)
+
+    def existing(self, name: str, folders: Sequence[str]) -> list[str]:
+        """Real paths of the regular files that MuJoCo may mean by a name. Raises InputError for one outside the roots.
+
+        MuJoCo takes ``\\\\`` for ``/``, shortens ``a/../b`` before links are followed, and leaves folders out by ``strippath``.
+        """
+        found: dict[str, None] = {}
+        for place in _places(name, folders):
+            kind = _mode(place)
+            if kind is None or stat.S_ISDIR(kind):
+                continue
+            real = os.path.realpath(place)
+            if real not in _read and not any(os.path.commonpath([real, root]) == root for root in self.roots):
+                raise InputError(
+                    self.path, f"it refers to {name!r} outside its folder", f"a file in {self.roots[0]}",
+                    f"copy it there, or allow its folder: --model-root {os.path.dirname(real)}",
+                )  # fmt: skip
+            if not stat.S_ISREG(kind):
+                raise InputError(self.path, f"{place!r} is not a regular file", "a file", "name a file")
+            found[real] = None
+        return list(found)
+
+
+def _places(name: str, folders: Sequence[str]) -> Iterator[str]:
+    names = dict.fromkeys(form for n in (name, name.replace("\\", "/")) for form in (n, os.path.basename(n)) if form)
+    for folder in dict.fromkeys(folders):
+        for form in names:
+            place = os.path.join(folder, form)
+            yield place
+            if os.path.normpath(place) != place:
+                yield os.path.normpath(place)
+
+
+def _mode(place: str) -> int | None:
+    try:
+        return os.stat(place).st_mode
+    except (OSError, ValueError):
+        return None
+
+
+def _number(text: bytes) -> float:
+    """The first number of a text; 1 where there is none, which MuJoCo names."""
+    try:
+        return float(text.split()[0])
+    except (ValueError, IndexError):
+        return 1.0
 
 
 def need_finite(model: mujoco.MjModel, path: Path) -> None:

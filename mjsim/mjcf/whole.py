@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
-from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.compile import compile_file, read_spec
+from mjsim.mjcf.tags import with_plain_comments
 
 __all__ = ["WRITTEN", "is_whole", "write_whole"]
 
@@ -36,7 +37,7 @@ def is_whole(path: Path) -> bool:
     True for a file that is not MJCF as well: what reads it says so.
     """
     try:
-        root = mujoco.MjSpec.from_file(str(path))
+        root = read_spec(path)
         text = path.read_bytes()
     except (ValueError, OSError):
         return True
@@ -51,9 +52,9 @@ def _elements(spec: mujoco.MjSpec, kind: str) -> list[mujoco.MjsElement]:
 def write_whole(path: Path, out: Path) -> Path:
     """Write the model of ``path`` as one file with all elements named; returns ``out``.
 
-    Included files take the place of their ``<include>``, and every number and comment is kept as it is written. Files of meshes
-    and textures stay where they are; the TOML file beside the model goes with it. Raises InputError where the written file is not
-    the same model.
+    Included files take the place of their ``<include>``; every number and comment is kept as it is written, but for ``--`` in a
+    comment, which becomes ``==``. Files of meshes and textures stay where they are; the TOML file beside the model goes with it.
+    Raises InputError where the written file is not the same model.
     """
     before = compile_file(path)
     try:
@@ -85,7 +86,8 @@ def _merged(path: Path, folder: Path, depth: int = 0) -> ElementTree.Element:
     if depth > DEEPEST:
         raise ValueError(f"files include one another more than {DEEPEST} deep")
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    root = ElementTree.parse(path, parser).getroot()
+    parser.feed(with_plain_comments(path.read_bytes(), path))
+    root = parser.close()
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag == "include":

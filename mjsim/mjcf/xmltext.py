@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+from mjsim.mjcf.tags import with_plain_comments
+
 __all__ = ["Node", "XmlText"]
 
 
@@ -46,7 +48,7 @@ class Node:
 
 
 class XmlText:
-    """A well-formed XML text and its elements, parsed anew after each edit."""
+    """A well-formed XML text, but for ``--`` in its comments, and its elements, parsed anew after each edit."""
 
     def __init__(self, text: str, encoding: str = "utf-8") -> None:
         self.data = text.encode()
@@ -98,7 +100,7 @@ class XmlText:
         parser.StartElementHandler = opened
         parser.EndElementHandler = closed
         try:
-            parser.Parse(self.data, True)
+            parser.Parse(with_plain_comments(self.data, "the file"), True)
         finally:  # the functions hold the parser: without this its native memory waits for the garbage collector
             parser.StartElementHandler = parser.EndElementHandler = None
         return roots[0]

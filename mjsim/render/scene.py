@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError, nearest
-from mjsim.mjcf.compile import caught_warnings
+from mjsim.mjcf.compile import caught_warnings, read_spec
 
 __all__ = ["FREE", "Scene"]
 
@@ -33,7 +33,7 @@ class Scene:
     def __init__(self, path: Path, qpos: np.ndarray, camera: str | None = None, joint: int | None = None) -> None:
         self.path = path
         self._poses = qpos[np.unique(np.linspace(0, len(qpos) - 1, _POSES).astype(int))]
-        bare = _compiled(path, mujoco.MjSpec.from_file(str(path)))
+        bare = _compiled(path, read_spec(path))
         self.option = _option(bare)
         corners, self.moves = _swept(bare, self._poses, self.option)
         self.low, self.high = corners.min(axis=0), corners.max(axis=0)
@@ -65,7 +65,7 @@ class Scene:
 
     def _furnished(self, bare: mujoco.MjModel) -> mujoco.MjSpec:
         """The file's spec with a sky, a light and a floor where it has none."""
-        spec = mujoco.MjSpec.from_file(str(self.path))
+        spec = read_spec(self.path)
         size = self.size or 1.0
         if not any(t == mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in bare.tex_type):
             spec.add_texture(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.mjcf.assets import relocate
 from mjsim.mjcf.compile import compile_file, save_compiled
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.robot.carried import effect_slots
@@ -66,7 +66,7 @@ def write_robot(
     _drop(xml)
     if effects:
         xml.append(xml.root, _custom(effects))
-    _relocate(xml, source, out)
+    relocate(xml, source, out)
     save_compiled(xml.text.encode(), out, load_robot)
 
 
@@ -174,23 +174,3 @@ def _custom(effects: Sequence[Mapping[str, Any]]) -> list[str]:
     text = escape(json.dumps({"version": 1, "effects": list(effects)}), {"'": "&apos;"})
     lines = ["<!--", *(f"  {line}" for line in textwrap.wrap(said.replace("--", "- -"), 120)), "-->"]
     return ["<custom>", *(f"  {line}" for line in lines), f"  <text name=\"{CUSTOM}\" data='{text}'/>", "</custom>"]
-
-
-def _relocate(xml: XmlText, source: Path, out: Path) -> None:
-    """Keep references to meshes and textures valid when the copy stands in another folder."""
-    here, there = source.resolve().parent, out.resolve().parent
-    if here == there or not any("file" in n.attributes for n in xml.root.walk()):
-        return
-    relative = Path(os.path.relpath(here, there))
-    if any(n.tag == "include" for n in xml.root.walk()):
-        raise InputError(
-            source, "the file includes others", "a file without <include>", "join the files, or give --out beside it"
-        )
-    compiler = xml.root.child("compiler")
-    if compiler is None:
-        raise InputError(source, "files are referred to and there is no <compiler>", "a <compiler> element", "add one")
-    for key in ("assetdir", "meshdir", "texturedir"):
-        compiler = xml.root.child("compiler")
-        assert compiler is not None
-        if key == "assetdir" or key in compiler.attributes:
-            xml.set(compiler, key, str(relative / compiler.attributes.get(key, ".")))

@@ -12,7 +12,7 @@ import mujoco
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis
-from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.compile import compile_file, read_spec
 from mjsim.models import model_path
 from simgap.api.scratch import Scratch
 
@@ -70,7 +70,7 @@ class Model:
     @property
     def spec(self) -> mujoco.MjSpec:
         """The model as a specification that can be edited; a fresh one each time."""
-        return mujoco.MjSpec.from_file(str(self._path))
+        return read_spec(self._path)
 
     @cached_property
     def axis(self) -> Axis:

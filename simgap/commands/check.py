@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputFile, ModelFile, OutputFolder
+from simgap.arguments import InputFile, ModelFile, OutputFolder, model_root
 
 __all__ = ["command"]
 
@@ -16,6 +16,7 @@ __all__ = ["command"]
 @click.option(
     "--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis or robot, or the name of a shipped model."
 )
+@model_root
 @click.option("--out", type=OutputFolder(), help="Folder for check.json and check.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print check.json on standard output.")
 def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json: bool) -> None:

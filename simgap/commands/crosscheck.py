@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile, OutputFolder, take_folder
+from simgap.arguments import ModelFile, OutputFolder, model_root, take_folder
 from simgap.terminal import lines_wanted
 
 __all__ = ["command"]
@@ -16,6 +16,7 @@ __all__ = ["command"]
 
 @click.command(epilog="Example: simgap crosscheck --out out/crosscheck")
 @click.argument("model", required=False, type=ModelFile())
+@model_root
 @click.option("--out", type=OutputFolder(), help="Directory for crosscheck.json and crosscheck.png.")
 @click.option("--duration", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="Duration of the chirp [s].")
 @click.option(

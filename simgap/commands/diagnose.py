@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, spare_inputs, take_folder
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, model_root, spare_inputs, take_folder
 
 __all__ = ["command"]
 
@@ -18,6 +18,7 @@ __all__ = ["command"]
 )
 @click.argument("recordings", nargs=-1, required=True, type=InputFile())
 @click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of the axis, or the name of a shipped model.")
+@model_root
 @click.option("--out", required=True, type=OutputFolder(), help="Folder for diagnosis.json, corrected.xml and report.html.")
 @click.option("--held-out", "held_out", multiple=True, type=InputFile(), help="Recording kept for validation (repeatable).")
 @click.option(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputPattern, ModelFile, OutputFolder, take_folder
+from simgap.arguments import InputPattern, ModelFile, OutputFolder, model_root, take_folder
 
 __all__ = ["command"]
 
@@ -16,6 +16,7 @@ __all__ = ["command"]
 )  # fmt: skip
 @click.argument("pattern", type=InputPattern())
 @click.option("--model", required=True, type=ModelFile(), help="Nominal MJCF of all robots, or the name of a shipped model.")
+@model_root
 @click.option("--out", required=True, type=OutputFolder(), help="Folder for fleet.parquet, fleet.html and the records.")
 @click.option("--scheduler", default="", help="Address of a Dask scheduler; default: a local cluster.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(1), help="Processes of the local cluster.")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, need_file, spare_inputs
 
 if TYPE_CHECKING:
     from simgap.gating.check import Check
@@ -75,6 +75,7 @@ def as_markdown(model: Path, checks: Sequence[Check], tolerance: float) -> str:
 
 @click.command("gate", epilog="Example: simgap gate robot.xml log.csv --baseline report/diagnosis.json")
 @click.argument("model", type=ModelFile())
+@model_root
 @click.argument("recordings", nargs=-1, required=True, type=InputFile())
 @click.option(
     "--baseline", required=True, type=InputFile(".json", usual="diagnosis.json"), help="diagnosis.json to compare with."

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, NamedSource, OutputFile, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, NamedSource, OutputFile, model_root, need_file, spare_inputs
 from simgap.terminal import lines_wanted, printable
 
 if TYPE_CHECKING:
@@ -233,6 +233,7 @@ def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
 
 @click.command(epilog="Example: simgap render pendulum.xml --recording log.csv --out pendulum.mp4")
 @click.argument("source", metavar="SCENARIO_OR_MODEL", type=NamedSource(models=True))
+@model_root
 @click.option(
     "--out", required=True, type=OutputFile(".mp4", ".gif", ".png"), help="FILE.mp4, FILE.gif or FILE.png (one picture)."
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, need_file, spare_inputs
 from simgap.terminal import printable
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ __all__ = ["command"]
 
 @click.command("replay")
 @click.argument("model", type=ModelFile())
+@model_root
 @click.argument("recording", type=InputFile())
 @click.option(
     "--out",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, ModelFile, NamedSource, OutputFolder, spare_inputs, take_folder
+from simgap.arguments import Choice, ModelFile, NamedSource, OutputFolder, model_root, spare_inputs, take_folder
 from simgap.terminal import printable
 
 __all__ = ["command"]
@@ -22,6 +22,7 @@ __all__ = ["command"]
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
 @click.option("--duration", type=float, help="Overrides the scenario's duration [s].")
 @click.option("--model", type=ModelFile(), help="Overrides the scenario's model: an MJCF file or a shipped name.")
+@model_root
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     scenario: str | None,

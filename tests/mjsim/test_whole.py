@@ -79,7 +79,7 @@ def test_a_name_that_is_taken_is_not_given_again(tmp_path):
 
 def test_what_is_no_model_is_left_to_its_reader(tmp_path):
     assert is_whole(write(tmp_path, "bad.xml", "<mujoco"))
-    with pytest.raises(InputError, match="MuJoCo does not load it"):
+    with pytest.raises(InputError, match="line 1 is not XML"):
         write_whole(tmp_path / "bad.xml", tmp_path / "nominal.xml")
 
 
