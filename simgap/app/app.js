@@ -24,20 +24,41 @@ document.addEventListener("DOMContentLoaded", () => {
   };
   const go = (told, then) => { if (then === "open") location.assign(`/runs/${told.id}`); else location.reload(); };
 
+  // what is said after the page has been loaded again
+  const later = (text) => sessionStorage.setItem("said", text);
+  state.textContent = sessionStorage.getItem("said") ?? "";
+  sessionStorage.removeItem("said");
+
   // one file after the other; its share shown as it goes
-  const put = (path, file, which) => new Promise((done, fail) => {
+  const put = (base, path, file, which) => new Promise((done, fail) => {
     const request = new XMLHttpRequest();
-    request.open("PUT", path + encodeURIComponent(file.name));
-    request.upload.onprogress = (e) => { state.textContent = `${which} ${file.name}: ${Math.round(100 * e.loaded / Math.max(e.total, 1))} %`; };
-    request.onerror = () => fail(new Error(`${file.name}: the server does not take it: it is too large, or simgap app does not run`));
+    request.open("PUT", base + path.split("/").map(encodeURIComponent).join("/"));
+    request.upload.onprogress = (e) => { state.textContent = `${which} ${path}: ${Math.round(100 * e.loaded / Math.max(e.total, 1))} %`; };
+    request.onerror = () => fail(new Error(`${path}: the server does not take it: it is too large, or simgap app does not run`));
     request.onload = () => {
-      if (request.status < 300) { done(); return; }
-      let text = `The server answered with ${request.status}.`;
-      try { text = JSON.parse(request.responseText).error; } catch { /* no JSON */ }
-      fail(new Error(text));
+      let told = {};
+      try { told = JSON.parse(request.responseText); } catch { /* no JSON */ }
+      if (request.status < 300) done(told); else fail(new Error(told.error ?? `The server answered with ${request.status}.`));
     };
     request.send(file);
   });
+  // of a folder only files that are read here are sent
+  const wanted = (file, endings) => {
+    const parts = (file.webkitRelativePath || file.name).split("/");
+    return !endings || (!parts.some((part) => part.startsWith(".")) && endings.split(",").some((e) => file.name.toLowerCase().endsWith(e)));
+  };
+  const upload = async (input) => {
+    say("");
+    const chosen = [...input.files].filter((file) => wanted(file, input.dataset.endings));
+    if (!chosen.length) throw new Error(`The folder holds no file that is read here: ${input.dataset.endings.replaceAll(",", ", ")}.`);
+    let left = input.files.length - chosen.length;
+    for (const [i, file] of chosen.entries()) {
+      const told = await put(input.dataset.put, file.webkitRelativePath || file.name, file, `${i + 1} of ${chosen.length}:`);
+      left += told.left_out ?? 0;
+    }
+    if (left) later(`${left} ${left > 1 ? "files" : "file"} of kinds that are not read here ${left > 1 ? "were" : "was"} left out.`);
+    location.reload();
+  };
 
   all("form[data-post]", (form) => form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -51,12 +72,7 @@ document.addEventListener("DOMContentLoaded", () => {
   all("button[data-delete]", (b) => b.addEventListener("click", attempt(async () => {
     if (!b.dataset.ask || confirm(b.dataset.ask)) go(await ask("DELETE", b.dataset.delete));
   })));
-  all("input[data-put]", (input) => input.addEventListener("change", attempt(async () => {
-    say("");
-    const chosen = [...input.files];
-    for (const [i, file] of chosen.entries()) await put(input.dataset.put, file, `${i + 1} of ${chosen.length}:`);
-    location.reload();
-  })));
+  all("input[data-put]", (input) => input.addEventListener("change", attempt(() => input.files.length ? upload(input) : undefined)));
 
   // settings are saved as they are changed; a start waits for those under way
   let saving = Promise.resolve();
@@ -70,9 +86,9 @@ document.addEventListener("DOMContentLoaded", () => {
     const { command, setting } = e.dataset;
     return save(command ? { values: { [command]: { [setting]: value(e) } } } : { [setting]: value(e) }, !command);
   })));
-  all("[data-held-out]", (e) => e.addEventListener("change", attempt(() => {
-    const held = [...document.querySelectorAll("[data-held-out]:checked")].map((c) => c.value);
-    return save({ held_out: held }, true);
+  all("[data-part]", (e) => e.addEventListener("change", attempt(() => {
+    const { part } = e.dataset;
+    return save({ [part]: [...document.querySelectorAll(`[data-part=${part}]:checked`)].map((c) => c.value) }, true);
   })));
   all("[data-start]", (b) => b.addEventListener("click", attempt(async () => {
     await saving;

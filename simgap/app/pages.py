@@ -22,7 +22,8 @@ from simgap.app.answers import checked, compared, diagnosed
 from simgap.app.forms import Field, Form, Kind, forms
 from simgap.app.jobs import Jobs
 from simgap.app.record import Ending, Record, record
-from simgap.app.runs import FILES, HELD_OUT, KINDS, MOST_UPLOAD, RECORDINGS, Run
+from simgap.app.runs import FILES, HELD_OUT, RECORDINGS, Run
+from simgap.app.uploads import ARCHIVE, BESIDE, KINDS, MOST_UPLOAD
 
 __all__ = ["command_page", "comparison", "home", "problem", "run_page", "script", "style"]
 
@@ -66,7 +67,8 @@ def _environment() -> jinja2.Environment:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)  # fmt: skip
-    environment.globals |= {"theme_button": theme_button, "Kind": Kind, "kinds": KINDS, "most": f"{MOST_UPLOAD >> 20} MiB"}
+    environment.globals |= {"theme_button": theme_button, "Kind": Kind, "kinds": KINDS, "archive": ARCHIVE, "beside": BESIDE,
+                            "most": f"{MOST_UPLOAD >> 20} MiB"}  # fmt: skip
     return environment
 
 

@@ -6,7 +6,9 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,13 +17,16 @@ from simgap.terminal import one_line
 if TYPE_CHECKING:
     from multiprocessing.pool import Pool
 
-    from diagnose.report.plots import Chart
+    import numpy as np
+
+    from diagnose.report.plots import Chart, Panel
     from mjsim.recording import Recording
     from mjsim.robot.recording import RobotRecording
 
 __all__ = ["Previews", "signals_chart"]
 
 PATIENCE = 30.0  # seconds after which a picture is given up
+PAUSE = 0.2  # seconds between two looks at whether the server ends
 MOST_JOINTS = 8  # of a robot that are drawn
 MOST_KEPT = 64  # pictures in memory: some 50 kB each
 _CHANNELS = (("torque", "corrected"), ("velocity", "refitted"), ("angle", "nominal"))
@@ -46,17 +51,28 @@ class Previews:
         there = (folder / file).stat()
         key = (str(folder / file), there.st_size, there.st_mtime_ns, model)
         if key not in self._kept:
-            self.start()
-            assert self._pool is not None
-            try:
-                found = self._pool.apply_async(_picture, (str(folder), file, model)).get(PATIENCE)
-            except multiprocessing.TimeoutError:
-                self.close()
+            found = self._drawn(str(folder), file, model)
+            if found is None:
                 return "", f"no picture: reading it takes longer than {PATIENCE:.0f} s"
             while len(self._kept) >= MOST_KEPT:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = found
         return self._kept[key]
+
+    def _drawn(self, *task: str) -> tuple[str, str] | None:
+        """What the process answers; None where it is given up, because it takes too long or the server ends."""
+        self.start()
+        pool = self._pool
+        if pool is None:
+            return None
+        answer, end = pool.apply_async(_picture, task), time.monotonic() + PATIENCE
+        while not answer.ready() and self._pool is pool and time.monotonic() < end:
+            answer.wait(PAUSE)
+        if answer.ready():
+            return answer.get()
+        if self._pool is pool:
+            self.close()
+        return None
 
     def close(self) -> None:
         """End the process."""
@@ -85,41 +101,84 @@ def _ready() -> None:
 def _picture(folder: str, file: str, model: str) -> tuple[str, str]:
     from diagnose.report.static import draw
     from mjsim.errors import InputError
-    from mjsim.recording import load as load_axis
 
     os.chdir(folder)  # so that a refusal names the file as the page does
     try:
-        return draw(signals_chart(_of_model(file, model) if model else load_axis(file))), ""
+        return draw(_of_model(file, model) if model else _of_file(Path(file))), ""
     except InputError as error:
         return "", one_line(str(error))
 
 
-def _of_model(file: str, model: str) -> Recording | RobotRecording:
+def _of_model(file: str, model: str) -> Chart:
+    from mjsim.quantity import Quantity
+    from mjsim.recording import Recording
+    from simgap.api.model import Model
     from simgap.api.recording import load
 
-    return load(file, model=model)
+    recording = load(file, model=model)
+    if isinstance(recording, Recording):
+        return signals_chart(recording)
+    robot = Model(model).robot
+    units = {joint: Quantity.ANGLE.unit(motion) for joint, motion in zip(robot.joints, robot.motions, strict=True)}
+    return robot_chart(recording, units)
 
 
-def signals_chart(recording: Recording | RobotRecording) -> Chart:
-    """Channels of an axis, or position and command of the joints of a robot, over time."""
+def _of_file(path: Path) -> Chart:
+    """Without a model: the joints that the columns of a log name, or the channels of an axis."""
+    from mjsim.binding import joint_channels, joints_in
+    from mjsim.readers import read_table
+    from mjsim.recording import load as load_axis
+
+    table = read_table(path)
+    joints = []
+    for name in joints_in(table):
+        columns = {role: channel.column for role, channel in joint_channels(table, name).items()}
+        if "angle" in columns:
+            unit = "m" if columns["angle"].endswith("_m") else "" if table.by_joint else "rad"
+            joints.append((name, unit, table[columns["angle"]], table[columns["command"]] if "command" in columns else None))
+    if len(joints) < 2 or "time_s" not in table:
+        return signals_chart(load_axis(path))
+    return _joints_chart(str(path), table["time_s"], joints)
+
+
+def signals_chart(recording: Recording) -> Chart:
+    """Channels of an axis over time."""
     from diagnose.report.figures import unit
-    from diagnose.report.plots import Axis, Chart, Line, Panel
-    from mjsim.recording import Recording
+    from diagnose.report.plots import Axis, Line, Panel
 
     panels = []
-    time = Axis("time", "s")
-    if isinstance(recording, Recording):
-        for channel, colour in _CHANNELS:
-            values = getattr(recording, channel)
-            if values is not None:
-                line = Line("", recording.time, values, colour, 1.1)
-                panels.append(Panel(time, Axis(channel, unit(recording.units.get(channel, ""))), (line,)))
-    else:
-        for k, name in enumerate(recording.joints[:MOST_JOINTS]):
-            lines = [Line("position", recording.time, recording.angle[:, k], "measured", 1.8)]
-            if recording.command is not None and recording.has("command", name):
-                lines.append(Line("command", recording.time, recording.command[:, k], "corrected", 1.0))
-            panels.append(Panel(time, Axis(name), tuple(lines)))
-    alt = f"Signals of {recording.source} over time"
-    key = f"p{zlib.crc32(recording.source.encode()):08x}"
-    return Chart(key, alt, tuple((p,) for p in panels), 60 + 110 * len(panels))
+    for channel, colour in _CHANNELS:
+        values = getattr(recording, channel)
+        if values is not None:
+            line = Line("", recording.time, values, colour, 1.1)
+            panels.append(Panel(Axis("time", "s"), Axis(channel, unit(recording.units.get(channel, ""))), (line,)))
+    return _chart(recording.source, panels)
+
+
+def robot_chart(recording: RobotRecording, units: Mapping[str, str]) -> Chart:
+    """Position and command of the joints of a robot over time; ``units``: of the positions, by joint."""
+    joints = []
+    for k, name in enumerate(recording.joints):
+        command = recording.command[:, k] if recording.command is not None and recording.has("command", name) else None
+        joints.append((name, units.get(name, ""), recording.angle[:, k], command))
+    return _joints_chart(recording.source, recording.time, joints)
+
+
+def _joints_chart(source: str, time: np.ndarray, joints: Sequence[tuple[str, str, np.ndarray, np.ndarray | None]]) -> Chart:
+    """A panel a joint: name, unit, position and command."""
+    from diagnose.report.plots import Axis, Line, Panel
+
+    panels = []
+    for name, unit, angle, command in joints[:MOST_JOINTS]:
+        lines = [Line("position", time, angle, "measured", 1.8)]
+        if command is not None:
+            lines.append(Line("command", time, command, "corrected", 1.0))
+        panels.append(Panel(Axis("time", "s"), Axis(name, unit), tuple(lines)))
+    return _chart(source, panels)
+
+
+def _chart(source: str, panels: Sequence[Panel]) -> Chart:
+    from diagnose.report.plots import Chart
+
+    key = f"p{zlib.crc32(source.encode()):08x}"
+    return Chart(key, f"Signals of {source} over time", tuple((p,) for p in panels), 60 + 110 * len(panels))

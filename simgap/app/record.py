@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mjsim.errors import InputError
+from mjsim.readers.source import files_of
 from simgap.app.runs import Run, read_json, write_json
 
 __all__ = ["Ending", "Record", "begin", "end", "record"]
@@ -103,11 +104,17 @@ def _printed(run: Run, command: str) -> str:
 
 
 def _read(run: Run, words: Sequence[str]) -> dict[str, Any]:
-    """Size and time of each file of the run that the words name, and of those beside a model or a recording."""
+    """Size and time of each file of the run that the words name: recordings with their bindings, models with all files."""
     named = [word.partition("=")[2] if word.startswith("--") else word for word in words]
-    paths = {p for name in named if name.startswith(_INPUTS) for p in [run.folder / name] if p.is_file()}
-    beside = {q for p in paths if p.parent.name in ("model", "recordings") for q in p.parent.iterdir() if q.suffix == ".toml"}
-    return {str(p.relative_to(run.folder)): [p.stat().st_size, p.stat().st_mtime_ns] for p in sorted(paths | beside)}
+    paths: set[Path] = set()
+    for name in (name for name in named if name.startswith(_INPUTS)):
+        path = run.folder / name
+        if name.startswith("model/"):
+            paths |= {run.folder / "model" / file for file in run.files("model")}
+        else:
+            paths |= {file for file in files_of(path) if file.is_file()}
+            paths |= {file for file in path.parent.glob("*.toml") if name.startswith("recordings/")}
+    return {str(p.relative_to(run.folder)): [p.stat().st_size, p.stat().st_mtime_ns] for p in sorted(paths)}
 
 
 def _outdated(run: Run, command: str, kept: dict[str, Any]) -> bool:

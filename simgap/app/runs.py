@@ -24,31 +24,31 @@ from typing import Any
 
 from mjsim.errors import InputError, nearest
 from mjsim.models import shipped_models
-from mjsim.readers import MOST_BYTES, READERS
 from mjsim.scenario import shipped_scenarios
 from simgap.app.forms import LONGEST_TEXT, Field, Form, Kind, forms
+from simgap.app.uploads import (
+    BINDING,
+    KINDS,
+    LONGEST_NAME,
+    MOST_FILES,
+    SIMPLE,
+    Unpacked,
+    accepted,
+    files_below,
+    main_model,
+    recordings_in,
+    safe_name,
+    safe_path,
+    unpack,
+)  # fmt: skip
 from simgap.pipeline import STATE
 
-__all__ = [
-    "BINDING", "FILES", "HELD_OUT", "KINDS", "MOST_UPLOAD", "RECORDINGS", "MissingError", "Run", "Runs", "Settings", "form_for",
-    "read_json", "safe_name", "write_json",
-]  # fmt: skip
+__all__ = ["FILES", "HELD_OUT", "RECORDINGS", "MissingError", "Run", "Runs", "Settings", "form_for", "read_json", "write_json"]
 
-BINDING = ".toml"
-MESHES = (".stl", ".obj", ".msh", ".png", ".skn", ".hf", ".bin")
-KINDS = {
-    "model": (".xml", *MESHES, BINDING),
-    "files": (BINDING, ".json"),
-    "recordings": (*(ending for ending in READERS if ending.startswith(".")), BINDING),
-}
-"""Folder of a run -> endings of files that may be uploaded into it."""
 OUT = "out"
 RECORDINGS, HELD_OUT = "recordings", "held_out"  # parameters that step 2 of a run fills in
 FILES = (Kind.MODEL, Kind.RECORDING, Kind.FILE, Kind.SOURCE)
 HIDDEN = (STATE,)  # files in the folder of a command that are no results
-MOST_UPLOAD = min(MOST_BYTES, 512 * 2**20)  # bytes of one file; readers take more from a disk
-MOST_FILES = 200  # in one folder of a run: an MJCF of a humanoid has about 100 meshes
-LONGEST_NAME = 120  # characters of a file or run name; file systems allow 255 bytes
 _ID = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}")
 
 
@@ -56,30 +56,17 @@ class MissingError(LookupError):
     """There is no such run or file."""
 
 
-def safe_name(name: str) -> str:
-    """A base name of letters, digits, ``._-``, that neither begins with a dot or hyphen nor leads out of its folder.
-
-    Folders are cut off, other characters become ``_``. Raises InputError where nothing is left.
-    """
-    base = name.replace("\\", "/").rpartition("/")[2]
-    kept = re.sub(r"[^A-Za-z0-9._-]", "_", base).lstrip(".-")
-    stem, dot, ending = kept.rpartition(".")
-    cut = f"{stem[: LONGEST_NAME - len(ending) - 1]}{dot}{ending}" if dot else kept[:LONGEST_NAME]
-    if not cut or len(cut) > LONGEST_NAME:
-        raise InputError("file name", f"{name[:LONGEST_NAME]!r} is no name of a file", "letters and digits", "rename it")
-    return cut
-
-
 @dataclass(frozen=True)
 class Settings:
     """What a run is asked for.
 
-    ``model``: a shipped name, or a file of the run; ``held_out``: names of recordings kept for validation; ``values``: command ->
-    field -> value, of the fields that were filled in.
+    ``model``: a shipped name, or a file of the run; ``held_out``: names of recordings kept for validation; ``left_out``: of those
+    that no command uses; ``values``: command -> field -> value, of the fields that were filled in.
     """
 
     model: str = ""
     held_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
     values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def changed(self, new: Mapping[str, Any]) -> Settings:
@@ -87,17 +74,16 @@ class Settings:
 
         Raises InputError for an unknown name, type or value.
         """
-        known = ("model", "held_out", "values")
+        known = ("model", "held_out", "left_out", "values")
         for name in new:
             if name not in known:
                 raise InputError(
                     f"setting {name[:LONGEST_NAME]!r}", "unknown", f"one of: {', '.join(known)}", nearest(name, known)
                 )
-        model, held_out, values = new.get("model", self.model), new.get("held_out", self.held_out), dict(self.values)
+        model, values = new.get("model", self.model), dict(self.values)
         if not isinstance(model, str) or len(model) > LONGEST_TEXT or not model.isprintable():
             raise InputError("setting 'model'", "no short text", f"at most {LONGEST_TEXT} printable characters")
-        if not isinstance(held_out, list | tuple) or not all(isinstance(v, str) for v in held_out) or len(held_out) > MOST_FILES:
-            raise InputError("setting 'held_out'", "no list of names", "names of recordings")
+        held_out, left_out = (_names(name, new.get(name, getattr(self, name))) for name in ("held_out", "left_out"))
         given = new.get("values", {})
         if not isinstance(given, Mapping):
             raise InputError("setting 'values'", f"{given!r:.40}", "an object: command, then field, then value")
@@ -106,7 +92,15 @@ class Settings:
                 raise InputError(f"setting {command!r:.80}", f"{fields!r:.40}", "an object of fields")
             there = {**values.get(command, {}), **form_for(command).checked(fields)}
             values[command] = {name: value for name, value in there.items() if name not in fields or not _empty(fields[name])}
-        return Settings(model.strip(), tuple(safe_name(v) for v in held_out), values)
+        return Settings(model.strip(), held_out, left_out, values)
+
+
+def _names(setting: str, value: Any) -> tuple[str, ...]:
+    """Names of recordings. Raises InputError for anything else."""
+    good = isinstance(value, list | tuple) and len(value) <= MOST_FILES
+    if not good or not all(isinstance(v, str) and len(v) <= LONGEST_TEXT and v.isprintable() for v in value):
+        raise InputError(f"setting {setting!r}", "no list of names", "names of recordings")
+    return tuple(value)
 
 
 def _empty(value: Any) -> bool:
@@ -140,14 +134,21 @@ class Run:
         return self.folder / OUT / command
 
     def files(self, kind: str) -> list[str]:
-        """Names of the files that were uploaded into a folder of `KINDS`, sorted."""
-        folder = self.folder / kind
-        return sorted(p.name for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")) if folder.is_dir() else []
+        """The files that were uploaded into a folder of `KINDS`, as paths relative to it, sorted."""
+        return files_below(self.folder / kind)
+
+    def entries(self, kind: str) -> dict[str, int]:
+        """Name -> number of files of each file and folder that stands in a folder of `KINDS`; of a file: 0."""
+        counts: dict[str, int] = {}
+        for name in self.files(kind):
+            top, inside, _ = name.partition("/")
+            counts[top] = counts.get(top, 0) + bool(inside)
+        return counts
 
     @property
     def recordings(self) -> list[str]:
-        """Names of the recordings, without their bindings."""
-        return [n for n in self.files("recordings") if not n.lower().endswith(BINDING)]
+        """Names of the recordings, without their bindings: files, or folders of a known form."""
+        return recordings_in(self.folder / RECORDINGS)
 
     def written(self, command: str) -> list[str]:
         """Files that a command wrote, relative to its folder: pages first, then pictures and films, then others by name."""
@@ -158,16 +159,49 @@ class Run:
         return sorted(shown, key=lambda n: (n.count("/"), _rank(n), n))[:MOST_FILES]
 
     def place(self, kind: str, name: str) -> Path:
-        """Where an uploaded file goes. Raises InputError for an ending that cannot be read, and for too many files."""
+        """Where an uploaded file goes; ``name`` may have folders, as ``robot/assets/link.stl``.
+
+        Raises InputError for an odd path, an ending that is not read, and for too many files.
+        """
         if kind not in KINDS:
             raise MissingError(kind)
-        safe = safe_name(name)
-        if Path(safe).suffix.lower() not in KINDS[kind]:
+        safe = safe_path(name) if kind == "model" or "/" in name else safe_name(name)
+        if not accepted(kind, safe):
             raise InputError(safe, "a file of a kind that is not read here", f"one of {', '.join(KINDS[kind])}", "convert it")
-        there = self.files(kind)
-        if safe not in there and len(there) >= MOST_FILES:
-            raise InputError(kind, f"{len(there)} files are there", f"at most {MOST_FILES}", "delete some, or start another run")
+        if not (self.folder / kind / safe).is_file():
+            self.room(kind)
         return self.folder / kind / safe
+
+    def room(self, kind: str) -> int:
+        """How many files may be added to a folder of `KINDS`. Raises InputError where it is full."""
+        there = len(self.files(kind))
+        if there >= MOST_FILES:
+            raise InputError(kind, f"{there} files are there", f"at most {MOST_FILES}", "delete some, or start another run")
+        return MOST_FILES - there
+
+    def unpack(self, kind: str, archive: Path, name: str) -> Unpacked:
+        """Unpack an uploaded ZIP file into a folder of `KINDS`. Raises InputError; see `simgap.app.uploads.unpack`."""
+        if kind not in KINDS:
+            raise MissingError(kind)
+        return unpack(archive, name, self.folder / kind, kind, self.room(kind))
+
+    def remove(self, kind: str, name: str) -> None:
+        """Remove an uploaded file, or a folder with all its files, and what the settings say of it. Raises MissingError."""
+        if kind not in KINDS or name not in self.entries(kind):
+            raise MissingError(name)
+        path = self.folder / kind / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        there = self.recordings
+        kept = {key: [n for n in getattr(self.settings, key) if n in there] for key in ("held_out", "left_out")}
+        self.with_settings(kept | ({} if self.settings.model in self.models() else {"model": ""}))
+
+    def choose_model(self) -> None:
+        """Choose among the uploaded models while none is chosen, or one that another includes: the one that no other includes."""
+        files = self._uploaded("model", (".xml",))
+        chosen = self.settings.model
+        main = main_model(self.folder, files)
+        if main and (not chosen or chosen in files):
+            self.with_settings({"model": main})
 
     def save(self) -> None:
         """Write ``run.json`` in one move."""
@@ -195,8 +229,7 @@ class Run:
             return [*self._uploaded("files", (BINDING,)), *(self.models() if f.models else ()), *shipped_scenarios()]
         if f.kind is Kind.FILE:
             return [*self._uploaded("files", f.endings), *self._results(f.endings)]
-        readable = tuple(e for e in KINDS["recordings"] if e != BINDING)
-        return [*(f"recordings/{n}" for n in self.recordings), *self._results(readable)]
+        return [*(f"{RECORDINGS}/{n}" for n in self.recordings), *self._results(SIMPLE)]
 
     def _uploaded(self, kind: str, endings: tuple[str, ...]) -> list[str]:
         return [f"{kind}/{n}" for n in self.files(kind) if n.lower().endswith(endings)]
@@ -211,9 +244,10 @@ class Run:
         """
         if f.name in (HELD_OUT, RECORDINGS):
             split = any(other.name == HELD_OUT for other in form.fields)
-            held = [n for n in self.recordings if n in self.settings.held_out]
-            rest = [n for n in self.recordings if not (split and n in held)]
-            return [f"recordings/{n}" for n in (held if f.name == HELD_OUT else rest)]
+            used = [n for n in self.recordings if n not in self.settings.left_out]
+            held = [n for n in used if n in self.settings.held_out]
+            rest = [n for n in used if not (split and n in held)]
+            return [f"{RECORDINGS}/{n}" for n in (held if f.name == HELD_OUT else rest)]
         if not f.required:
             return []
         if f.kind in (Kind.MODEL, Kind.SOURCE):
@@ -248,7 +282,7 @@ class Run:
         if f.kind in (Kind.MODEL, Kind.SOURCE):
             raise InputError(f.label, "none was chosen", "a shipped model or an uploaded MJCF file", "choose one in step 1")
         if f.kind is Kind.RECORDING and self.recordings:
-            raise InputError(f.label, "all of them are held out", "at least one to identify from", "clear one mark")
+            raise InputError(f.label, "all of them are held out or left out", "at least one to identify from", "clear one mark")
         if f.kind is Kind.RECORDING:
             raise InputError(f.label, "there are none", "at least one", "upload one in step 2")
         raise InputError(f.label, "nothing is given", f.help or "a value", "fill it in")
@@ -290,7 +324,9 @@ class Runs:
             (run.folder / kind).mkdir(parents=True)
             if like is not None:
                 for file in like.files(kind):
-                    shutil.copyfile(like.folder / kind / file, run.folder / kind / file)
+                    copy = run.folder / kind / file
+                    copy.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(like.folder / kind / file, copy)
         run.save()
         return run
 

@@ -23,7 +23,8 @@ from simgap.app.forms import forms
 from simgap.app.guard import WRITTEN_POLICY, Guard
 from simgap.app.jobs import Jobs
 from simgap.app.preview import Previews
-from simgap.app.runs import BINDING, MOST_UPLOAD, MissingError, Run, Runs, form_for
+from simgap.app.runs import MissingError, Run, Runs, form_for
+from simgap.app.uploads import ARCHIVE, KINDS, MOST_UPLOAD, safe_name
 from simgap.terminal import file_error, one_line
 
 __all__ = ["make_app"]
@@ -74,7 +75,7 @@ class _App:
             ("POST", "/api/runs/{run}/stop", self.stop),
             ("POST", "/api/runs/{run}/copy", self.copy),
             ("GET", "/api/runs/{run}/events", self.events),
-            ("GET", "/api/runs/{run}/picture/{name}", self.picture),
+            ("GET", "/api/runs/{run}/picture/{name:path}", self.picture),
             ("PUT", "/api/runs/{run}/{kind:str}/{name:path}", self.upload),
             ("DELETE", "/api/runs/{run}/{kind:str}/{name:path}", self.remove),
         ]
@@ -202,37 +203,38 @@ class _App:
         return StreamingResponse(told(), media_type="text/event-stream")
 
     async def upload(self, request: Request) -> Response:
-        """Keep a file: beside its final name first, so that none is half there."""
+        """Keep a file, or unpack a ZIP archive: beside its final name first, so that none is half there."""
         run = self._idle(request)
-        kind = request.path_params["kind"]
-        path = run.place(kind, request.path_params["name"])
-        path.parent.mkdir(exist_ok=True)
-        handle, scratch = mkstemp(dir=path.parent, prefix=".", suffix=".part")
+        kind, name = request.path_params["kind"], request.path_params["name"]
+        if kind not in KINDS:
+            raise MissingError(kind)
+        packed = name.lower().endswith(ARCHIVE)
+        path = run.folder / kind / safe_name(name) if packed else run.place(kind, name)
+        folder = run.folder / kind
+        handle, scratch = mkstemp(dir=folder, prefix=".", suffix=".part")
         try:
             with open(handle, "wb") as out:
                 async for part in _limited(request, self._most_upload, path.name):
                     out.write(part)
-            self._idle(request)
-            Path(scratch).replace(path)
+            run = self._idle(request)
+            if packed:
+                kept = await run_in_threadpool(run.unpack, kind, Path(scratch), path.name)
+                told: dict[str, Any] = {"names": kept.names, "left_out": kept.left_out}
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                Path(scratch).replace(path)
+                told = {"name": path.relative_to(folder).as_posix()}
         finally:
             with suppress(FileNotFoundError):
                 Path(scratch).unlink()
-        run = self._run(request)
-        if kind == "model" and not run.settings.model and path.suffix.lower() == ".xml":
-            run.with_settings({"model": f"model/{path.name}"})
-        return JSONResponse({"name": path.name}, 201)
+        if kind == "model":
+            await run_in_threadpool(self._run(request).choose_model)
+        return JSONResponse(told, 201)
 
     async def remove(self, request: Request) -> Response:
-        """Remove an uploaded file."""
-        run, kind = self._idle(request), request.path_params["kind"]
-        path = run.place(kind, request.path_params["name"])
-        if not path.is_file():
-            raise MissingError(path.name)
-        path.unlink()
-        if run.settings.model == f"{kind}/{path.name}":
-            run.with_settings({"model": ""})
-        if path.suffix.lower() != BINDING and path.name in run.settings.held_out:
-            run.with_settings({"held_out": [n for n in run.settings.held_out if n != path.name]})
+        """Remove an uploaded file or folder."""
+        run = self._idle(request)
+        await run_in_threadpool(run.remove, request.path_params["kind"], request.path_params["name"])
         return JSONResponse({})
 
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -64,10 +65,10 @@ def test_from_a_new_run_to_a_comparison(browser: Any, address: str, log: bytes, 
         page.wait_for_url("**/runs/*")
         assert page.inner_text("h1") == "<b>pendulum</b>"
 
-        page.set_input_files("[data-put$='/model/']", MODEL)
+        page.set_input_files("[data-put$='/model/'][multiple]", MODEL)
         page.wait_for_selector("option[value='model/pendulum.xml']:checked", state="attached")
-        page.set_input_files("[data-put$='/recordings/']", recording)
-        page.wait_for_selector("[data-held-out][value='log.csv']")
+        page.set_input_files("[data-put$='/recordings/'][multiple]", recording)
+        page.wait_for_selector("[data-part=held_out][value='log.csv']")
 
         page.click("[data-start=check]")
         page.wait_for_selector("text=No problem found.")
@@ -108,8 +109,8 @@ def test_from_a_new_run_to_a_comparison(browser: Any, address: str, log: bytes, 
         bad = tmp_path / "bad.csv"
         bad.write_text("a,b\n1,2\n")
         assert said == []
-        page.set_input_files("[data-put$='/recordings/']", bad)
-        page.wait_for_selector("[data-held-out][value='bad.csv']")
+        page.set_input_files("[data-put$='/recordings/'][multiple]", bad)
+        page.wait_for_selector("[data-part=held_out][value='bad.csv']")
         page.click("[data-start=check]")
         page.wait_for_selector(".error:has-text('bad.csv')")
         fits(page, 390, "error")
@@ -130,12 +131,12 @@ def test_a_recording_of_a_real_machine(browser: Any, address: str, local_copy: A
         page.wait_for_url("**/runs/*")
         page.select_option("[data-setting=model]", "emps")
         page.wait_for_selector("option[value=emps]:checked", state="attached")
-        page.set_input_files("[data-put$='/recordings/']", files)
-        page.wait_for_selector("[data-held-out][value='DATA_EMPS.mat']")
+        page.set_input_files("[data-put$='/recordings/'][multiple]", files)
+        page.wait_for_selector("[data-part=held_out][value='DATA_EMPS.mat']")
         page.wait_for_selector(".preview svg >> nth=1")
         with page.expect_navigation():
-            page.check("[data-held-out][value='DATA_EMPS_PULSES.mat']")
-        assert page.is_checked("[data-held-out][value='DATA_EMPS_PULSES.mat']")
+            page.check("[data-part=held_out][value='DATA_EMPS_PULSES.mat']")
+        assert page.is_checked("[data-part=held_out][value='DATA_EMPS_PULSES.mat']")
         page.click("[data-start=check]")
         page.wait_for_selector("a:has-text('check.html')")
         options(page, "diagnose")
@@ -225,6 +226,69 @@ def test_every_other_command(browser: Any, address: str, log: bytes, tmp_path: P
         assert "upload one in step 2" in page.inner_text("#problem")
 
 
+def arm_in_a_folder(folder: Path) -> Path:
+    """The pendulum's model as a main file, an included one, and a mesh in a folder of its own."""
+    import mujoco
+
+    text = MODEL.read_text(encoding="utf-8")
+    start, end = text.index("<worldbody>"), text.index("</worldbody>") + len("</worldbody>")
+    body = text[start:end].replace("</worldbody>", '<geom type="mesh" mesh="block" contype="0" conaffinity="0"/></worldbody>')
+    (folder / "parts").mkdir(parents=True)
+    (folder / "assets").mkdir()
+    mesh = '<asset><mesh name="block" file="assets/block one.obj"/></asset>'
+    (folder / "scene.xml").write_text(f'{text[:start]}{mesh}<include file="parts/body.xml"/>{text[end:]}')
+    (folder / "parts" / "body.xml").write_text(f"<mujoco>{body}</mujoco>")
+    (folder / "assets" / "block one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    (folder / "README.md").write_text("not read")
+    mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    return folder
+
+
+def test_a_model_as_a_folder_and_recordings_as_an_archive(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
+    said: list[str] = []
+    arm = arm_in_a_folder(tmp_path / "arm")
+    with zipfile.ZipFile(tmp_path / "logs.zip", "w") as archive:
+        for name in ("a.csv", "b 1.csv"):
+            archive.writestr(name, log)
+    with browser.new_context(viewport={"width": 1400, "height": 900}) as window:
+        page = window.new_page()
+        page.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda e: said.append(str(e)))
+        page.goto(address)
+        page.click("text=New run")
+        page.wait_for_url("**/runs/*")
+        page.set_input_files("[data-put$='/model/'][webkitdirectory]", arm)
+        page.wait_for_selector("option[value='model/arm/scene.xml']:checked", state="attached")
+        assert page.inner_text("#state") == "1 file of kinds that are not read here was left out."
+        page.set_input_files("[data-put$='/recordings/'][multiple]", tmp_path / "logs.zip")
+        page.wait_for_selector(".preview svg >> nth=1")
+        with page.expect_navigation():
+            page.check("[data-part=held_out][value='logs/b 1.csv']")
+        fits(page, 390, "folders")
+        page.click("[data-start=check]")
+        page.wait_for_selector("text=No problem found.", timeout=60_000)
+        with page.expect_navigation():
+            page.click(".files li:has-text('arm/') button")
+        assert page.input_value("[data-setting=model]") == ""
+    assert said == []
+
+
+@pytest.mark.slow
+def test_a_folder_of_a_real_robot(browser: Any, address: str, local_copy: Any) -> None:
+    """SO-101: a folder in the form of SAGE is one recording, with a picture of its joints."""
+    folder = local_copy("so101", "raw/friction_gravity/joint_list.txt").parent
+    with browser.new_context(viewport={"width": 1400, "height": 900}) as window:
+        page = window.new_page()
+        page.set_default_timeout(60_000)
+        page.goto(address)
+        page.click("text=New run")
+        page.wait_for_url("**/runs/*")
+        page.set_input_files("[data-put$='/recordings/'][webkitdirectory]", folder)
+        page.wait_for_selector("[data-part=held_out][value='friction_gravity']")
+        page.wait_for_selector(".preview svg")
+        fits(page, 1400, "sage")
+
+
 def test_from_an_upload_to_its_picture(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
     recording, bad = tmp_path / "log.csv", tmp_path / "bad.csv"
     recording.write_bytes(log)
@@ -235,11 +299,11 @@ def test_from_an_upload_to_its_picture(browser: Any, address: str, log: bytes, t
         page.click("text=New run")
         page.wait_for_url("**/runs/*")
         before, began = slowdown(), time.monotonic()
-        page.set_input_files("[data-put$='/recordings/']", recording)
+        page.set_input_files("[data-put$='/recordings/'][multiple]", recording)
         page.wait_for_selector(".preview svg")
         took = time.monotonic() - began
         assert took < SECONDS * max(before, slowdown()), took
         assert page.locator(".preview svg").get_attribute("aria-label") == "Signals of log.csv over time"
-        page.set_input_files("[data-put$='/recordings/']", bad)
+        page.set_input_files("[data-put$='/recordings/'][multiple]", bad)
         page.wait_for_selector(".preview:has-text('bad.csv')")
         fits(page, 390, "upload")

@@ -6,7 +6,7 @@ import pytest
 
 from mjsim.errors import InputError
 from simgap.app.forms import FORMAT, Kind, forms
-from simgap.app.runs import LONGEST_NAME, safe_name
+from simgap.app.uploads import LONGEST_NAME, safe_name
 from simgap.cli import COMMANDS, cli
 
 

@@ -128,10 +128,11 @@ def test_an_upload_is_kept_under_a_safe_name(client, run, tmp_path):
     assert client.put(f"/api/runs/{run}/model/pendulum.xml", content=MODEL).json() == {"name": "pendulum.xml"}
     assert (folder / "model" / "pendulum.xml").read_bytes() == MODEL
     assert Runs(tmp_path / "runs").get(run).settings.model == "model/pendulum.xml"
-    for given, kept in [("..%2F..%2Fa.csv", "a.csv"), ("..%5Cb.csv", "b.csv"), (".c.csv", "c.csv"), ("-d e.CSV", "d_e.CSV"),
+    for given, kept in [("a.csv", "a.csv"), ("..%5Cb.csv", "b.csv"), (".c.csv", "c.csv"), ("-d e.CSV", "d_e.CSV"),
                         ("%C3%BC%3Cb%3E.csv", "__b_.csv")]:  # fmt: skip
         assert client.put(f"/api/runs/{run}/recordings/{given}", content=b"x").json() == {"name": kept}
         assert (folder / "recordings" / kept).is_file()
+    error(client.put(f"/api/runs/{run}/recordings/..%2F..%2Fa.csv", content=b"x"))
     assert {p.name for p in (tmp_path / "runs").iterdir()} == {run}
     assert {p.name for p in tmp_path.iterdir()} == {"runs"}
     assert client.delete(f"/api/runs/{run}/recordings/a.csv").status_code == 200
@@ -364,3 +365,24 @@ def test_how_a_command_ended_is_shown(client, run, tmp_path):
         assert ("a table" in page) == shown
         assert (f'class="{colour} error"' in page) == bool(code)
         assert ("the error &lt;grew&gt;" in page) == bool(code)
+
+
+def test_the_server_does_not_wait_for_a_picture_when_it_ends(tmp_path, monkeypatch):
+    import os
+    import threading
+    import time
+
+    from simgap.app import preview
+
+    monkeypatch.setattr(preview, "PATIENCE", 60.0)
+    os.mkfifo(tmp_path / "a.csv")  # a reader would wait for it
+    previews = preview.Previews()
+    previews.start()
+    told = []
+    waiting = threading.Thread(target=lambda: told.append(previews.picture(tmp_path, "a.csv", "")))
+    waiting.start()
+    time.sleep(0.2)
+    previews.close()
+    waiting.join(10.0)
+    assert not waiting.is_alive()
+    assert len(told) == 1
