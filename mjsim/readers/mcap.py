@@ -1,101 +1,76 @@
-"""MCAP logs with messages in JSON, or of ROS 2 (CDR with the definitions that the file brings)."""
+"""MCAP logs with messages in JSON, in Protobuf, or of ROS 2 (CDR), with the definitions that the file brings.
+
+Definitions are interpreted, not run.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from mjsim.errors import InputError
 from mjsim.readers.optional import need
 from mjsim.readers.table import Table
-from mjsim.readers.topics import Topics
+from mjsim.readers.topics import Topics, kind_of
 
 __all__ = ["read_mcap"]
 
 
 def read_mcap(path: Path) -> Table:
-    """JSON messages: ``topic.field`` for each number; a column of all topics alike for fields that only one topic has.
+    """As `mjsim.readers.topics.Topics` makes columns of it; a topic in another encoding is left out.
 
-    ``topic.log_time`` and ``log_time`` [s] count from the first message. Topics of another length than the longest are left out
-    of the short names.
+    The type of a message in JSON or Protobuf is told by its fields. Raises InputError where no topic can be read.
     """
     reader = need("mcap.reader", path)
-    if _is_ros(reader, path):
-        return _read_ros(reader, path)
-    columns: dict[str, dict[str, list[float]]] = {}
-    first: int | None = None
-    with path.open("rb") as handle:
-        for schema, channel, message in reader.make_reader(handle, validate_crcs=True).iter_messages():
-            if channel.message_encoding != "json":
-                kind = channel.message_encoding or (schema.encoding if schema else "")
-                raise InputError(
-                    path, f"topic {channel.topic!r} is encoded as {kind!r}", "messages in JSON or of ROS 2",
-                    "convert it to JSON or CSV",
-                )  # fmt: skip
-            first = message.log_time if first is None else first
-            values: dict[str, float] = {"log_time": (message.log_time - first) * 1e-9}
-            _flatten(json.loads(message.data), "", values)
-            topic = columns.setdefault(channel.topic.strip("/"), {})
-            for name, value in values.items():
-                topic.setdefault(name, []).append(value)
-    return _merge(columns, path)
-
-
-def _is_ros(reader: Any, path: Path) -> bool:
-    """Whether the first message is one of ROS 2."""
-    with path.open("rb") as handle:
-        for _, channel, _ in reader.make_reader(handle, validate_crcs=True).iter_messages():
-            return bool(channel.message_encoding == "cdr")
-    return False
-
-
-def _read_ros(reader: Any, path: Path) -> Table:
-    """As `mjsim.readers.topics.Topics` makes columns of it; the definitions in the file are interpreted, not run."""
-    factory = need("mcap_ros2.decoder", path).DecoderFactory()
     topics = Topics(path)
+    decoders: dict[int, Callable[[bytes], Any] | None] = {}
+    read = False
     with path.open("rb") as handle:
         for schema, channel, message in reader.make_reader(handle, validate_crcs=True).iter_messages():
-            decode = factory.decoder_for(channel.message_encoding, schema)
+            if channel.id not in decoders:
+                decoders[channel.id] = _decoder(path, channel.message_encoding, schema)
+            decode = decoders[channel.id]
             if decode is None:
                 topics.leave_out(channel.topic, f"messages encoded as {channel.message_encoding!r}")
-            else:
-                topics.add(channel.topic, schema.name, message.log_time, decode(message.data))
+                continue
+            read, told = True, decode(message.data)
+            kind = schema.name if channel.message_encoding == "cdr" else kind_of(told)
+            topics.add(channel.topic, kind, message.log_time, told)
+    if decoders and not read:
+        raise InputError(
+            path, f"no topic can be read ({topics.left_out})", "messages in JSON, Protobuf or of ROS 2 (CDR)",
+            "record or convert it so, or to CSV",
+        )  # fmt: skip
     return topics.table()
 
 
-def _flatten(value: Any, name: str, out: dict[str, float]) -> None:
-    """Numbers of a JSON value by their dotted names."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _flatten(item, f"{name}.{key}" if name else str(key), out)
-    elif isinstance(value, list):
-        for i, item in enumerate(value):
-            _flatten(item, f"{name}.{i}" if name else str(i), out)
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        out[name or "value"] = float(value)
+def _decoder(path: Path, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
+    """What makes mappings or objects of the messages of a channel; None for an encoding that is not read."""
+    if encoding == "json":
+        return json.loads
+    if encoding == "cdr":
+        decode: Callable[[bytes], Any] | None = need("mcap_ros2.decoder", path).DecoderFactory().decoder_for(encoding, schema)
+        return decode
+    if encoding == "protobuf":
+        parse = need("mcap_protobuf.decoder", path).DecoderFactory().decoder_for(encoding, schema)
+        return None if parse is None else lambda data: _fields(parse(data))
+    return None
 
 
-def _merge(columns: dict[str, dict[str, list[float]]], path: Path) -> Table:
-    """Long names for all fields; short names for those that one topic alone has."""
-    table: dict[str, np.ndarray] = {}
-    short: dict[str, list[np.ndarray]] = {}
-    longest = max((len(c["log_time"]) for c in columns.values()), default=0)
-    for topic, fields in columns.items():
-        count = len(fields["log_time"])
-        for name, values in fields.items():
-            if len(values) != count:
-                raise InputError(
-                    path,
-                    f"topic {topic!r}: {name!r} in {len(values)} of {count} messages",
-                    "the same fields in all",
-                    "split the topic",
-                )
-            array = np.array(values)
-            table[f"{topic}.{name}"] = array
-            if count == longest:
-                short.setdefault(name, []).append(array)
-    table.update({name: arrays[0] for name, arrays in short.items() if len(arrays) == 1 or name == "log_time"})
-    return Table.of(table)
+def _fields(message: Any) -> dict[str, Any]:
+    """The fields of a Protobuf message by name; one that has not been set and says so is left out."""
+    out: dict[str, Any] = {}
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.is_repeated:
+            if field.message_type is None:
+                out[field.name] = list(value)
+            elif not field.message_type.GetOptions().map_entry:
+                out[field.name] = [_fields(item) for item in value]
+            continue
+        if field.has_presence and not message.HasField(field.name):
+            continue
+        out[field.name] = value if field.message_type is None else _fields(value)
+    return out

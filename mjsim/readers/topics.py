@@ -3,7 +3,7 @@
 ``sensor_msgs/JointState`` gives ``JOINT.angle_rad``, ``JOINT.velocity_rad_s`` and ``JOINT.torque_Nm`` (ROS has radians and newton
 metres on hinges, metres and newtons on slides: `Table.by_joint`). A JointState whose topic speaks of a command, a target or a
 reference, a ``trajectory_msgs/JointTrajectory``, and the reference of a ``JointTrajectoryControllerState`` give
-``JOINT.command_rad``.
+``JOINT.command_rad``. So do messages in JSON or Protobuf of the same form, and Foxglove's ``JointStates``.
 Commands and other topics stand at the stamps of the state, each with its last value before (a zero-order hold).
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from array import array
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
@@ -20,11 +21,13 @@ import numpy as np
 from mjsim.errors import InputError
 from mjsim.readers.table import Table, need_size
 
-__all__ = ["Topics"]
+__all__ = ["Topics", "kind_of"]
 
 COMMAND = re.compile(r"command|cmd|target|desired|reference|goal|setpoint|leader", re.IGNORECASE)
 STATE_KIND, TRAJECTORY_KIND, CONTROLLER_KIND = "JointState", "JointTrajectory", "JointTrajectoryControllerState"
-MOST_FIELDS = 64  # numbers of one message of any other kind: more are an image or a map
+LIST_KIND = "JointStates"  # of Foxglove: a list with an entry a joint
+CHANNELS = ("position", "velocity", "effort")
+MOST_FIELDS = 256  # numbers of one message of any other kind: more are an image or a map
 LEAST_PART = 0.5  # of the longest joint's samples: a joint with fewer is left out, since most of its values would be interpolated
 
 
@@ -38,8 +41,9 @@ class _Series:
 
     def add(self, sent: int, logged: int, values: dict[str, float]) -> None:
         """One message; a field that it lacks is not a number."""
-        for name in values.keys() - self.values.keys():
-            self.values[name] = array("d", [np.nan] * len(self.logged))
+        for name in values:
+            if name not in self.values:
+                self.values[name] = array("d", [np.nan] * len(self.logged))
         self.sent.append(sent)
         self.logged.append(logged)
         for name, column in self.values.items():
@@ -73,18 +77,24 @@ class Topics:
         """Note a topic that is not read."""
         self._left_out[topic.strip("/")] = why
 
+    @property
+    def left_out(self) -> str:
+        """The topics that are not read, and why, in one line."""
+        return "; ".join(f"{name!r}: {why}" for name, why in self._left_out.items())
+
     def add(self, topic: str, kind: str, logged: int, message: Any) -> None:
         """One message of a topic; ``kind``: its type, as ``sensor_msgs/msg/JointState``; ``logged``: stamp of the log [ns]."""
         topic, kind = topic.strip("/"), kind.rpartition("/")[2]
         sent = _stamp(message)
-        if kind == STATE_KIND:
+        if kind in (STATE_KIND, LIST_KIND):
             self._joints(topic, sent, logged, message)
         elif kind == TRAJECTORY_KIND:
-            if len(message.points):
-                self._command(message.joint_names, message.points[0].positions, "position", sent, logged)
+            points = _get(message, "points")
+            if len(points):
+                self._command(_get(message, "joint_names"), _get(points[0], "positions"), "position", sent, logged)
         elif kind == CONTROLLER_KIND:
-            wanted = message.reference if hasattr(message, "reference") else message.desired
-            self._command(message.joint_names, wanted.positions, "position", sent, logged)
+            wanted = _get(message, "reference", None) or _get(message, "desired")
+            self._command(_get(message, "joint_names"), _get(wanted, "positions"), "position", sent, logged)
         else:
             values: dict[str, float] = {}
             _flatten(message, "", values)
@@ -95,22 +105,18 @@ class Topics:
                 self._others.setdefault(topic, _Series()).add(sent, logged, values)
 
     def _joints(self, topic: str, sent: int, logged: int, message: Any) -> None:
-        command = COMMAND.search(topic) is not None
-        for name, field_name in (("position", "position"), ("velocity", "velocity"), ("effort", "effort")):
-            if command and len(getattr(message, field_name)) == len(message.name):
-                self._command(message.name, getattr(message, field_name), name, sent, logged)
-        if command:
+        rows = _rows(message)
+        if COMMAND.search(topic) is not None:
+            for key in CHANNELS:
+                told = {joint: values[key] for joint, values in rows if key in values}
+                self._command(told.keys(), told.values(), key, sent, logged)
             return
         joints = self._states.setdefault(topic, {})
-        for i, joint in enumerate(message.name):
-            values = {
-                key: float(getattr(message, key)[i])
-                for key in ("position", "velocity", "effort") if len(getattr(message, key)) == len(message.name)
-            }  # fmt: skip
+        for joint, values in rows:
             self._grow(len(values))
-            joints.setdefault(str(joint), _Series()).add(sent, logged, values)
+            joints.setdefault(joint, _Series()).add(sent, logged, values)
 
-    def _command(self, names: Any, values: Any, kind: str, sent: int, logged: int) -> None:
+    def _command(self, names: Iterable[Any], values: Iterable[Any], kind: str, sent: int, logged: int) -> None:
         for joint, value in zip(names, values, strict=False):
             self._grow(1)
             series = self._commands.setdefault(str(joint), _Series())
@@ -184,8 +190,8 @@ class Topics:
         table: dict[str, np.ndarray] = {}
         short: dict[str, list[np.ndarray]] = {}
         if not self._others:
-            told = "; ".join(f"{name!r}: {why}" for name, why in self._left_out.items())
-            raise InputError(self._path, f"no topic with numbers{f' ({told})' if told else ''}", "a log of a robot", "record one")
+            told = f" ({self.left_out})" if self._left_out else ""
+            raise InputError(self._path, f"no topic with numbers{told}", "a log of a robot", "record one")
         first = min(s.logged[0] for s in self._others.values())
         longest = max(len(s.logged) for s in self._others.values())
         for topic, series in self._others.items():
@@ -207,13 +213,50 @@ def _held(at: np.ndarray, values: np.ndarray, base: np.ndarray) -> np.ndarray:
     return out
 
 
+def kind_of(message: Any) -> str:
+    """The type of a message that is a mapping without a type, by its keys; empty for any that holds no state or command."""
+    if not isinstance(message, Mapping):
+        return ""
+    joints, names, keys = message.get("joints"), message.get("name"), message.keys()
+    if isinstance(joints, list) and joints and all(isinstance(j, Mapping) and isinstance(j.get("name"), str) for j in joints):
+        return LIST_KIND
+    if isinstance(names, list) and names and all(isinstance(n, str) for n in names) and keys & set(CHANNELS):
+        return STATE_KIND
+    if isinstance(message.get("joint_names"), list):
+        return TRAJECTORY_KIND if "points" in keys else CONTROLLER_KIND if keys & {"reference", "desired"} else ""
+    return ""
+
+
+_NEEDED = object()
+
+
+def _get(message: Any, name: str, missing: Any = _NEEDED) -> Any:
+    """A field of a message, which is a mapping or an object; ``missing``: what stands for one that is not there."""
+    if isinstance(message, Mapping):
+        return message[name] if missing is _NEEDED else message.get(name, missing)
+    return getattr(message, name) if missing is _NEEDED else getattr(message, name, missing)
+
+
+def _rows(message: Any) -> list[tuple[str, dict[str, float]]]:
+    """(joint, its numbers) of a JointState, whose lists may be empty, and of Foxglove's JointStates."""
+    listed = _get(message, "joints", None)
+    if listed is not None:
+        told = [(str(_get(j, "name")), {key: _get(j, key, None) for key in CHANNELS}) for j in listed]
+        return [(name, {key: float(v) for key, v in values.items() if v is not None}) for name, values in told]
+    names = _get(message, "name")
+    columns = {key: _get(message, key, ()) for key in CHANNELS}
+    full = {key: values for key, values in columns.items() if len(values) == len(names)}
+    return [(str(name), {key: float(values[i]) for key, values in full.items()}) for i, name in enumerate(names)]
+
+
 def _stamp(message: Any) -> int:
-    """Stamp of the message's header [ns], 0 where it has none."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None:
-        return 0
-    seconds = getattr(stamp, "sec", getattr(stamp, "secs", 0))
-    return int(seconds) * 1_000_000_000 + int(getattr(stamp, "nanosec", getattr(stamp, "nsecs", 0)))
+    """Stamp [ns] of the message's header, or of its own (Foxglove); 0 where it has none."""
+    stamp = _get(_get(message, "header", None), "stamp", None) or _get(message, "timestamp", None)
+    seconds, parts = (next((v for k in keys if isinstance(v := _get(stamp, k, None), int)), 0) for keys in _STAMP)
+    return int(seconds) * 1_000_000_000 + int(parts)
+
+
+_STAMP = (("sec", "secs", "seconds"), ("nanosec", "nsecs", "nsec", "nanos"))  # of ROS 2, ROS 1, Foxglove, Protobuf
 
 
 def _flatten(value: Any, name: str, out: dict[str, float], depth: int = 0) -> None:
@@ -225,9 +268,11 @@ def _flatten(value: Any, name: str, out: dict[str, float], depth: int = 0) -> No
             out[name or "data"] = float(value)
     elif isinstance(value, list | tuple | np.ndarray):
         for i, item in enumerate(value[: MOST_FIELDS + 1]):
-            _flatten(item, f"{name}.{i}", out, depth + 1)
+            _flatten(item, f"{name}.{i}" if name else str(i), out, depth + 1)
     else:
-        names = getattr(value, "__dataclass_fields__", None) or getattr(value, "__slots__", None) or ()
+        names = value.keys() if isinstance(value, Mapping) else (
+            getattr(value, "__dataclass_fields__", None) or getattr(value, "__slots__", None) or ()
+        )  # fmt: skip
         for key in names:
             if key not in ("header", "layout") and not key.startswith("_"):
-                _flatten(getattr(value, key), f"{name}.{key}" if name else key, out, depth + 1)
+                _flatten(_get(value, key), f"{name}.{key}" if name else str(key), out, depth + 1)

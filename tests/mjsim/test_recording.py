@@ -128,13 +128,16 @@ def test_a_missing_package_is_one_line(tmp_path, monkeypatch, package):
 
 
 def test_mcap_in_another_encoding(tmp_path):
-    with pytest.raises(InputError, match="topic '/axis' is encoded as 'protobuf'; expected messages in JSON"):
-        load(mcap(tmp_path / "log.mcap", [("/axis", 0.0, {"x": 1})], encoding="protobuf"))
+    told = r"no topic can be read \('axis': messages encoded as 'flatbuffer'\); expected messages in JSON, Protobuf or of ROS 2"
+    with pytest.raises(InputError, match=told):
+        load(mcap(tmp_path / "log.mcap", [("/axis", 0.0, {"x": 1})], encoding="flatbuffer"))
 
 
 def test_mcap_with_a_field_that_is_missing_in_some_messages(tmp_path):
-    with pytest.raises(InputError, match="topic 'axis': 'v' in 1 of 2 messages"):
-        load(mcap(tmp_path / "log.mcap", [("/axis", 0.0, {"u": 1, "v": 2}), ("/axis", 0.1, {"u": 1})]))
+    rows = [dict(zip(COLUMNS, map(float, r), strict=True)) for r in zip(*COLUMNS.values(), strict=True)]
+    del rows[7]["torque_Nm"]
+    with pytest.raises(InputError, match="torque is not finite in sample 8"):
+        load(mcap(tmp_path / "log.mcap", [("/axis", r["time_s"], r) for r in rows]))
 
 
 def test_an_empty_parquet_cell_names_row_and_column(tmp_path):

@@ -42,6 +42,99 @@ def test_rosbag2_as_a_folder_and_as_a_file(tmp_path):
     check_states(read_table(file))
 
 
+def json_message(i, form):
+    """One message of the state of all joints, and its stamp [ns]."""
+    stamp = round((100.0 + T[i]) * 1e9)
+    rows = [(j, dict(zip(("position", "velocity", "effort"), (ANGLE[i, k], VELOCITY[i, k], EFFORT[i, k]), strict=True)))
+            for k, j in enumerate(JOINTS)]  # fmt: skip
+    if form == "foxglove":
+        return {"timestamp": {"sec": stamp // 10**9, "nsec": stamp % 10**9}, "joints": [{"name": j} | v for j, v in rows]}
+    lists = {key: [values[key] for _, values in rows] for key in ("position", "velocity", "effort")}
+    return {"header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}, "name": list(JOINTS), **lists}
+
+
+def write_json_mcap(path, form, *, more=()):
+    """JointState as ROS has it, or Foxglove's JointStates; ``more``: (topic, encoding, data) of messages beside each."""
+    writing = pytest.importorskip("mcap.writer")
+    with path.open("wb") as handle:
+        writer = writing.Writer(handle)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channels = {
+            topic: writer.register_channel(topic, encoding, schema) for topic, encoding, _ in (("/state", "json", b""), *more)
+        }
+        for i in range(N):
+            data = json.dumps(json_message(i, form)).encode()
+            for topic, content in (("/state", data), *((topic, content) for topic, _, content in more)):
+                writer.add_message(channels[topic], round((200.0 + T[i]) * 1e9), content, round((200.0 + T[i]) * 1e9))
+        writer.finish()
+
+
+@pytest.mark.parametrize("form", ["ros", "foxglove"])
+def test_mcap_with_the_state_of_joints_in_json(tmp_path, form):
+    write_json_mcap(tmp_path / "log.mcap", form, more=[("/camera", "flatbuffer", b"x"), ("/battery", "json", b'{"volt": 24}')])
+    table = read_table(tmp_path / "log.mcap")
+    check_states(table)
+    assert "stamps of the messages" in table.notes[0]
+    assert any("'camera' (messages encoded as 'flatbuffer')" in note for note in table.notes)
+    np.testing.assert_array_equal(table["battery.volt"], 24.0)
+    assert simgap.load(tmp_path / "log.mcap", model="arm3").joints == JOINTS
+
+
+def test_mcap_with_commands_in_json(tmp_path):
+    wanted = {"joint_names": list(JOINTS), "points": [{"positions": [0.1, 0.2, 0.3]}]}
+    target = {"name": list(JOINTS), "position": [0.1, 0.2, 0.3], "velocity": [], "effort": []}
+    for topic, message in (("/trajectory", wanted), ("/joint_targets", target)):
+        path = tmp_path / f"{topic[1:]}.mcap"
+        write_json_mcap(path, "ros", more=[(topic, "json", json.dumps(message).encode())])
+        np.testing.assert_array_equal(read_table(path)[f"{JOINTS[1]}.command_rad"], 0.2)
+
+
+def joint_states_schema():
+    """Foxglove's JointStates as Protobuf: its message class and the descriptors that a log brings."""
+    pytest.importorskip("mcap_protobuf")
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    field = descriptor_pb2.FieldDescriptorProto
+    one, many = field.LABEL_OPTIONAL, field.LABEL_REPEATED
+    file = descriptor_pb2.FileDescriptorProto(name="joints.proto", package="foxglove", syntax="proto3")
+    stamp = file.message_type.add(name="Stamp")
+    stamp.field.add(name="seconds", number=1, type=field.TYPE_INT64, label=one)
+    stamp.field.add(name="nanos", number=2, type=field.TYPE_INT32, label=one)
+    joint = file.message_type.add(name="JointState")
+    joint.field.add(name="name", number=1, type=field.TYPE_STRING, label=one)
+    for i, key in enumerate(("position", "velocity", "acceleration", "effort")):
+        joint.oneof_decl.add(name=f"_{key}")
+        joint.field.add(name=key, number=i + 2, type=field.TYPE_DOUBLE, label=one, oneof_index=i, proto3_optional=True)
+    all_joints = file.message_type.add(name="JointStates")
+    all_joints.field.add(name="timestamp", number=1, type=field.TYPE_MESSAGE, label=one, type_name=".foxglove.Stamp")
+    all_joints.field.add(name="joints", number=2, type=field.TYPE_MESSAGE, label=many, type_name=".foxglove.JointState")
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName("foxglove.JointStates"))
+    return kind, descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+
+
+def test_mcap_with_the_state_of_joints_in_protobuf(tmp_path):
+    kind, schema = joint_states_schema()
+    writing = pytest.importorskip("mcap.writer")
+    with (tmp_path / "log.mcap").open("wb") as handle:
+        writer = writing.Writer(handle)
+        writer.start()
+        channel = writer.register_channel(
+            "/state", "protobuf", writer.register_schema("foxglove.JointStates", "protobuf", schema)
+        )
+        for i in range(N):
+            told = json_message(i, "foxglove")
+            at = told["timestamp"]
+            data = kind(timestamp={"seconds": at["sec"], "nanos": at["nsec"]}, joints=told["joints"]).SerializeToString()
+            writer.add_message(channel, round((200.0 + T[i]) * 1e9), data, 0)
+        writer.finish()
+    table = read_table(tmp_path / "log.mcap")
+    check_states(table)
+    assert "stamps of the messages" in table.notes[0]
+
+
 def test_commands_are_held_at_the_stamps_of_the_state(tmp_path):
     write_mcap(tmp_path / "log.mcap", command=True)
     table = read_table(tmp_path / "log.mcap")
