@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -17,6 +19,18 @@ __all__ = ["MOST_ASSETS", "MOST_BYTES", "MOST_COPIES", "MOST_FILES", "MOST_KEYS"
 
 MOST_COPIES = 10_000
 """Largest number of copies by nested ``<replicate>``: MuJoCo compiles so many bodies within seconds."""
+MOST_ELEMENTS = 10_000
+"""Largest number of bodies, and as many of geoms, joints and sites, copies among them: seconds of compilation."""
+MOST_CELLS = 2**24
+"""Largest number of cells of a height field, and of pixels of a built-in texture: 128 MB as MuJoCo holds them."""
+MOST_POINTS = 10_000
+"""Largest number of points of a grid of ``<flexcomp>``: seconds of compilation."""
+MOST_USER = 10_000
+"""Largest number of user values of each element of a kind."""
+MOST_ITERATIONS = 100_000
+"""Largest number of iterations of a solver in one step."""
+LEAST_TIMESTEP = 1e-8
+"""Least timestep [s]: a run of one second takes minutes."""
 MOST_KEYS = 10_000
 """Largest number of keyframes; the compiler's time grows with its square."""
 
@@ -31,6 +45,15 @@ ROOTS = "SIMGAP_MODEL_ROOT"
 """Environment variable with further folders from which models may read, separated as in PATH."""
 
 FOLDERS = ("assetdir", "meshdir", "texturedir")
+_KINDS = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+SIZES = (
+    ("hfield", ("nrow", "ncol"), MOST_CELLS), ("texture", ("width", "height"), MOST_CELLS),
+    ("flexcomp", ("count",), MOST_POINTS), *(("size", (f"nuser_{kind}",), MOST_USER) for kind in _KINDS),
+    *(("option", (f"{kind}iterations",), MOST_ITERATIONS) for kind in ("", "ls_", "noslip_", "ccd_", "sdf_")),
+)  # fmt: skip
+"""Element, attributes whose numbers are multiplied, and the largest product."""
+_SIZED = {name for name, _, _ in SIZES}
+COUNTED = ("body", "geom", "joint", "site")
 NESTED = ("include", "model")  # elements whose file is MJCF as well
 
 _read: set[str] = set()
@@ -41,6 +64,11 @@ _NUMBERS = (
     "qpos_spring", "dof_damping", "dof_armature", "dof_frictionloss", "geom_pos", "geom_size", "actuator_gear",
     "actuator_gainprm",
     "actuator_biasprm", "actuator_dynprm", "tendon_stiffness", "tendon_damping", "tendon_frictionloss", "eq_data",
+)  # fmt: skip
+"""Arrays in which infinity is refused as well; the others may have infinite ranges."""
+_OPTIONS = (
+    "timestep", "impratio", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance", "gravity", "wind", "magnetic",
+    "density", "viscosity", "o_margin", "o_solref", "o_solimp", "o_friction",
 )  # fmt: skip
 
 
@@ -80,6 +108,7 @@ class _Model:
         self.below: list[str] = []  # of meshes and textures
         self.assets: dict[str, None] = {}
         self.accepted: set[str] = set()
+        self.elements = dict.fromkeys(COUNTED, 0.0)
 
     def walk(self, file: Path, within: Sequence[str], copies: float) -> None:
         """Count what is in a file and in those that it includes; ``within``: files around it, copies: how often it stands."""
@@ -95,7 +124,8 @@ class _Model:
         nested = [copies]
         for tag in tags(raw, file):
             self._count(tag, nested)
-            for key, value in tag.attributes:
+            self._need_size(tag)
+            for key, value in tag.attributes if b"file" in tag.text or tag.name == "compiler" else ():
                 name = os.fsdecode(value)
                 if tag.name == "compiler" and key in FOLDERS:
                     self.below += [os.path.join(folder, name.replace("\\", "/")) for folder in self.folders]
@@ -108,6 +138,12 @@ class _Model:
         self.keys += tag.name == "key" and tag.opens
         if self.keys > MOST_KEYS:
             raise InputError(self.path, f"{self.keys} keyframes", f"at most {MOST_KEYS}", "remove those that are not needed")
+        if tag.name in COUNTED and tag.opens:
+            self.elements[tag.name] += nested[-1]
+            if self.elements[tag.name] > MOST_ELEMENTS:
+                raise InputError(
+                    self.path, f"it has more than {MOST_ELEMENTS} <{tag.name}>", "fewer", "remove what does not move"
+                )
         if tag.name != "replicate":
             return
         if tag.opens:
@@ -117,6 +153,13 @@ class _Model:
             nested.append(copies)
         if tag.closes and len(nested) > 1:
             nested.pop()
+
+    def _need_size(self, tag: Tag) -> None:
+        for name, keys, most in SIZES if tag.name in _SIZED and tag.opens else ():
+            product = math.prod(abs(x) for key, value in tag.attributes if key in keys for x in _numbers(value))
+            if tag.name == name and not product <= most:
+                what = f"<{name}> has {' times '.join(keys)} of {product:.3g}"
+                raise InputError(self.path, what, f"at most {most}", "lower it")
 
     def _enter(self, name: str, within: Sequence[str], copies: float) -> None:
         for file in self.existing(name, self.folders):
@@ -166,15 +209,41 @@ def _mode(place: str) -> int | None:
 
 def _number(text: bytes) -> float:
     """The first number of a text; 1 where there is none, which MuJoCo names."""
+    return next(iter(_numbers(text)), 1.0)
+
+
+def _numbers(text: bytes) -> list[float]:
+    """The numbers of a text; none where it has anything else, which MuJoCo names."""
     try:
-        return float(text.split()[0])
-    except (ValueError, IndexError):
-        return 1.0
+        return [float(x) for x in text.split()]
+    except ValueError:
+        return []
 
 
 def need_finite(model: mujoco.MjModel, path: Path) -> None:
-    """Raise InputError where a number of the compiled model is not finite: MuJoCo accepts NaN and steps it."""
-    for name in _NUMBERS:
-        bad = np.argwhere(~np.isfinite(getattr(model, name)))
+    """Raise InputError where a number of the compiled model is not finite, or its timestep too small.
+
+    MuJoCo accepts NaN and steps it.
+    """
+    for name in _OPTIONS:
+        if not np.all(np.isfinite(getattr(model.opt, name))):
+            raise InputError(path, f"<option {name}> is not finite", "a number", "correct the attribute")
+    if not model.opt.timestep >= LEAST_TIMESTEP:
+        raise InputError(
+            path, f"its timestep is {model.opt.timestep:g} s", f"at least {LEAST_TIMESTEP:g} s", "correct the attribute"
+        )
+    for name in _arrays():
+        values = getattr(model, name)
+        if np.isfinite(values).all():
+            continue
+        bad = np.argwhere(~np.isfinite(values) if name in _NUMBERS else np.isnan(values))
         if len(bad):
             raise InputError(path, f"{name}[{', '.join(map(str, bad[0]))}] is not finite", "a number", "correct the attribute")
+
+
+@cache
+def _arrays() -> tuple[str, ...]:
+    """Names of the arrays of a compiled model that hold real numbers, those that a file states first."""
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    arrays = ((name, getattr(model, name)) for name in dir(model) if not name.startswith("_"))
+    return tuple(dict.fromkeys([*_NUMBERS, *(name for name, x in arrays if isinstance(x, np.ndarray) and x.dtype.kind == "f")]))

@@ -32,12 +32,17 @@ _ENTITIES = {b"quot": b'"', b"amp": b"&", b"apos": b"'", b"lt": b"<", b"gt": b">
 
 @dataclass(frozen=True)
 class Tag:
-    """A start tag or an end tag: the name, attributes in their order with references resolved, and whether it closes."""
+    """A start tag or an end tag: the name, the text of its attributes, whether it opens an element and whether it closes one."""
 
     name: str
-    attributes: tuple[tuple[str, bytes], ...] = ()
+    text: bytes = b""
     opens: bool = True
     closes: bool = False
+
+    @property
+    def attributes(self) -> tuple[tuple[str, bytes], ...]:
+        """Names and values in their order, references resolved."""
+        return tuple((name.decode("latin-1"), _resolved(value[1:-1])) for name, value in _ATTRIBUTE.findall(self.text))
 
 
 def _markup(raw: bytes, source: object) -> Iterator[re.Match[bytes]]:
@@ -55,10 +60,9 @@ def tags(raw: bytes, source: object) -> Iterator[Tag]:
     """Tags of a text in their order. Raises InputError, with the line, where a ``<`` begins none."""
     for found in _markup(raw, source):
         if found["open"]:
-            attributes = tuple((n.decode("latin-1"), _resolved(v[1:-1])) for n, v in _ATTRIBUTE.findall(found["attributes"]))
-            yield Tag(found["open"].decode("latin-1"), attributes, True, bool(found["empty"]))
+            yield Tag(found["open"].decode("latin-1"), found["attributes"], True, bool(found["empty"]))
         elif found["close"]:
-            yield Tag(found["close"].decode("latin-1"), (), False, True)
+            yield Tag(found["close"].decode("latin-1"), b"", False, True)
 
 
 def with_plain_comments(raw: bytes, source: object) -> bytes:

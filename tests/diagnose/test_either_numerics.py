@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from diagnose.options import Options
+from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import FitFigures, Verdict
 from diagnose.thresholds import UNEXPLAINED
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.effects import effect_class
-from simgap.either_numerics import _better, _open, _others
+from simgap import either_numerics
+from simgap.either_numerics import _better, _far, _open, _others, _soft, by_either_numerics
 
 FRICTION = SimpleNamespace(effects=(effect_class("coulomb_friction")(torque_Nm=0.1),))
 NONE = SimpleNamespace(effects=(effect_class("gravity_load")(torque_Nm=0.1, phase_rad=0.0),))
@@ -58,3 +62,90 @@ def test_the_other_numerics_are_searched_where_an_effect_may_stand_in_for_them()
         assert list(_others(given(simulator=simulator, shifts=shifts), one)) == []
         assert len(list(_others(given(simulator=simulator, shifts=shifts), result(Verdict.UNEXPLAINED, 1.1)))) == 1
     assert list(_others(given(), two)) == []
+
+
+def test_more_than_noise_is_told_by_the_level_of_the_noise():
+    """The squared error is compared with `UNEXPLAINED` times the squared noise, whatever the unit."""
+    noise = 0.01
+    for factor, far in ((1.001, True), (0.999, False)):
+        one = result(Verdict.MISSING_PHYSICS, noise * (UNEXPLAINED * factor) ** 0.5)
+        one.noise_floor = noise
+        assert _far(one) is far
+
+
+def test_a_number_costs_its_price_in_twice_the_log_likelihood():
+    """One number more pays where n log of the ratio of the mean squares is above the price."""
+    n, price = 500, KnownNoise.prices.price
+    richer = (SimpleNamespace(kind="physics", law="joint_spring", parameters={"a": None}),)
+    for factor, better in ((1.01, True), (0.99, False)):
+        rms = math.exp(-0.5 * price * factor / n)
+        assert _better(result(Verdict.MISSING_PHYSICS, rms, findings=richer), result(Verdict.UNEXPLAINED), n) is better
+    assert not _better(result(Verdict.UNEXPLAINED), result(Verdict.UNEXPLAINED), n)  # the same is not better
+    assert _better(result(Verdict.UNEXPLAINED, 0.0), result(Verdict.UNEXPLAINED), n)
+
+
+@pytest.fixture
+def searched(monkeypatch):
+    """`by_either_numerics` around made-up searches: (answers in turn, others, seconds, each takes) -> (answer, calls)."""
+
+    def ask(answers, others, seconds=math.inf, takes=1.0):
+        now, calls = [0.0], []
+
+        def diagnose(axis, recordings, held_out, options, say, ledger, corrections):
+            calls.append((axis, options.seconds, ledger, corrections))
+            now[0] += takes
+            return answers[len(calls) - 1]
+
+        monkeypatch.setattr(either_numerics.time, "monotonic", lambda: now[0])
+        monkeypatch.setattr(either_numerics, "diagnose", diagnose)
+        monkeypatch.setattr(either_numerics, "_others", lambda *_: iter(others))
+        monkeypatch.setattr(either_numerics, "without_difference", lambda diagnosis, nominal: (diagnosis, nominal))
+        out = by_either_numerics(made("first"), [], [], Options(seconds=seconds), lambda _: None, "ledger")
+        return out, calls
+
+    return ask
+
+
+def made(name, n=100):
+    case = SimpleNamespace(estimation=np.arange(n + 7) < n)
+    return SimpleNamespace(axis=name, cases=(case, case), corrections=lambda: name)
+
+
+def test_the_best_of_several_numerics_counts(searched):
+    worse, good, best = (result(Verdict.UNEXPLAINED, rms) for rms in (1.0, 0.9, 0.5))
+    others = [("a", made("second")), ("b", made("third"))]
+    (axis, nominal, told), calls = searched([good, worse, best], others, seconds=10.0)
+    assert (axis, nominal.axis) == ("third", "third")
+    assert told == (best, nominal)
+    assert [c[0] for c in calls] == ["first", "second", "third"]
+    assert [c[1] for c in calls] == [10.0, 9.0, 8.0]
+    assert [c[2] for c in calls] == ["ledger", None, None]
+    assert [c[3] for c in calls] == ["first", "second", "third"]
+    (axis, _, told), _ = searched([best, worse, good], others)
+    assert axis == "first"
+    assert told[0] is best
+
+
+def test_no_search_begins_when_the_time_is_over(searched):
+    others = [("a", made("second")), ("b", made("third"))]
+    answers = [result(Verdict.UNEXPLAINED, rms) for rms in (1.0, 0.9, 0.5)]
+    assert len(searched(answers, others, seconds=2.0)[1]) == 2
+    assert len(searched(answers, others, seconds=2.01)[1]) == 3
+    assert len(searched(answers, others, seconds=1.0)[1]) == 1
+
+
+def test_the_samples_that_count_are_those_of_the_fit(searched):
+    """A gain of 8.4 in n log of the squared ratio, n being the 200 samples of both cases: above the price of 8."""
+    rms = math.exp(-0.5 * 8.4 / 200)
+    richer = (SimpleNamespace(kind="physics", law="joint_spring", parameters={"a": None}),)
+    answers = [result(Verdict.UNEXPLAINED), result(Verdict.MISSING_PHYSICS, rms, findings=richer)]
+    assert KnownNoise.prices.price == 8.0
+    assert searched(answers, [("a", made("second"))])[0][0] == "second"
+    answers[1] = result(Verdict.MISSING_PHYSICS, math.exp(-0.5 * 7.9 / 200), findings=richer)
+    assert searched(answers, [("a", made("second"))])[0][0] == "first"
+
+
+@pytest.mark.parametrize("soft", [(), (None,), (None, 1.0), (1.0, None)])
+def test_soft_friction_of_any_body_is_soft(soft):
+    axis = SimpleNamespace(chain=SimpleNamespace(bodies=[SimpleNamespace(softness=s) for s in soft]))
+    assert _soft(axis) is (1.0 in soft)

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
+from diagnose.result import Verdict
+from diagnose.thresholds import FAR
 from mjsim.axis import Axis, Body, Chain
 from mjsim.effects import effect_class
+from mjsim.errors import InputError
 from mjsim.mjcf import load_axis
 from mjsim.ode import simulate
 from mjsim.recording import Recording
 from mjsim.system import assemble
-from simgap.either_view import _follows_freely, _is_open
+from simgap import either_view
+from simgap.either_view import _follows_freely, _is_open, by_motion_too
 from simgap.pipeline import diagnose_files
 
 MODEL = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="rotor">
@@ -83,3 +89,108 @@ def test_motion_decides_where_it_explains_the_recordings(tmp_path):
     assert low < 0.4 < high
     assert high - low < 0.01
     assert any("compared by force first" in note.lower() for note in said["notes"])
+
+
+@pytest.fixture
+def motion(monkeypatch):
+    """`by_motion_too` around made-up steps: ``motion(open, follows, second, given, seconds)`` and the options it passed on."""
+    passed = []
+
+    def ask(is_open=True, follows=True, second=Verdict.MISSING_PHYSICS, given="given", seconds=math.inf, takes=0.0):
+        clock = iter([100.0, 100.0 + takes])
+        monkeypatch.setattr(either_view.time, "monotonic", lambda: next(clock))
+        monkeypatch.setattr(either_view, "_is_open", lambda *_: is_open)
+        monkeypatch.setattr(either_view, "_follows_freely", lambda *_: follows)
+
+        def before(model, nominal, recordings, held_out, options):
+            passed.append(options)
+            return given
+
+        monkeypatch.setattr(either_view, "before_search", before)
+        found = dataclasses.replace(by, verdict=second)
+        monkeypatch.setattr(either_view, "by_either_numerics", lambda *_: ("axis", "runs", found))
+        out = by_motion_too("m.xml", NOMINAL, by, ["log"], [], Options(seconds=seconds), lambda _: None)
+        return out, passed
+
+    @dataclasses.dataclass(frozen=True)
+    class Found:
+        verdict: Verdict = Verdict.UNEXPLAINED
+        notes: tuple[str, ...] = ("kept",)
+
+    by = Found()
+    return ask
+
+
+def test_motion_counts_where_it_is_asked_for_and_explains(motion):
+    (axis, runs, second), passed = motion(seconds=50.0, takes=20.0)
+    assert (axis, runs, second.verdict) == ("axis", "runs", Verdict.MISSING_PHYSICS)
+    assert second.notes[0] == either_view.BY_MOTION
+    assert second.notes[1:] == ("kept",)
+    assert passed[0].judge == "motion"
+    assert passed[0].seconds == 30.0
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        {"is_open": False},
+        {"follows": False},
+        {"second": Verdict.UNEXPLAINED},
+        {"given": None},
+        {"seconds": 20.0, "takes": 20.0},
+        {"seconds": 19.0, "takes": 20.0},
+    ],
+)
+def test_force_decides_where_motion_cannot(motion, what):
+    (axis, runs, first), _ = motion(**what)
+    assert axis is NOMINAL
+    assert runs is None
+    assert first.verdict is Verdict.UNEXPLAINED
+
+
+@pytest.mark.parametrize(("ok", "above", "follows"), [(True, False, True), (True, True, False), (False, False, False)])
+def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, follows):
+    """The fit is solved and not above `FAR`; the workers are let go in any case, and a fit that is refused follows nothing."""
+    closed, levels = [], []
+
+    class Fitted:
+        def __init__(self, *_):
+            pass
+
+        def hypothesis(self, *_):
+            return None
+
+        def fit(self, _):
+            return SimpleNamespace(ok=ok)
+
+        def above(self, fitted, level):
+            levels.append(level)
+            return above
+
+        def close(self):
+            closed.append(True)
+
+    monkeypatch.setattr(either_view, "Fitter", Fitted)
+    monkeypatch.setattr(either_view, "physics_found", lambda _: [])
+    monkeypatch.setattr(either_view, "as_fitted", lambda _: {})
+    assert _follows_freely(NOMINAL, None, [log(1)], [log(2)], Options(jobs=1)) is follows
+    assert closed == [True]
+    assert levels in ([], [FAR])
+
+    def refuse(*_):
+        raise InputError("log", "what", "more")
+
+    monkeypatch.setattr(either_view, "Fitter", refuse)
+    assert _follows_freely(NOMINAL, None, [log(1)], [log(2)], Options(jobs=1)) is False
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_open"),
+    [({}, True), ({"channel": "velocity"}, False), ({"asked": "force"}, False), ({"bound": "force"}, False),
+     ({"velocity": np.zeros(3)}, False), ({"angle": None}, False)],
+)  # fmt: skip
+def test_who_chooses_the_comparison(changed, is_open):
+    first = SimpleNamespace(judge=changed.get("bound"), velocity=changed.get("velocity"), angle=changed.get("angle", np.zeros(3)))
+    assert (
+        _is_open(SimpleNamespace(channel=changed.get("channel", "torque")), first, Options(judge=changed.get("asked"))) is is_open
+    )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
+from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Estimate, Finding
 from diagnose.thresholds import SMALL
 from diagnose.verdict.reference_fit import refit_in_simulator
@@ -20,7 +23,8 @@ from mjsim.mjcf import load_axis
 from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
 from mjsim.plant import MujocoPlant
 from mjsim.recording import Recording
-from simgap.weakest_effect import without_weakest
+from simgap import weakest_effect
+from simgap.weakest_effect import _gain, _weakest, without_weakest
 
 DT, SIGMA = 5e-3, 0.005
 SLED = """<mujoco><option timestep="0.005" integrator="Euler" gravity="0 0 0"/><worldbody><body name="rotor">
@@ -111,3 +115,86 @@ def test_an_effect_that_explains_more_than_a_little_is_not_asked_about(asked):
     less, before, after = asked(0.002, 1.01 * SMALL)
     assert less is None
     assert after == before
+
+
+SPRING = effect_class("joint_spring")(stiffness_Nm_rad=2.9, torque_at_zero_Nm=0.0)
+DRAG = effect_class("quadratic_friction")(coefficient_Nm_s2_rad2=0.002)
+PLAIN = SimpleNamespace(effects=(), kept_beside=lambda _: ())
+
+
+def test_the_gain_of_an_effect():
+    assert _gain(finding(DRAG, 2.0, 1.0)) == 0.75
+    assert _gain(finding(DRAG, 1.0, 1.0)) == 0.0
+    assert _gain(finding(DRAG, 0.0, 1.0)) == 0.0
+    assert _gain(dataclasses.replace(finding(DRAG, 1.0, 0.5), evidence={})) == 0.0
+    assert _gain(dataclasses.replace(finding(DRAG, 0.5, 0.5), evidence={"held_out_error_before": 0.5})) == 1.0
+
+
+def test_which_effect_is_the_weakest():
+    axis = SimpleNamespace(effects=(SPRING, DRAG))
+    weak = finding(DRAG, 1.0, math.sqrt(1 - 0.99 * SMALL))
+    strong = finding(SPRING, 1.0, 0.1)
+    assert _weakest(PLAIN, axis, Found((strong, weak))) is weak
+    assert _weakest(PLAIN, axis, Found((weak, strong))) is weak
+    assert _weakest(PLAIN, axis, Found((weak,))) is None
+    setting = dataclasses.replace(strong, kind="numerics")
+    assert _weakest(PLAIN, axis, Found((setting, weak))) is None  # beside a setting of the simulator it is alone
+    assert _weakest(PLAIN, axis, Found((strong, weak, dataclasses.replace(weak, kind="numerics")))) is weak
+    assert _weakest(PLAIN, axis, Found((strong, finding(DRAG, 1.0, math.sqrt(1 - 1.01 * SMALL))))) is None
+    assert _weakest(PLAIN, SimpleNamespace(effects=(SPRING,)), Found((strong, weak))) is None
+    refined = SimpleNamespace(effects=(SPRING,), kept_beside=lambda effects: () if effects == [DRAG] else (SPRING,))
+    assert _weakest(refined, axis, Found((strong, weak))) is None  # it took the place of an effect of the file
+    kept = SimpleNamespace(effects=(SPRING,), kept_beside=lambda effects: (SPRING,))
+    assert _weakest(kept, axis, Found((strong, weak))) is weak
+
+
+@pytest.fixture
+def judged(monkeypatch, tmp_path):
+    """`without_weakest` around made-up runs: chi-squares of (fit, estimation, held out) beyond those before, in prices."""
+    level = KnownNoise.prices.entry + 0.5 * KnownNoise.prices.price  # one parameter
+
+    def ask(fit=0.0, estimation=0.0, held_out=0.0, quiet=True, lacks=(), unwritten=()):
+        base = {"estimation": 1000.0, "held_out": 500.0}
+        after = {"estimation": base["estimation"] + estimation * level, "held_out": base["held_out"] + held_out * level}
+        tables = {"before": base, "after": after}
+        monkeypatch.setattr(weakest_effect, "chi_square", lambda cases, runs, part: (tables[runs][part], 100))
+        monkeypatch.setattr(weakest_effect, "starts_of", lambda *_: [])
+        goals = []
+
+        def refit(fewer, write, name, cases, starts, threads, goal):
+            goals.append(goal)
+            return SimpleNamespace(chi2=base["estimation"] + fit * level, axis=fewer)
+
+        def write(axis, trial):
+            trial.write_text("fewer")
+            return unwritten
+
+        monkeypatch.setattr(weakest_effect, "refit_in_simulator", refit)
+        monkeypatch.setattr(weakest_effect, "run_files", lambda *_: ["after"])
+        monkeypatch.setattr(weakest_effect, "at_noise", lambda *_: quiet)
+        monkeypatch.setattr(weakest_effect.MujocoPlant, "load", lambda *_: None)
+        out = tmp_path / "corrected.xml"
+        out.write_text("both")
+        axis = SimpleNamespace(effects=(SPRING, DRAG), without=lambda key: key)
+        found = Found((finding(SPRING, 1.0, 0.1), finding(DRAG, 1.0, math.sqrt(1 - 0.5 * SMALL))))
+        form = SimpleNamespace(lacks=lacks, write=write)
+        less = without_weakest(PLAIN, axis, found, SimpleNamespace(cases=()), form, "before", out, 1)
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["corrected.xml"]
+        assert out.read_text() == ("both" if less is None else "fewer")
+        assert goals in ([], [1000.0 + level])
+        return less
+
+    return ask
+
+
+def test_an_effect_is_needed_above_its_price(judged):
+    """On estimation and on held-out data, in the fit and in the run of the file, and where it does not come to the noise."""
+    less = judged(fit=1.0, estimation=1.0, held_out=1.0)
+    assert less is not None
+    result, axis, runs = less
+    assert (axis, runs) == ("quadratic_friction@motor", "after")
+    assert [f.effect for f in result.findings] == ["joint_spring"]
+    for above in ({"fit": 1.001}, {"estimation": 1.001}, {"held_out": 1.001}, {"quiet": False}):
+        assert judged(**above) is None
+    assert judged(lacks=("what MJCF lacks",)) is None
+    assert judged(unwritten=("what MJCF lacks",)) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+import mujoco
 import pytest
 
 from mjsim.errors import InputError
@@ -111,3 +112,64 @@ def test_an_included_pipe_is_refused(tmp_path):
 
 def test_an_include_in_a_comment_is_none(tmp_path):
     load_model(written(tmp_path, world='<!-- <include file="../secret.xml"/> -->'))
+
+
+ABSURD = {
+    "height field": ('<asset><hfield name="h" nrow="{}" ncol="4096" size="1 1 1 1"/></asset>', 4096, "nrow times ncol"),
+    "texture": ('<asset><texture name="t" type="2d" builtin="checker" width="4096" height="{}"/></asset>', 4096, "<texture>"),
+    "user values": ('<size nuser_geom="{}"/>', 10_000, "nuser_geom"),
+    "iterations": ('<option iterations="{}"/>', 100_000, "<option>"),
+    "grid": ('<worldbody><body name="f"><flexcomp name="f" count="100 {} 1"/></body></worldbody>', 100, "<flexcomp>"),
+}
+
+
+@pytest.mark.parametrize("name", list(ABSURD))
+def test_an_absurd_size_is_refused_before_memory_is_taken(tmp_path, name):
+    text, most, said = ABSURD[name]
+    limits.need_sizes(written(tmp_path, more=text.format(most)))
+    with pytest.raises(InputError, match=f"{said}.*at most"):
+        limits.need_sizes(written(tmp_path, more=text.format(most + 1)))
+    with pytest.raises(InputError, match=f"{said}.*at most"):
+        limits.need_sizes(written(tmp_path, more=text.format("nan")))
+
+
+@pytest.mark.parametrize("tag", ["geom", "body", "joint", "site"])
+def test_the_limit_of_elements_counts_copies(monkeypatch, tmp_path, tag):
+    path = written(
+        tmp_path, world=f'<body name="b"><replicate count="3"><replicate count="2"><{tag}/></replicate></replicate></body>'
+    )
+    most = {"geom": 7, "body": 8, "joint": 7, "site": 6}[tag]  # those of the model itself among them
+    monkeypatch.setattr(limits, "MOST_ELEMENTS", most)
+    limits.need_sizes(path)
+    monkeypatch.setattr(limits, "MOST_ELEMENTS", most - 1)
+    with pytest.raises(InputError, match=f"more than {most - 1} <{tag}>"):
+        limits.need_sizes(path)
+
+
+NOT_FINITE = [
+    ({"more": '<option timestep="nan"/>'}, "timestep"),
+    ({"more": '<option gravity="0 0 inf"/>'}, "gravity"),
+    ({"more": '<option density="nan"/>'}, "density"),
+    ({"more": '<actuator><motor joint="hinge" ctrlrange="nan nan" ctrllimited="true"/></actuator>'}, "actuator_ctrlrange"),
+    ({"more": '<equality><joint joint1="hinge" solref="nan nan"/></equality>'}, "eq_solref"),
+    ({"world": '<site pos="nan 0 0"/>'}, "site_pos"),
+    ({"more": '<keyframe><key qpos="nan"/></keyframe>'}, "key_qpos"),
+]
+
+
+@pytest.mark.parametrize(("changed", "said"), NOT_FINITE)
+def test_nan_anywhere_is_refused(tmp_path, changed, said):
+    with pytest.raises(InputError, match=f"{said}.* is not finite"):
+        load_model(written(tmp_path, **changed))
+
+
+def test_an_infinite_range_is_none(tmp_path):
+    more = '<actuator><motor joint="hinge" forcerange="-inf inf" forcelimited="true"/></actuator>'
+    limits.need_finite(mujoco.MjModel.from_xml_path(str(written(tmp_path, more=more))), tmp_path)
+
+
+@pytest.mark.parametrize("step", ["0", "-1e-3", "9e-9"])
+def test_a_timestep_that_never_ends_a_run(tmp_path, step):
+    load_model(written(tmp_path, more='<option timestep="1e-8"/>'))
+    with pytest.raises(InputError, match="timestep"):
+        load_model(written(tmp_path, more=f'<option timestep="{step}"/>'))
