@@ -207,11 +207,12 @@ class Chain:
         speed = servo.target is Target.VELOCITY
         numbers = [
             ("kp", "stiffness of the servo", servo.kp, Quantity.STIFFNESS),
-            ("kv", "damping of the servo", servo.kv, Quantity.DAMPING),
+            ("gain", "gain of the servo", servo.gain, Quantity.TORQUE_PER_COMMAND),
+            ("kv", "gain of the servo" if speed else "damping of the servo", servo.kv, Quantity.DAMPING),
             ("limit", "limit of the servo", servo.limit, Quantity.TORQUE),
             ("zero", "zero of the servo", servo.zero, Quantity.VELOCITY if speed else Quantity.ANGLE),
         ]
-        there = {"kp": not speed, "limit": math.isfinite(servo.limit)}
+        there = {"kp": not speed, "gain": servo.back_emf, "limit": math.isfinite(servo.limit)}
         return [LinearParameter(name, kind, 0, value, q) for name, kind, value, q in numbers if there.get(name, True)]
 
     @cached_property
@@ -241,7 +242,7 @@ class Chain:
             couplings=tuple(
                 dataclasses.replace(c, **couplings[i]) if i in couplings else c for i, c in enumerate(self.couplings)
             ),
-            servo=dataclasses.replace(self.servo, **servo) if self.servo is not None and servo else self.servo,
+            servo=self.servo.with_numbers(servo) if self.servo is not None and servo else self.servo,
         )
 
 

@@ -21,6 +21,7 @@ class Quantity(enum.Enum):
     ANGLE = ("rad", "m")
     VELOCITY = ("rad/s", "m/s")
     INERTIA = ("kg m^2", "kg")
+    TORQUE_PER_COMMAND = ("N m/ctrl", "N/ctrl")
     STIFFNESS = ("N m/rad", "N/m")
     DAMPING = ("N m s/rad", "N s/m")
     QUADRATIC_DAMPING = ("N m s^2/rad^2", "N s^2/m^2")

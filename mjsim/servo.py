@@ -6,14 +6,20 @@
     velocity:    force = kv (scale u - zero - l')
     torque on body 0 = g clip(force, -limit, limit)
 
+A velocity servo whose command is no speed (``scale`` is not 1) is a motor with a back-EMF: force = gain u - kv (zero + l'), with
+gain = kv scale the torque per unit of command (per volt). Gain and kv are then two numbers of the motor.
+
 Source: MuJoCo documentation, XML reference, ``actuator/position``, ``velocity``, ``intvelocity``.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 __all__ = ["Servo", "Target"]
 
@@ -50,3 +56,22 @@ class Servo:
             raise ValueError(f"{name} of a {self.target.value} servo is {gain}; expected > 0")
         if not self.limit > 0:
             raise ValueError(f"force limit of a servo is {self.limit}; expected > 0")
+
+    @property
+    def back_emf(self) -> bool:
+        """Whether this is a motor with a back-EMF, whose command is no speed."""
+        return self.target is Target.VELOCITY and not math.isclose(self.scale, 1.0, rel_tol=1e-12)
+
+    @property
+    def gain(self) -> float:
+        """Force per unit of command [N m | N, per unit of command]."""
+        return self.scale * (self.kv if self.target is Target.VELOCITY else self.kp)
+
+    def with_numbers(self, values: Mapping[str, float]) -> Servo:
+        """A copy with some of kp, kv, limit, zero and gain replaced. A motor with a back-EMF keeps its gain as kv changes."""
+        own: dict[str, Any] = dict(values)
+        gain = own.pop("gain", self.gain)
+        new = dataclasses.replace(self, **own)
+        if not self.back_emf:
+            return new
+        return dataclasses.replace(new, scale=gain / new.kv)

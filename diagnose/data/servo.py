@@ -6,6 +6,11 @@ A log of command and angle knows no torque. Its equation, divided by any of its 
 
 so that only ratios show unless one torque is known: a gain (`Recording.known`), the weight that the model carries, a torque that
 is known sample by sample, or the inertia. Damping at the joint and kv act alike, and only their sum shows.
+A motor with a back-EMF, driven by a voltage u, is
+
+    J q'' + f q' + friction + weight = gain u - kv q'
+
+of which gain / J and (kv + f) / J show. A velocity servo, whose gain is kv, tells kv / J and f / J apart.
 """
 
 from __future__ import annotations
@@ -155,6 +160,8 @@ def _held(nominal: Axis, chain: Chain, recordings: Sequence[Recording]) -> tuple
     held, notes = list(chain.held), []
     main = "kv" if servo.target is Target.VELOCITY else "kp"
     weight = _weight(nominal)
+    logged = f"command and {'velocity' if recordings[0].angle is None else 'angle'}"
+    ratios = f"{'gain/J, ' if servo.back_emf else ''}{main}/J, friction/J"
     if main in held:
         pass
     elif all(r.known_torque is not None for r in recordings):
@@ -162,22 +169,22 @@ def _held(nominal: Axis, chain: Chain, recordings: Sequence[Recording]) -> tuple
     elif weight > 0:
         held.append(WEIGHT)
         notes.append(
-            "Command and angle tell ratios of torques only. The weight is taken as the model has it "
+            f"{logged[0].upper()}{logged[1:]} tell ratios of torques only. The weight is taken as the model has it "
             f"({weight:.4g}): an error of it scales all gains, frictions and inertias. A known payload, or "
-            "kp stated in [experiment], tells."
+            f"{main} stated in [experiment], tells."
         )
     else:
         first = chain.linear_parameters()[0]
         held.append(first.name)
         notes.append(
-            "Without a weight or another known torque, command and angle tell ratios to the inertia only (kp/J, friction/J): "
-            f"{first.name} is held at {first.value:.4g} as in the model. A known payload, or kp stated in [experiment], tells."
+            f"Without a weight or another known torque, {logged} tell ratios to the inertia only ({ratios}): "
+            f"{first.name} is held at {first.value:.4g} as in the model. A known payload, or {main} stated in [experiment], "
+            "tells."
         )
-    if servo.kv != 0 and "kv" not in held and main != "kv":
+    if servo.kv != 0 and "kv" not in held and (main != "kv" or servo.back_emf):
         held.append(next(p.name for p in chain.linear_parameters() if p.kind == "viscous"))
-        notes.append("kv and the viscous friction of the joint act alike: only their sum shows, and kv is fitted.")
-    elif main == "kv":
-        held.append(next(p.name for p in chain.linear_parameters() if p.kind == "viscous"))
+        what = "kv, the back-EMF," if servo.back_emf else "kv"
+        notes.append(f"{what} and the viscous friction of the joint act alike: only their sum shows, and kv is fitted.")
     held = [*held, *(["limit"] if np.isfinite(servo.limit) and not _reached(nominal, recordings) else [])]
     return dataclasses.replace(chain, held=tuple(dict.fromkeys(held))), notes
 

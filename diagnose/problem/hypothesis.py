@@ -98,9 +98,10 @@ class Hypothesis:
         for p in nominal.chain.linear_parameters():
             start = (linear or {}).get(p.name, p.value)
             scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
-            positive = p.kind in ("inertia", "stiffness", "stiffness of the servo", "limit of the servo")
+            gain = p.kind in ("stiffness of the servo", "gain of the servo")
+            positive = gain or p.kind in ("inertia", "stiffness", "limit of the servo")
             low, high = (0.1 * scale, 10 * scale) if positive else (-20 * scale, 20 * scale)
-            if p.kind == "stiffness of the servo":  # a data sheet gives what the firmware's units come to, or nothing of it
+            if gain:  # a data sheet gives what the firmware's units come to, or nothing of it
                 low, high = 1e-3 * scale, 1e3 * scale
             for r in range(n_recordings) if p.name in varies else (-1,):
                 mine = min(max((own or {}).get(("", p.name, r), start), low), high)
