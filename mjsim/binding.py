@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +28,7 @@ from mjsim.experiment_table import (
     table_of,
 )
 from mjsim.hold import HOLDS
+from mjsim.toml import toml_at
 
 __all__ = [
     "DEFAULT_COLUMNS",
@@ -160,10 +160,7 @@ class Binding:
     @classmethod
     def from_toml(cls, path: Path) -> Binding | None:
         """The binding that a TOML file states, or None when it has none of ``[recording]``, ``[joints]``, ``[experiment]``."""
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        table = toml_at(path)
         need_no_model_table(table, path)
         return cls.from_tables(table, path)
 

@@ -31,7 +31,8 @@ from mjsim.binding import (
 from mjsim.errors import InputError, nearest
 from mjsim.hold import HOLDS
 from mjsim.readers import Table, digest, need_source, part_of, read_table
-from mjsim.timebase import noise_after, onto_stamps, resample, sample_time, where_in
+from mjsim.timebase import need_numbers, noise_after, onto_stamps, resample, sample_time
+from mjsim.toml import lies_at
 from mjsim.unbound import by_headers, completed, guesses, without_input
 
 __all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_binding", "from_table", "load"]
@@ -40,7 +41,7 @@ __all__ = ["DEFAULT_COLUMNS", "UNITS", "Binding", "Channel", "Recording", "find_
 def find_binding(recording: Path, model: Path | None = None) -> Binding:
     """The sidecar beside the recording, else the machine's TOML beside the model, else the default names."""
     for candidate in (part_of(recording)[0].with_suffix(".toml"), model.with_suffix(".toml") if model else None):
-        if candidate is not None and candidate.is_file():
+        if candidate is not None and lies_at(candidate):
             binding = Binding.from_toml(candidate)
             if binding is not None:
                 return binding
@@ -254,11 +255,7 @@ def _arrays(path: Path, table: Table, binding: Binding) -> dict[str, np.ndarray]
     for name, array in arrays.items():
         if len(array) != count:
             raise InputError(path, f"{name} has {len(array)} samples, {role} {count}", "equal lengths", "cut them alike")
-        bad = np.flatnonzero(~np.isfinite(array))
-        if len(bad):
-            raise InputError(
-                path, f"{name} is not finite in {where_in(path, bad[0])}", "a number", "remove or interpolate these samples"
-            )
+        need_numbers(path, name, array)
     return arrays
 
 

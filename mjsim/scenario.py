@@ -23,7 +23,6 @@ import os
 import platform
 import re
 import tempfile
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +39,7 @@ from mjsim.models import shipped_model
 from mjsim.ode import Trajectory
 from mjsim.quantity import Motion
 from mjsim.scenario_parts import Chirp, Multisine, Noise, Positive, Step, Strict, Trapezoids
+from mjsim.toml import toml_at
 
 __all__ = [
     "Engine",
@@ -151,7 +151,7 @@ def shipped_scenarios() -> dict[str, str]:
     """Names of the shipped scenarios and what they are about."""
     out = {}
     for path in sorted(_FOLDER.glob("*.toml")):
-        out[path.stem] = str(tomllib.loads(path.read_text(encoding="utf-8")).get("about", ""))
+        out[path.stem] = str(toml_at(path).get("about", ""))
     return out
 
 
@@ -165,10 +165,7 @@ def load_scenario(source: str | Path, **overrides: Any) -> Scenario:
                 f"scenario {str(source)!r}", "no such file and no shipped scenario", f"a .toml file or one of: "
                 f"{', '.join(shipped_scenarios())}", nearest(Path(source).name, shipped_scenarios()),
             )  # fmt: skip
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+    table = toml_at(path)
     table.update({k: v for k, v in overrides.items() if v is not None})
     try:
         return Scenario(**{**table, "name": path.stem, "folder": path.resolve().parent})

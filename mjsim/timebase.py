@@ -13,10 +13,28 @@ __all__ = ["noise_after", "onto_stamps", "resample", "sample_time", "where_in"]
 
 UNIFORM = 0.05  # part of dt: a printed time stamp is rounded, a missing or shifted sample is off by a good part of dt
 
+DIGITS = 30
+LARGEST = 10.0**DIGITS
+"""Largest size of a value in SI units, its inverse the smallest: products of several of them are finite and not zero."""
+
 
 def where_in(path: Path, index: int) -> str:
     """How a user finds a sample in the file: by its row in a CSV, of which the header is row 1, else by its number from 1 on."""
     return f"row {index + 2}" if path.suffix.lower() == ".csv" else f"sample {index + 1}"
+
+
+def need_numbers(path: Path, name: str, values: np.ndarray) -> None:
+    """Raise InputError for a channel (N,) with a value that is not finite, or of a size that no quantity in SI units has."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise InputError(
+            path, f"{name} is not finite in {where_in(path, int(bad[0]))}", "a number", "remove or interpolate these samples"
+        )
+    at = int(np.argmax(np.abs(values))) if len(values) else 0
+    largest = float(abs(values[at])) if len(values) else 0.0
+    if largest > LARGEST or 0 < largest < 1 / LARGEST:
+        said = f"{name} is {values[at]:.3g} in {where_in(path, at)}, its largest value"
+        raise InputError(path, said, f"1e-{DIGITS} to 1e{DIGITS} in SI units", "check unit and gain")
 
 
 def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: bool = True) -> float:

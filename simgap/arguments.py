@@ -172,6 +172,8 @@ def need_folder(out: Path, advice: str = ADVICE) -> None:
     from mjsim.errors import InputError
 
     there = next(p for p in (out, *out.absolute().parents) if os.path.lexists(p))
+    if there.is_symlink() and not there.exists():
+        raise InputError(out, f"{there.name!r} is a link that leads nowhere", "a folder", advice)
     if not there.is_dir():
         raise InputError(out, f"{there.name!r} is a file", "a folder", advice)
     if not os.access(there, os.W_OK | os.X_OK):

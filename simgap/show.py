@@ -8,6 +8,7 @@ from diagnose.check.types import LogCheck, Severity
 from diagnose.result import Diagnosis, FitFigures
 from diagnose.robot.result import RobotDiagnosis
 from simgap.api.diagnosing import Diagnosis as Found
+from simgap.terminal import rich_text
 
 __all__ = ["show_check", "show_diagnosis", "show_found", "show_robot"]
 
@@ -100,20 +101,19 @@ def _held_out(figures: FitFigures, unit: str) -> str:
 def show_check(check: LogCheck) -> None:
     """What was understood, each problem with what to do, what the excitation shows, and the verdict."""
     from rich.console import Console
-    from rich.markup import escape
 
     console = Console(highlight=False)
     console.print("[bold]Understood[/bold]")
     for topic, text in check.understood.items():
-        console.print(f"  {escape(topic)}: {escape(text)}")
+        console.print(f"  {rich_text(topic)}: {rich_text(text)}")
     if check.excitation:
         console.print("[bold]Excitation[/bold]")
     for e in check.excitation:
-        console.print(f"  {escape(e.family)}: {'yes' if e.identifiable else 'no'}, {escape(e.sentence)}")
+        console.print(f"  {rich_text(e.family)}: {'yes' if e.identifiable else 'no'}, {rich_text(e.sentence)}")
     if check.problems:
         console.print("[bold]Problems[/bold]")
     for p in check.problems:
         word = "fix first" if p.severity is Severity.FIX else "limits"
-        console.print(f"  {word}: {escape(p.recording)}: {p.problem} ({p.channel}): {escape(p.sentence)}")
-        console.print(f"    do: {escape(p.advice)}")
-    console.print(f"[bold]{check.verdict.value}[/bold]  {escape(check.sentence)}")
+        console.print(f"  {word}: {rich_text(p.recording)}: {p.problem} ({rich_text(p.channel)}): {rich_text(p.sentence)}")
+        console.print(f"    do: {rich_text(p.advice)}")
+    console.print(f"[bold]{check.verdict.value}[/bold]  {rich_text(check.sentence)}")

@@ -38,7 +38,7 @@ ROBOT_LOG = "time_s,joint1.angle_rad,joint1.torque_Nm\n" + "".join(f"{0.001 * k}
 @pytest.mark.parametrize(
     ("words", "nearest"),
     [
-        (("diagnose", "log.csv", "--modell", "emps"), "'--model'"),
+        (("diagnose", "log.csv", "--markdow", "emps"), "'--markdown'"),
         (("replay", "emps", "log.csv", "--out", "x.csv", "--engine", "mujocco"), "'mujoco'"),
         (("diagnose", "log.csv", "--model", "emps", "--out", "x", "--judge", "forces"), "'force'"),
         (("proof", "emp", "--out", "x"), "'emps'"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.layout import lay_out, outside
 from mjsim.mjcf.native_read import read_native
 from mjsim.recording import Binding
+from mjsim.toml import lies_at, toml_at, toml_of
 
 __all__ = ["Model", "carried_binding", "effect_of", "load_axis", "load_model"]
 
@@ -77,10 +77,7 @@ def carried_binding(model: Model, recording: Path) -> Binding | None:
     """The binding that a corrected model carries, when no TOML file stands beside the recording or the model."""
     if any(p.with_suffix(".toml").is_file() for p in (recording, model.path)) or not (model.carried and model.carried.binding):
         return None
-    try:
-        table = tomllib.loads(model.carried.binding)  # of a file beside the model: its [model] was read there
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(model.path, f"its binding is not valid TOML ({error})", "a TOML text", "correct the text") from None
+    table = toml_of(model.carried.binding, f"{model.path}: its binding")  # of a file beside the model: its [model] was read there
     found = Binding.from_tables(table, model.path.with_suffix(".toml"))
     return None if found is None else dataclasses.replace(found, source=f"{model.path}: <custom> text {custom.NAME!r}")
 
@@ -100,12 +97,9 @@ def _carried_axis(found: Found, carried: custom.Carried, path: Path) -> Axis:
 def _bound(path: Path) -> dict[str, str]:
     """``[model]`` of the TOML beside the model."""
     beside = path.with_suffix(".toml")
-    if not beside.is_file():
+    if not lies_at(beside):
         return {}
-    try:
-        table = tomllib.loads(beside.read_text(encoding="utf-8")).get("model", {})
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(beside, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+    table = toml_at(beside).get("model", {})
     known = ("actuator", "velocity_sensor", "angle_sensor")
     for key, value in table.items():
         if key not in known or not isinstance(value, str):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import mujoco
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
 from mjsim.quantity import Motion
+from mjsim.toml import lies_at, toml_at
 
 __all__ = ["Channels", "find_channels"]
 
@@ -72,11 +72,8 @@ def _bound(model: mujoco.MjModel, path: Path) -> dict[str, str]:
             start, size = int(model.text_adr[t]), int(model.text_size[t])
             out |= dict(custom.unpack(model.text_data[start : start + size - 1].decode(), path).bound)
     beside = path.with_suffix(".toml")
-    if beside.is_file():
-        try:
-            out |= tomllib.loads(beside.read_text(encoding="utf-8")).get("model", {})
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(beside, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+    if lies_at(beside):
+        out |= toml_at(beside).get("model", {})
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -28,6 +29,9 @@ def read_npz(path: Path) -> Table:
     shapes: dict[str, tuple[int, ...]] = {}
     texts: dict[str, tuple[int, ...]] = {}
     with zipfile.ZipFile(path) as archive:
+        if len(set(archive.namelist())) < len(archive.namelist()):
+            twice = next(name for name, count in Counter(archive.namelist()).items() if count > 1)
+            raise InputError(path, f"it holds {twice!r} twice", "one array of a name", "save it with numpy.savez")
         for member in archive.namelist():
             if not member.endswith(".npy"):
                 continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,8 @@ from mjsim.experiment_table import (
 )
 from mjsim.hold import HOLDS
 from mjsim.readers import part_of
+from mjsim.timebase import LARGEST
+from mjsim.toml import lies_at, toml_at
 
 __all__ = ["CHANNELS", "MEASURES", "Payload", "RobotBinding", "find_robot_binding"]
 
@@ -58,10 +59,7 @@ class RobotBinding:
     def from_toml(cls, path: Path) -> RobotBinding | None:
         """The binding that a file states; None when it says nothing of a robot (joints, hold, experiment). Raises InputError
         for a key that is not known."""
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(path, f"not valid TOML ({error})", "a TOML file", "correct it") from None
+        table = toml_at(path)
         need_no_model_table(table, path)
         return cls.from_tables(table, path)
 
@@ -130,16 +128,22 @@ def _payload(value: Any, where: str) -> Payload | None:
     if not isinstance(value, dict) or not {"body", "mass"} <= set(value):
         raise InputError(where, f"{value!r}", '{body = "name", mass = kg, pos = [x, y, z]}', "correct it")
     pos = value.get("pos", [0.0, 0.0, 0.0])
-    if not (isinstance(value["mass"], int | float) and 0 <= value["mass"] < math.inf and isinstance(pos, list) and len(pos) == 3):
+    three = isinstance(pos, list) and len(pos) == 3 and all(_is_number(x) for x in pos)
+    if not (_is_number(value["mass"]) and value["mass"] >= 0 and three):
         raise InputError(where, f"{value!r}", "a mass in kg and a position of three numbers", "correct it")
     x, y, z = map(float, pos)
     return Payload(str(value["body"]), float(value["mass"]), (x, y, z))
 
 
+def _is_number(x: Any) -> bool:
+    """A finite number that is no boolean; of an integer, one that a float holds."""
+    return isinstance(x, int | float) and not isinstance(x, bool) and -LARGEST <= x <= LARGEST
+
+
 def find_robot_binding(recording: Path, model: Path | None = None) -> RobotBinding | None:
     """The sidecar beside the recording, else the robot's TOML beside the model; None where neither binds joints."""
     for candidate in (part_of(recording)[0].with_suffix(".toml"), model.with_suffix(".toml") if model else None):
-        if candidate is not None and candidate.is_file():
+        if candidate is not None and lies_at(candidate):
             binding = RobotBinding.from_toml(candidate)
             if binding is not None:
                 return binding

@@ -20,7 +20,7 @@ from mjsim.quantity import Motion
 from mjsim.readers import Table, digest, is_source, need_source, read_table
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
 from mjsim.robot.model import Robot
-from mjsim.timebase import resample, sample_time, where_in
+from mjsim.timebase import need_numbers, resample, sample_time, where_in
 
 __all__ = ["RobotRecording", "joints_in_table", "joints_named", "load_robot_recording", "robot_from_table"]
 
@@ -239,12 +239,8 @@ def _arrays(
                 array = array[row]
             if array.ndim != 1:
                 raise InputError(path, f"{column!r} has shape {array.shape}", "one value per sample", "name a row")
-            bad = np.flatnonzero(~np.isfinite(array))
-            if len(bad):
-                raise InputError(
-                    path, f"{name}.{channel} is not finite in {where_in(path, int(bad[0]))}", "a number", "remove these samples"
-                )
             out[name, channel] = array * factor
+            need_numbers(path, f"{name}.{channel}", out[name, channel])
     lengths = {key: len(a) for key, a in out.items()}
     first = next(iter(lengths.values()))
     for (name, channel), length in lengths.items():
