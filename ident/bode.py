@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ident.data import frozen
 from ident.model import PolyModel
@@ -32,10 +32,10 @@ class Bode:
     Im(g)'. Zero when the model has no covariance.
     """
 
-    frequency_hz: NDArray
-    response: NDArray
-    magnitude_std: NDArray
-    phase_std_deg: NDArray
+    frequency_hz: np.ndarray
+    response: np.ndarray
+    magnitude_std: np.ndarray
+    phase_std_deg: np.ndarray
 
     def __post_init__(self) -> None:
         for name in ("frequency_hz", "magnitude_std", "phase_std_deg"):
@@ -43,21 +43,23 @@ class Bode:
         object.__setattr__(self, "response", frozen(self.response, complex))
 
     @property
-    def magnitude_db(self) -> NDArray:
+    def magnitude_db(self) -> np.ndarray:
         """20 log10 abs(G) [dB], (K,)."""
-        return 20 * np.log10(np.maximum(np.abs(self.response), 1e-300))
+        level: np.ndarray = 20 * np.log10(np.maximum(np.abs(self.response), 1e-300))
+        return level
 
     @property
-    def phase_deg(self) -> NDArray:
+    def phase_deg(self) -> np.ndarray:
         """Phase [deg], unwrapped and starting within (-180, 180], (K,)."""
-        return np.degrees(np.unwrap(np.angle(self.response)))
+        phase: np.ndarray = np.degrees(np.unwrap(np.angle(self.response)))
+        return phase
 
-    def magnitude_db_interval(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
+    def magnitude_db_interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper edge of the magnitude's confidence band [dB], pointwise."""
         half = _quantile(level) * 20 / np.log(10) * self.magnitude_std
         return self.magnitude_db - half, self.magnitude_db + half
 
-    def phase_deg_interval(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
+    def phase_deg_interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper edge of the phase's confidence band [deg], pointwise."""
         half = _quantile(level) * self.phase_std_deg
         return self.phase_deg - half, self.phase_deg + half
@@ -84,7 +86,7 @@ def _quantile(level: float) -> float:
     return float(ndtri(0.5 + level / 2))
 
 
-def default_frequencies(dt: float, points: int = 400, low_hz: float | None = None) -> NDArray:
+def default_frequencies(dt: float, points: int = 400, low_hz: float | None = None) -> np.ndarray:
     """``points`` frequencies [Hz] on a log grid up to Nyquist, over three decades or from ``low_hz`` if that is lower."""
     top = 0.5 / dt
     low = top * 1e-3 if low_hz is None or low_hz <= 0 else min(top * 1e-3, low_hz)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import IOData
 from ident.structure import Structure
@@ -36,7 +35,7 @@ HELD_SAMPLES = 10
 """Equal samples in a row from which on a channel that never repeats is said to be held."""
 
 
-def excited_bins(u: NDArray, floor: float = 1e-10) -> tuple[NDArray, NDArray]:
+def excited_bins(u: np.ndarray, floor: float = 1e-10) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [cycles per sample] and whether the input's power there exceeds ``floor`` of its largest line."""
     n = u.size
     window = np.hanning(n) if n > 2 else np.ones(n)
@@ -44,7 +43,7 @@ def excited_bins(u: NDArray, floor: float = 1e-10) -> tuple[NDArray, NDArray]:
     return np.arange(power.size) / n, power > floor * max(float(power.max()), 1e-300)
 
 
-def missing_bands(u: NDArray, dt: float, floor: float = 1e-6) -> list[tuple[float, float]]:
+def missing_bands(u: np.ndarray, dt: float, floor: float = 1e-6) -> list[tuple[float, float]]:
     """Bands [Hz] wider than 2 % of Nyquist in which the input has no power (relative ``floor``)."""
     frequency, excited = excited_bins(u, floor)
     f = frequency / dt
@@ -63,7 +62,7 @@ def missing_bands(u: NDArray, dt: float, floor: float = 1e-6) -> list[tuple[floa
     return bands
 
 
-def excited_directions(u: NDArray, order: int) -> int:
+def excited_directions(u: np.ndarray, order: int) -> int:
     """How many coefficients of a model the input can tell apart, at most ``order``: its order of persistent excitation.
 
     The larger of two counts. The rank of the covariance of ``order`` lags of u, down to ``WELL_CONDITIONED``: enough for any
@@ -90,7 +89,7 @@ def check_moving(data: IOData) -> None:
             raise InputError(data.source, f"{what} is constant ({x[0]:.6g})", "a signal that moves", "excite the system")
 
 
-def _channels(data: IOData) -> tuple[tuple[NDArray, str], ...]:
+def _channels(data: IOData) -> tuple[tuple[np.ndarray, str], ...]:
     return (data.u, f"input {data.u_name}"), (data.y, f"output {data.y_name}")
 
 
@@ -119,14 +118,14 @@ def check_clipping(data: IOData, *, channels: str = "uy") -> None:
             )
 
 
-def _longest_run(x: NDArray, where: NDArray) -> int:
+def _longest_run(x: np.ndarray, where: np.ndarray) -> int:
     """Most samples in a row that are equal and lie in ``where``."""
     same = (np.diff(x) == 0.0) & where[1:] & where[:-1]
     edges = np.flatnonzero(np.diff(np.r_[0, same.astype(int), 0]))
     return int(np.max(edges[1::2] - edges[::2], initial=-1)) + 1
 
 
-def held_stretch(x: NDArray) -> tuple[int, int] | None:
+def held_stretch(x: np.ndarray) -> tuple[int, int] | None:
     """(first sample, count) of the longest stretch over which a channel that else never repeats holds one value, or None.
 
     That is what dropped samples look like after a logger filled them in. Rest at zero does not count, nor does a channel that
@@ -200,7 +199,7 @@ def _check_length(data: IOData, n: int, s: Structure) -> None:
         raise InputError(data.source, kept, f"at least {need} for {s}", "record longer, decimate less or lower the orders")
 
 
-def _check_excitation(data: IOData, u: NDArray, s: Structure) -> None:
+def _check_excitation(data: IOData, u: np.ndarray, s: Structure) -> None:
     order = min(s.nb + s.na + s.nf, u.size // 3)
     rank = excited_directions(u, order)
     if rank < order:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import IOData, frozen
 from ident.model import PolyModel
@@ -25,7 +24,7 @@ class Comparison:
 
     names: tuple[str, ...]
     fit_percent: tuple[float, ...]
-    outputs: NDArray
+    outputs: np.ndarray
     data: IOData
     horizon: int | None
 

@@ -7,7 +7,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mjsim.errors import InputError
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["Detrend", "IOData", "frozen"]
 
 
-def frozen(values: ArrayLike, dtype: type = float) -> NDArray:
+def frozen(values: ArrayLike, dtype: type = float) -> np.ndarray:
     """A read-only contiguous copy."""
-    array: NDArray = np.array(values, dtype=dtype, order="C")
+    array: np.ndarray = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 
@@ -55,8 +55,8 @@ class IOData:
     Raises InputError for channels of unequal length, samples that are missing (NaN) or infinite, and a dt that is not positive.
     """
 
-    u: NDArray
-    y: NDArray
+    u: np.ndarray
+    y: np.ndarray
     dt: float
     u_name: str = "u"
     y_name: str = "y"
@@ -112,7 +112,7 @@ class IOData:
         return int(self.u.size)
 
     @property
-    def time(self) -> NDArray:
+    def time(self) -> np.ndarray:
         """Sample times [s], shape (N,), from zero."""
         return np.arange(len(self)) * self.dt
 

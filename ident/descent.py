@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.options import InitialCondition, Options, SearchOptions
 from ident.search import MARGIN, factor, residual, search
@@ -15,12 +14,12 @@ from ident.structure import Structure
 __all__ = ["Descent", "Descents", "Scaled", "best_state", "covariance_of", "radius"]
 
 
-def _sizes(s: Structure, with_state: bool) -> NDArray:
+def _sizes(s: Structure, with_state: bool) -> np.ndarray:
     state = (s.n_plant_state, s.n_noise_state) if with_state else (0, 0)
     return np.array([s.na, s.nb, s.nc, s.nd, s.nf, *state])
 
 
-def _buffers(size: int) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+def _buffers(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     pulse = np.zeros(size)
     pulse[0] = 1.0
     return np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((8, size)), pulse
@@ -30,7 +29,7 @@ def _state_columns(s: Structure) -> slice:
     return slice(s.n_parameters, s.n_parameters + s.n_plant_state + s.n_noise_state)
 
 
-def best_state(s: Structure, theta: NDArray, u: NDArray, y: NDArray) -> tuple[NDArray, float, float]:
+def best_state(s: Structure, theta: np.ndarray, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Least-squares initial conditions at theta (linear): [I, K], loss without, loss with."""
     n = _sizes(s, True)
     full = np.r_[theta, np.zeros(n[5] + n[6])]
@@ -64,7 +63,7 @@ STAGES = (0.95, 0.98, 0.995)
 """Limits on the roots of C, released one after the other where the limit binds."""
 
 
-def radius(noise: float) -> NDArray:
+def radius(noise: float) -> np.ndarray:
     """Largest root radius per polynomial for the search; only those of C and F are read."""
     radius = np.full(7, 1.0 - MARGIN)
     radius[2] = min(noise, 1.0 - MARGIN)
@@ -72,8 +71,8 @@ def radius(noise: float) -> NDArray:
 
 
 def _descend(
-    first: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
-) -> tuple[NDArray, float, int, int, NDArray]:
+    first: np.ndarray, n: np.ndarray, s: Structure, u: np.ndarray, y: np.ndarray, free: np.ndarray, how: SearchOptions
+) -> tuple[np.ndarray, float, int, int, np.ndarray]:
     """One start to its minimum: theta, loss, iterations, code, factor.
 
     Levenberg-Marquardt in the coefficients themselves. Where that ends other than at a minimum inside the limits of stability,
@@ -99,8 +98,8 @@ def _descend(
 
 
 def _backcast(
-    theta: NDArray, n: NDArray, s: Structure, u: NDArray, y: NDArray, free: NDArray, how: SearchOptions
-) -> tuple[NDArray, float, int, int, NDArray]:
+    theta: np.ndarray, n: np.ndarray, s: Structure, u: np.ndarray, y: np.ndarray, free: np.ndarray, how: SearchOptions
+) -> tuple[np.ndarray, float, int, int, np.ndarray]:
     """Alternate: initial conditions by least squares at the present coefficients, then the coefficients with these held.
 
     As ``_descend``. A step of one kind never raises the loss, so that the pair ends at a minimum of the joint problem.
@@ -124,7 +123,7 @@ def _c_columns(s: Structure) -> slice:
     return slice(s.na + s.nb, s.na + s.nb + s.nc)
 
 
-def _covariance(r: NDArray, n: int, variance: float) -> tuple[NDArray, bool]:
+def _covariance(r: np.ndarray, n: int, variance: float) -> tuple[np.ndarray, bool]:
     """Parameter covariance from the factor of the gradient; the pseudo-inverse where the data leave directions open."""
     block = r[:-1, :-1]
     scale = np.linalg.norm(block, axis=0)
@@ -135,11 +134,11 @@ def _covariance(r: NDArray, n: int, variance: float) -> tuple[NDArray, bool]:
     return variance * (half @ half.T)[:n, :n], not bool(np.all(keep))
 
 
-def _columns(r: NDArray, keep: NDArray) -> NDArray:
+def _columns(r: np.ndarray, keep: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(r[:, keep], mode="r"))
 
 
-def covariance_of(r: NDArray, free: NDArray, states: int, variance: float) -> tuple[NDArray, bool]:
+def covariance_of(r: np.ndarray, free: np.ndarray, states: int, variance: float) -> tuple[np.ndarray, bool]:
     """Covariance (p, p) of all coefficients, zero for those that were held, and whether the data leave directions open.
 
     r: factor of the gradient. free: 1 for each coefficient that was fitted. states: fitted initial conditions.
@@ -157,16 +156,16 @@ def covariance_of(r: NDArray, free: NDArray, states: int, variance: float) -> tu
 class Scaled:
     """Input and output (N,) in units of their standard deviations, and the largest root radii of the polynomials."""
 
-    u: NDArray
-    y: NDArray
-    limit: NDArray
+    u: np.ndarray
+    y: np.ndarray
+    limit: np.ndarray
 
-    def loss(self, s: Structure, theta: NDArray) -> float:
+    def loss(self, s: Structure, theta: np.ndarray) -> float:
         """Sum of squared residuals at theta without initial conditions; inf where the model is unstable."""
         w, v, e, *_ = _buffers(self.y.size)
         return float(residual(theta, _sizes(s, False), s.nk, self.u, self.y, w, v, e, self.limit))
 
-    def residuals(self, s: Structure, theta: NDArray, with_state: bool) -> NDArray:
+    def residuals(self, s: Structure, theta: np.ndarray, with_state: bool) -> np.ndarray:
         """Residuals (N,) at theta."""
         w, v, e, *_ = _buffers(self.y.size)
         residual(theta, _sizes(s, with_state), s.nk, self.u, self.y, w, v, e, self.limit)
@@ -182,8 +181,8 @@ class Descent:
     loss: float
     iterations: int
     code: int
-    theta: NDArray
-    factor: NDArray
+    theta: np.ndarray
+    factor: np.ndarray
     with_state: bool
 
 
@@ -194,10 +193,10 @@ class Descents:
     structure: Structure
     scaled: Scaled
     options: Options
-    free: NDArray
+    free: np.ndarray
     ends: list[Descent] = field(default_factory=list)
 
-    def follow(self, before: float, route: str, first: NDArray) -> None:
+    def follow(self, before: float, route: str, first: np.ndarray) -> None:
         """Descend from one start; the first one decides by an F test whether initial conditions are fitted."""
         s, u, y, kind = self.structure, self.scaled.u, self.scaled.y, self.options.initial_condition
         state, zero_loss, state_loss = best_state(s, first, u, y)
@@ -211,7 +210,7 @@ class Descents:
                 iterations += more
         self.ends.append(Descent(route, before, float(loss), int(iterations), int(code), theta, r, with_state))
 
-    def _descend(self, theta: NDArray, with_state: bool) -> tuple[NDArray, float, int, int, NDArray]:
+    def _descend(self, theta: np.ndarray, with_state: bool) -> tuple[np.ndarray, float, int, int, np.ndarray]:
         free = np.r_[self.free, np.ones(theta.size - self.free.size, np.int64)]
         descend = _backcast if self.options.initial_condition is InitialCondition.BACKCAST else _descend
         n = _sizes(self.structure, with_state)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.checks import check_estimation_data
 from ident.data import IOData, frozen
@@ -65,13 +64,13 @@ class Estimate:
 
     model: PolyModel
     data: IOData
-    residuals: NDArray
+    residuals: np.ndarray
     loss: float
     status: Status
     options: Options
     initial_condition: InitialCondition
-    initial_plant: NDArray
-    initial_noise: NDArray
+    initial_plant: np.ndarray
+    initial_noise: np.ndarray
     starts: tuple[Start, ...]
     seconds: float
 
@@ -105,8 +104,8 @@ def pem(data: IOData, structure: Structure, options: Options | None = None, star
 
 
 def _first_candidates(
-    s: Structure, scaled: Scaled, options: Options, start: NDArray | None, fixed: bool, source: str
-) -> list[tuple[float, str, NDArray]]:
+    s: Structure, scaled: Scaled, options: Options, start: np.ndarray | None, fixed: bool, source: str
+) -> list[tuple[float, str, np.ndarray]]:
     """Stable first models as (loss, route, theta), the least loss first; ``fixed``: only the given ``start`` is used."""
     proposals = [] if fixed else list(first_models(s, scaled.u, scaled.y))
     if start is not None:
@@ -125,7 +124,9 @@ def _status(code: int, deficient: bool) -> Status:
     return Status.RANK_DEFICIENT if deficient and status is not Status.ITERATION_LIMIT else status
 
 
-def _fit(data: IOData, s: Structure, options: Options, began: float, start: PolyModel | None, held: NDArray | None) -> Estimate:
+def _fit(
+    data: IOData, s: Structure, options: Options, began: float, start: PolyModel | None, held: np.ndarray | None
+) -> Estimate:
     """Search on data scaled to unit size; ``held`` marks coefficients of theta that keep their start values."""
     us, ys = float(np.std(data.u)) or 1.0, float(np.std(data.y)) or 1.0
     scaled = Scaled(np.asarray(data.u) / us, np.asarray(data.y) / ys, radius(options.search.noise_radius))
@@ -174,7 +175,7 @@ def _fit(data: IOData, s: Structure, options: Options, began: float, start: Poly
     )
 
 
-def _nested(data: IOData, s: Structure, options: Options, began: float, gain: NDArray) -> list[tuple[str, NDArray]]:
+def _nested(data: IOData, s: Structure, options: Options, began: float, gain: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """Last starts, where no two of the others ended alike: the same plant's output-error model, with and without a noise model.
 
     It is nested in the wanted structure, so that the search cannot end above its loss. This is where poles and zeros of a noise

@@ -20,11 +20,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from ident.data import IOData
 from mjsim.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 __all__ = ["Decimation", "Design", "LowPass", "Phase", "decimate", "low_pass", "shared_filter"]
 
@@ -57,11 +59,12 @@ class LowPass:
         if not 0.0 < self.fraction < 1.0:
             raise InputError("cut-off", f"{self.fraction:g} of Nyquist", "a fraction between 0 and 1")
 
-    def sections(self) -> NDArray:
+    def sections(self) -> np.ndarray:
         """Second-order sections."""
         from scipy.signal import butter
 
-        return butter(self.order, self.fraction, output="sos")
+        sections: np.ndarray = butter(self.order, self.fraction, output="sos")
+        return sections
 
 
 @dataclass(frozen=True)
@@ -80,27 +83,31 @@ class Decimation:
         if not 1 <= self.order <= 20:
             raise InputError("anti-alias order", f"{self.order}", "1 to 20")
 
-    def sections(self) -> NDArray:
+    def sections(self) -> np.ndarray:
         """Second-order sections."""
         from scipy.signal import butter, cheby1
 
         edge = 0.8 / self.factor
         if self.design is Design.CHEBYSHEV:
-            return cheby1(self.order, self.ripple_db, edge, output="sos")
-        return butter(self.order, edge, output="sos")
+            sections: np.ndarray = cheby1(self.order, self.ripple_db, edge, output="sos")
+        else:
+            sections = butter(self.order, edge, output="sos")
+        return sections
 
 
-def _apply(sections: NDArray, x: NDArray, phase: Phase, source: str) -> NDArray:
+def _apply(sections: np.ndarray, x: np.ndarray, phase: Phase, source: str) -> np.ndarray:
     from scipy.signal import sosfilt, sosfiltfilt
 
     if phase is Phase.CAUSAL:
-        return sosfilt(sections, x)
+        forward: np.ndarray = sosfilt(sections, x)
+        return forward
     pad = 3 * (2 * len(sections) + 1)
     if x.size <= pad:
         raise InputError(
             source, f"{x.size} samples", f"more than {pad} for a zero-phase filter", "record longer or filter causally"
         )
-    return sosfiltfilt(sections, x)
+    both_ways: np.ndarray = sosfiltfilt(sections, x)
+    return both_ways
 
 
 def low_pass(data: IOData, filter_: LowPass | None = None) -> IOData:

@@ -17,7 +17,7 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 @compiled()
-def is_stable(poly, margin):
+def is_stable(poly: np.ndarray, margin: float) -> bool:
     """Whether all roots of the monic polynomial lie within radius 1 - margin (Schur-Cohn step-down test)."""
     n = poly.size - 1
     a = np.empty(n + 1)
@@ -39,7 +39,7 @@ def is_stable(poly, margin):
 
 
 @compiled(fastmath=_FAST)
-def _fold(r, block, rows):
+def _fold(r: np.ndarray, block: np.ndarray, rows: int) -> None:
     """Householder update: r (p, p) upper becomes the factor of [r; block.T]; ``block`` (p, rows) is overwritten."""
     p = r.shape[0]
     for j in range(p):
@@ -66,7 +66,9 @@ def _fold(r, block, rows):
 
 
 @compiled()
-def factor_lags(signals, sign, first_lag, n_lags, target, start):
+def factor_lags(
+    signals: np.ndarray, sign: np.ndarray, first_lag: np.ndarray, n_lags: np.ndarray, target: np.ndarray, start: int
+) -> np.ndarray:
     """Triangular factor R (p+1, p+1) of the regression matrix [lagged signals, target], rows start .. N-1.
 
     Column (s, i) is ``sign[s] * signals[s](t - first_lag[s] - i)``, i = 0 .. n_lags[s] - 1, zero before the first sample.
@@ -96,7 +98,7 @@ def factor_lags(signals, sign, first_lag, n_lags, target, start):
 
 
 @compiled()
-def solve_upper(r, n, rhs, out):
+def solve_upper(r: np.ndarray, n: int, rhs: np.ndarray, out: np.ndarray) -> None:
     """Back substitution ``r[:n, :n] out = rhs``; a vanishing pivot gives a zero."""
     top = 0.0
     for j in range(n):
@@ -109,7 +111,7 @@ def solve_upper(r, n, rhs, out):
 
 
 @compiled()
-def least_squares(r):
+def least_squares(r: np.ndarray) -> tuple[np.ndarray, float]:
     """Coefficients and residual sum of squares of the regression behind a factor of ``factor_lags``."""
     p = r.shape[0] - 1
     out = np.zeros(p)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ident.data import frozen
 from ident.structure import Structure
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["PolyModel"]
 
 
-def _response(poly: NDArray, w: NDArray) -> NDArray:
+def _response(poly: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Polynomial in q^-1 on the unit circle at w [rad/sample]."""
-    return np.exp(-1j * np.outer(w, np.arange(poly.size))) @ poly
+    values: np.ndarray = np.exp(-1j * np.outer(w, np.arange(poly.size))) @ poly
+    return values
 
 
 @dataclass(frozen=True)
@@ -34,13 +35,13 @@ class PolyModel:
 
     structure: Structure
     dt: float
-    A: NDArray
-    B: NDArray
-    C: NDArray
-    D: NDArray
-    F: NDArray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    F: np.ndarray
     noise_variance: float = 0.0
-    covariance: NDArray | None = None
+    covariance: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         s = self.structure
@@ -61,19 +62,20 @@ class PolyModel:
 
     @classmethod
     def from_theta(
-        cls, structure: Structure, theta: ArrayLike, dt: float, noise_variance: float = 0.0, covariance: NDArray | None = None
+        cls, structure: Structure, theta: ArrayLike, dt: float, noise_variance: float = 0.0, covariance: np.ndarray | None = None
     ) -> PolyModel:
         """From theta = [a, b, c, d, f] without the leading ones."""
         a, b, c, d, f = structure_split(structure, np.asarray(theta, float))
         return cls(structure, dt, np.r_[1, a], b, np.r_[1, c], np.r_[1, d], np.r_[1, f], noise_variance, covariance)
 
     @property
-    def theta(self) -> NDArray:
+    def theta(self) -> np.ndarray:
         """[a, b, c, d, f] without the leading ones, shape (n,)."""
-        return np.r_[self.A[1:], self.B, self.C[1:], self.D[1:], self.F[1:]]
+        theta: np.ndarray = np.r_[self.A[1:], self.B, self.C[1:], self.D[1:], self.F[1:]]
+        return theta
 
     @property
-    def std(self) -> dict[str, NDArray]:
+    def std(self) -> dict[str, np.ndarray]:
         """Standard errors per polynomial; zero for a leading one, NaN when there is no covariance."""
         s = self.structure
         n = s.n_parameters
@@ -82,12 +84,12 @@ class PolyModel:
         return {"A": np.r_[0, a], "B": b, "C": np.r_[0, c], "D": np.r_[0, d], "F": np.r_[0, f]}
 
     @property
-    def poles(self) -> NDArray:
+    def poles(self) -> np.ndarray:
         """Poles of G in the z plane."""
         return np.roots(np.polymul(self.A, self.F))
 
     @property
-    def zeros(self) -> NDArray:
+    def zeros(self) -> np.ndarray:
         """Zeros of G in the z plane, those at the origin from delays left out."""
         return np.roots(self.B)
 
@@ -96,35 +98,40 @@ class PolyModel:
         """Whether every pole of G lies inside the unit circle."""
         return bool(np.all(np.abs(self.poles) < 1.0))
 
-    def frequency_response(self, frequency_hz: ArrayLike) -> NDArray:
+    def frequency_response(self, frequency_hz: ArrayLike) -> np.ndarray:
         """G at the frequencies [Hz], complex, shape (K,), output unit over input unit."""
         w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_hz, float)) * self.dt
-        return _response(self.B, w) * np.exp(-1j * w * self.structure.nk) / (_response(self.A, w) * _response(self.F, w))
+        values: np.ndarray = (
+            _response(self.B, w) * np.exp(-1j * w * self.structure.nk) / (_response(self.A, w) * _response(self.F, w))
+        )
+        return values
 
-    def noise_response(self, frequency_hz: ArrayLike) -> NDArray:
+    def noise_response(self, frequency_hz: ArrayLike) -> np.ndarray:
         """H at the frequencies [Hz], complex, shape (K,)."""
         w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_hz, float)) * self.dt
-        return _response(self.C, w) / (_response(self.A, w) * _response(self.D, w))
+        values: np.ndarray = _response(self.C, w) / (_response(self.A, w) * _response(self.D, w))
+        return values
 
-    def response_gradient(self, frequency_hz: ArrayLike) -> NDArray:
+    def response_gradient(self, frequency_hz: ArrayLike) -> np.ndarray:
         """dG/dtheta at the frequencies [Hz], complex, shape (K, n); zero for C and D."""
         s = self.structure
         w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_hz, float)) * self.dt
         a, f = _response(self.A, w)[:, None], _response(self.F, w)[:, None]
         g = self.frequency_response(frequency_hz)[:, None]
 
-        def powers(first: int, count: int) -> NDArray:
-            return np.exp(-1j * np.outer(w, first + np.arange(count)))
+        def powers(first: int, count: int) -> np.ndarray:
+            delays: np.ndarray = np.exp(-1j * np.outer(w, first + np.arange(count)))
+            return delays
 
         silent = np.zeros((w.size, s.nc + s.nd))
         return np.hstack([-g / a * powers(1, s.na), powers(s.nk, s.nb) / (a * f), silent, -g / f * powers(1, s.nf)])
 
-    def simulate(self, u: ArrayLike, noise: ArrayLike | None = None) -> NDArray:
+    def simulate(self, u: ArrayLike, noise: ArrayLike | None = None) -> np.ndarray:
         """Output from rest for input u, shape (N,); ``noise`` is the white sequence e, if any. MATLAB ``sim``."""
         from scipy.signal import lfilter
 
         u = np.asarray(u, float)
-        y = lfilter(np.r_[np.zeros(self.structure.nk), self.B], np.polymul(self.A, self.F), u)
+        y: np.ndarray = lfilter(np.r_[np.zeros(self.structure.nk), self.B], np.polymul(self.A, self.F), u)
         if noise is not None:
             y = y + lfilter(self.C, np.polymul(self.A, self.D), np.asarray(noise, float))
         return y
@@ -176,6 +183,6 @@ class PolyModel:
         return cls(structure, float(tf.dt), ones, b[:nb] if b.size else np.zeros(1), ones, ones, den[: nf + 1], noise_variance)
 
 
-def structure_split(s: Structure, theta: NDArray) -> list[NDArray]:
+def structure_split(s: Structure, theta: np.ndarray) -> list[np.ndarray]:
     """[a, b, c, d, f] as five arrays."""
     return np.split(theta[: s.n_parameters], np.cumsum([s.na, s.nb, s.nc, s.nd]))

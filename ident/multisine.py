@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import frozen
 from mjsim.errors import InputError
@@ -22,17 +21,17 @@ class Multisine:
 
     period: int
     dt: float
-    excited: NDArray
-    odd_detection: NDArray
-    even_detection: NDArray
-    signal: NDArray
+    excited: np.ndarray
+    odd_detection: np.ndarray
+    even_detection: np.ndarray
+    signal: np.ndarray
 
     def __post_init__(self) -> None:
         for name in ("excited", "odd_detection", "even_detection"):
             object.__setattr__(self, name, frozen(getattr(self, name), int))
         object.__setattr__(self, "signal", frozen(self.signal))
 
-    def repeated(self, periods: int) -> NDArray:
+    def repeated(self, periods: int) -> np.ndarray:
         """The signal ``periods`` times over."""
         return np.tile(self.signal, periods)
 

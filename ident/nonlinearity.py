@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import IOData, frozen
 from ident.multisine import Multisine
@@ -27,13 +26,13 @@ class BestLinearApproximation:
     on the detection lines against the noise between periods. false_alarm_rate: of the joint verdict.
     """
 
-    frequency_hz: NDArray
-    response: NDArray
-    noise_db: NDArray
-    odd_hz: NDArray
-    odd_db: NDArray
-    even_hz: NDArray
-    even_db: NDArray
+    frequency_hz: np.ndarray
+    response: np.ndarray
+    noise_db: np.ndarray
+    odd_hz: np.ndarray
+    odd_db: np.ndarray
+    even_hz: np.ndarray
+    even_db: np.ndarray
     p_odd: float
     p_even: float
     false_alarm_rate: float
@@ -64,15 +63,16 @@ ROUNDING = 1e-26
 """Power relative to the largest line's below which a detection line holds rounding, not distortion."""
 
 
-def _together(p: NDArray) -> float:
+def _together(p: np.ndarray) -> float:
     """One p value out of independent ones, (K,): Fisher's combination, ``-2 sum ln p ~ chi2(2 K)``."""
     from scipy.stats import chi2
 
     return float(chi2.sf(-2 * float(np.sum(np.log(np.maximum(p, 1e-300)))), 2 * p.size))
 
 
-def _db(power: NDArray) -> NDArray:
-    return 10 * np.log10(np.maximum(power, 1e-300))
+def _db(power: np.ndarray) -> np.ndarray:
+    level: np.ndarray = 10 * np.log10(np.maximum(power, 1e-300))
+    return level
 
 
 def detection_lines(data: IOData, multisine: Multisine, false_alarm_rate: float = 0.01, skip: int = 1) -> BestLinearApproximation:
@@ -104,7 +104,7 @@ def detection_lines(data: IOData, multisine: Multisine, false_alarm_rate: float 
     f = np.arange(period // 2 + 1) / (period * multisine.dt)
     peak = float(np.max(np.abs(mean_y[multisine.excited]) ** 2))
 
-    def test(lines: NDArray) -> float:
+    def test(lines: np.ndarray) -> float:
         signal = periods * np.abs(mean_y[lines]) ** 2
         noise = variance[lines] + ROUNDING * peak
         return _together(f_distribution.sf(signal / noise, 2, 2 * (periods - 1)))
@@ -132,9 +132,9 @@ class AmplitudeTest:
     p_value: of linearity, all blocks together (Fisher's combination).
     """
 
-    frequency_hz: NDArray
-    change_db: NDArray
-    block_p: NDArray
+    frequency_hz: np.ndarray
+    change_db: np.ndarray
+    block_p: np.ndarray
     p_value: float
     false_alarm_rate: float
 
@@ -157,7 +157,7 @@ class AmplitudeTest:
         )
 
 
-def _fit(columns: NDArray, target: NDArray) -> tuple[NDArray, float]:
+def _fit(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
     """Complex least squares: coefficients and residual sum of squares."""
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     weights = np.linalg.lstsq(columns / scale, target, rcond=1e-12)[0] / scale

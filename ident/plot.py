@@ -99,7 +99,7 @@ def plot_bode(
     return figure
 
 
-def _cycle(count: int) -> list:
+def _cycle(count: int) -> list[str | tuple[int, tuple[int, ...]]]:
     return [STYLES[i % len(STYLES)] for i in range(count)]
 
 

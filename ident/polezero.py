@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import frozen
 from ident.model import PolyModel
@@ -22,13 +21,13 @@ class Root:
     """
 
     z: complex
-    covariance: NDArray
+    covariance: np.ndarray
     frequency_hz: float
     damping: float
     frequency_std_hz: float = 0.0
     damping_std: float = 0.0
 
-    def ellipse(self, level: float = 0.95, points: int = 73) -> NDArray:
+    def ellipse(self, level: float = 0.95, points: int = 73) -> np.ndarray:
         """Outline of the confidence region, complex (points,): chi-square with two degrees of freedom (one for a real root)."""
         from scipy.stats import chi2
 
@@ -37,7 +36,8 @@ class Root:
         radius = np.sqrt(chi2.ppf(level, 1 if real else 2) * np.maximum(values, 0.0))
         turn = np.linspace(0, 2 * np.pi, points)
         outline = vectors @ (radius[:, None] * np.array([np.cos(turn), np.sin(turn)]))
-        return self.z + outline[0] + 1j * outline[1]
+        border: np.ndarray = self.z + outline[0] + 1j * outline[1]
+        return border
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PoleZero:
     dt: float
 
 
-def _roots(poly: NDArray, covariance: NDArray | None, monic: bool, dt: float) -> tuple[Root, ...]:
+def _roots(poly: np.ndarray, covariance: np.ndarray | None, monic: bool, dt: float) -> tuple[Root, ...]:
     """First-order error propagation: ``dz/dp_i = -z^(n-i) / P'(z)`` for the coefficient p_i of z^(n-i)."""
     roots = np.roots(poly)
     n = poly.size - 1
@@ -92,7 +92,7 @@ def pole_zero(model: PolyModel) -> PoleZero:
     """Poles (of A and F) and zeros (of B) with their uncertainty (MATLAB ``iopzplot`` with ``showConfidence``)."""
     s, p = model.structure, model.covariance
 
-    def block(first: int, count: int) -> NDArray | None:
+    def block(first: int, count: int) -> np.ndarray | None:
         return None if p is None else p[first : first + count, first : first + count]
 
     poles = _roots(model.A, block(0, s.na), True, model.dt) + _roots(

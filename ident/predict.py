@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import IOData
 from ident.model import PolyModel
@@ -15,7 +14,7 @@ __all__ = ["predicted", "simulated"]
 _ONE = np.ones(1)
 
 
-def _pulse_responses(den: NDArray, count: int, size: int) -> NDArray:
+def _pulse_responses(den: np.ndarray, count: int, size: int) -> np.ndarray:
     """(size, count): the response of 1/den to a pulse, delayed by 0 .. count - 1."""
     pulse = np.zeros(size)
     pulse[0] = 1.0
@@ -23,7 +22,7 @@ def _pulse_responses(den: NDArray, count: int, size: int) -> NDArray:
     return np.stack([np.r_[np.zeros(i), h[: size - i]] for i in range(count)], axis=1) if count else np.empty((size, 0))
 
 
-def simulated(model: PolyModel, data: IOData, *, initial: bool = True) -> NDArray:
+def simulated(model: PolyModel, data: IOData, *, initial: bool = True) -> np.ndarray:
     """``G u`` plus the free response that fits the data best (``initial=False``: from rest), shape (N,); MATLAB ``compare``."""
     s = model.structure
     den = np.polymul(model.A, model.F)
@@ -39,7 +38,7 @@ def simulated(model: PolyModel, data: IOData, *, initial: bool = True) -> NDArra
     return y
 
 
-def _settling(den: NDArray, limit: int) -> int:
+def _settling(den: np.ndarray, limit: int) -> int:
     """Samples until the slowest pole has decayed to 1e-8, at least four times the order."""
     radius = float(np.max(np.abs(np.roots(den)), initial=0.0))
     if radius >= 1.0:
@@ -47,7 +46,7 @@ def _settling(den: NDArray, limit: int) -> int:
     return int(min(limit, max(4 * den.size, 20, np.log(1e-8) / np.log(max(radius, 1e-3)))))
 
 
-def predicted(model: PolyModel, data: IOData, horizon: int = 1) -> NDArray:
+def predicted(model: PolyModel, data: IOData, horizon: int = 1) -> np.ndarray:
     """k-step-ahead prediction, shape (N,); MATLAB ``predict(sys, data, k)``.
 
     ``yhat(t|t-k) = W_k G u + (1 - W_k) y`` with ``W_k = Hbar_k / H`` and ``Hbar_k`` the first k terms of H's impulse response
@@ -61,4 +60,5 @@ def predicted(model: PolyModel, data: IOData, horizon: int = 1) -> NDArray:
     head = lfilter(model.C, noise_den, pulse)
     v = data.y - simulated(model, data)
     weighted = lfilter(noise_den, model.C, v)  # 1/H v = e
-    return np.asarray(data.y) - lfilter(head, _ONE, weighted)
+    predicted: np.ndarray = np.asarray(data.y) - lfilter(head, _ONE, weighted)
+    return predicted

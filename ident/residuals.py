@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import frozen
 from ident.estimate import Estimate
@@ -13,7 +12,7 @@ from ident.structure import Structure
 
 __all__ = ["ResidualTests", "check_residuals", "residual_tests"]
 
-Gradient = tuple[tuple[NDArray, int, int], ...]
+Gradient = tuple[tuple[np.ndarray, int, int], ...]
 """(signal (N,), first lag, number of lags): the columns of de/dtheta for a part of theta, but for their sign."""
 OPEN_DIRECTION = 1e-4
 """Size, relative to the input's, above which a direction of its lags that the gradient leaves over is tested."""
@@ -36,8 +35,8 @@ class ResidualTests:
 
     lags: int
     level: float
-    auto: NDArray
-    cross: NDArray
+    auto: np.ndarray
+    cross: np.ndarray
     auto_bound: float
     cross_bound: float
     whiteness_p: float
@@ -75,15 +74,15 @@ class ResidualTests:
         return int(np.sum(np.abs(self.cross[self.lags :]) > self.cross_bound))
 
 
-def _correlation(a: NDArray, b: NDArray, lags: int) -> NDArray:
+def _correlation(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
     """1/N sum a(t) b(t - k), k = 0 .. lags."""
     n = a.size
     return np.array([a[k:] @ b[: n - k] for k in range(lags + 1)]) / n
 
 
 def check_residuals(
-    e: NDArray,
-    u: NDArray,
+    e: np.ndarray,
+    u: np.ndarray,
     structure: Structure | None = None,
     lags: int = 25,
     level: float = 0.99,
@@ -141,7 +140,7 @@ def check_residuals(
     )
 
 
-def _form(column: NDArray, c: NDArray, n: int, variance: float) -> float:
+def _form(column: np.ndarray, c: np.ndarray, n: int, variance: float) -> float:
     """``n c' T^-1 c / variance`` with T the Toeplitz matrix of ``column``, directions without power left out."""
     from scipy.linalg import toeplitz
 
@@ -151,17 +150,18 @@ def _form(column: NDArray, c: NDArray, n: int, variance: float) -> float:
     return float(n * np.sum(z**2 / values[keep]) / variance)
 
 
-def _whitener(r: NDArray, n: int) -> NDArray:
+def _whitener(r: np.ndarray, n: int) -> np.ndarray:
     """Autoregressive polynomial that whitens a signal of autocorrelation r over n samples; 1 when it is white already."""
     from scipy.linalg import solve_toeplitz
 
     order = min(10, r.size - 1)
     if order < 1 or n * float(np.sum(r[1:] ** 2)) < 2.0 * r.size:
         return np.ones(1)
-    return np.r_[1.0, -solve_toeplitz(np.r_[1 + 1e-9, r[1:order]], r[1 : order + 1])]
+    whitener: np.ndarray = np.r_[1.0, -solve_toeplitz(np.r_[1 + 1e-9, r[1:order]], r[1 : order + 1])]
+    return whitener
 
 
-def _multiplier(e: NDArray, u: NDArray, gradient: Gradient, whitener: NDArray, lags: int) -> tuple[float, int]:
+def _multiplier(e: np.ndarray, u: np.ndarray, gradient: Gradient, whitener: np.ndarray, lags: int) -> tuple[float, int]:
     """Lagrange multiplier statistic of the lags 0 .. ``lags`` of u in e, freed of the gradient, and its degrees of freedom."""
     from scipy.signal import lfilter
 

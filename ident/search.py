@@ -31,7 +31,9 @@ CURB = 1e-6
 
 
 @compiled()
-def _polynomials(theta, n):
+def _polynomials(
+    theta: np.ndarray, n: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A, B, C, D, F, I, K out of theta."""
     pos = 0
     a = np.ones(n[0] + 1)
@@ -55,7 +57,7 @@ def _polynomials(theta, n):
 
 
 @compiled()
-def _add_free_response(coefficients, den, out):
+def _add_free_response(coefficients: np.ndarray, den: np.ndarray, out: np.ndarray) -> None:
     """out += (coefficients delta) / den, cut off once it has decayed."""
     m = coefficients.size
     nd = den.size - 1
@@ -78,7 +80,10 @@ def _add_free_response(coefficients, den, out):
 
 
 @compiled()
-def residual(theta, n, nk, u, y, w, v, e, radius):
+def residual(
+    theta: np.ndarray, n: np.ndarray, nk: int, u: np.ndarray, y: np.ndarray, w: np.ndarray, v: np.ndarray, e: np.ndarray,
+    radius: np.ndarray
+) -> float:  # fmt: skip
     """Fill w, v, e and return the sum of squares of e, or infinity when C or F is not stable."""
     a, b, c, d, f, i, k = _polynomials(theta, n)
     if not (is_stable(c, 0.2 * (1.0 - radius[2])) and is_stable(f, 0.2 * (1.0 - radius[4]))):
@@ -98,7 +103,10 @@ def residual(theta, n, nk, u, y, w, v, e, radius):
 
 
 @compiled()
-def factor(theta, n, nk, u, y, w, v, e, signals, pulse):
+def factor(
+    theta: np.ndarray, n: np.ndarray, nk: int, u: np.ndarray, y: np.ndarray, w: np.ndarray, v: np.ndarray, e: np.ndarray,
+    signals: np.ndarray, pulse: np.ndarray
+) -> np.ndarray:  # fmt: skip
     """Triangular factor (p+1, p+1) of [de/dtheta, e] at theta, whose w, v, e are given."""
     _, _, c, d, f, _, _ = _polynomials(theta, n)
     one = np.ones(1)
@@ -121,11 +129,12 @@ def factor(theta, n, nk, u, y, w, v, e, signals, pulse):
         filter_into(one, 0, c, pulse, signals[6])
     sign = np.array([1.0, -1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     first = np.array([1, nk, 1, 1, 1, 0, 0])
-    return factor_lags(signals, sign, first, n, e, 0)
+    r: np.ndarray = factor_lags(signals, sign, first, n, e, 0)
+    return r
 
 
 @compiled()
-def _reduced(r, free):
+def _reduced(r: np.ndarray, free: np.ndarray) -> np.ndarray:
     """The factor with only the columns of the free parameters (and e) kept."""
     p = r.shape[0] - 1
     m = 0
@@ -146,7 +155,7 @@ def _reduced(r, free):
 
 
 @compiled()
-def to_reflection(poly, radius):
+def to_reflection(poly: np.ndarray, radius: float) -> np.ndarray:
     """Unconstrained coordinates x, shape (order,), of a monic polynomial with its roots within ``radius``.
 
     atanh of the reflection coefficients (step-down recursion) of the polynomial with its roots divided by ``radius``.
@@ -169,7 +178,7 @@ def to_reflection(poly, radius):
 
 
 @compiled()
-def from_reflection(x, radius):
+def from_reflection(x: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Inverse of ``to_reflection`` (step-up), with the Jacobian of the coefficients 1 .. order, shape (order, order)."""
     n = x.size
     a = np.zeros(n + 1)
@@ -196,7 +205,7 @@ def from_reflection(x, radius):
 
 
 @compiled()
-def _place(n, which):
+def _place(n: np.ndarray, which: int) -> int:
     pos = 0
     for s in range(which):
         pos += n[s]
@@ -204,7 +213,7 @@ def _place(n, which):
 
 
 @compiled()
-def encode(theta, n, free, mapped, radius):
+def encode(theta: np.ndarray, n: np.ndarray, free: np.ndarray, mapped: bool, radius: np.ndarray) -> np.ndarray:
     """Coordinates of the search: theta itself, or with C and F in their unconstrained coordinates if ``mapped``."""
     x = theta.copy()
     if mapped:
@@ -218,7 +227,7 @@ def encode(theta, n, free, mapped, radius):
 
 
 @compiled()
-def decode(x, n, free, mapped, radius):
+def decode(x: np.ndarray, n: np.ndarray, free: np.ndarray, mapped: bool, radius: np.ndarray) -> np.ndarray:
     """Inverse of ``encode``."""
     theta = x.copy()
     if mapped:
@@ -231,7 +240,7 @@ def decode(x, n, free, mapped, radius):
 
 
 @compiled()
-def _in_coordinates(r, x, n, free, radius):
+def _in_coordinates(r: np.ndarray, x: np.ndarray, n: np.ndarray, free: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """The factor with the columns of C and F replaced by those of their unconstrained coordinates."""
     out = r.copy()
     for which in (2, 4):
@@ -252,7 +261,10 @@ def _in_coordinates(r, x, n, free, radius):
 
 
 @compiled()
-def search(theta, n, nk, u, y, free, max_iterations, tolerance, mapped, radius):
+def search(
+    theta: np.ndarray, n: np.ndarray, nk: int, u: np.ndarray, y: np.ndarray, free: np.ndarray, max_iterations: int,
+    tolerance: float, mapped: bool, radius: np.ndarray
+) -> tuple[np.ndarray, float, int, int, float, np.ndarray]:  # fmt: skip
     """Levenberg-Marquardt from theta over the parameters with free[j] != 0.
 
     ``radius``: largest root radius per polynomial (7,), read for C and F. ``mapped``: search C and F in coordinates in which

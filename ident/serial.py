@@ -38,12 +38,16 @@ def _clean(value: Any) -> Any:
     return value
 
 
+def _cleaned(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: _clean(v) for k, v in values.items()}
+
+
 def model_to_dict(model: PolyModel) -> dict[str, Any]:
     """Structure, orders, dt, polynomials, noise variance, standard errors and covariance; numbers keep every bit."""
     out: dict[str, Any] = {"structure": model.structure.name, "orders": list(model.structure.listed), "dt": model.dt}
     out |= {name: getattr(model, name) for name in "ABCDF"}
     out |= {"noise_variance": model.noise_variance, "std": model.std, "covariance": model.covariance}
-    return _clean(out)
+    return _cleaned(out)
 
 
 def model_from_dict(values: dict[str, Any], where: str = "identification") -> PolyModel:
@@ -64,7 +68,7 @@ def model_from_dict(values: dict[str, Any], where: str = "identification") -> Po
 
 def tests_to_dict(t: ResidualTests) -> dict[str, Any]:
     """Residual tests as plain values."""
-    return _clean(
+    return _cleaned(
         {
             "lags": t.lags,
             "level": t.level,
@@ -132,7 +136,7 @@ def to_dict(estimate: Estimate, tests: ResidualTests | None = None, response: Bo
         "source": estimate.data.source,
         "seconds": estimate.seconds,
     }
-    return _clean(out)
+    return _cleaned(out)
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.data import IOData, frozen
 from mjsim.errors import InputError
@@ -22,11 +21,11 @@ class SpectralEstimate:
     noise_spectrum: (K,), power of what u does not explain [output unit^2 s]. relative_std: standard error of abs(G)/abs(G), (K,).
     """
 
-    frequency_hz: NDArray
-    response: NDArray
-    coherence: NDArray
-    noise_spectrum: NDArray
-    relative_std: NDArray
+    frequency_hz: np.ndarray
+    response: np.ndarray
+    coherence: np.ndarray
+    noise_spectrum: np.ndarray
+    relative_std: np.ndarray
 
     def __post_init__(self) -> None:
         for name in ("frequency_hz", "coherence", "noise_spectrum", "relative_std"):
@@ -34,14 +33,16 @@ class SpectralEstimate:
         object.__setattr__(self, "response", frozen(self.response, complex))
 
     @property
-    def magnitude_db(self) -> NDArray:
+    def magnitude_db(self) -> np.ndarray:
         """20 log10 abs(G) [dB]."""
-        return 20 * np.log10(np.maximum(np.abs(self.response), 1e-300))
+        level: np.ndarray = 20 * np.log10(np.maximum(np.abs(self.response), 1e-300))
+        return level
 
     @property
-    def phase_deg(self) -> NDArray:
+    def phase_deg(self) -> np.ndarray:
         """Phase [deg], in (-180, 180]."""
-        return np.degrees(np.angle(self.response))
+        phase: np.ndarray = np.degrees(np.angle(self.response))
+        return phase
 
 
 def etfe(data: IOData, floor: float = 1e-3) -> SpectralEstimate:

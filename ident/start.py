@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.kernel import factor_lags, is_stable, least_squares
 from ident.structure import Structure
@@ -29,7 +28,7 @@ __all__ = ["first_models", "noise_model"]
 _ONE = np.ones(1)
 
 
-def stabilised(poly: NDArray, radius: float = 0.999) -> NDArray:
+def stabilised(poly: np.ndarray, radius: float = 0.999) -> np.ndarray:
     """Monic polynomial whose roots outside ``radius`` are reflected into the circle, then held at ``radius``."""
     if is_stable(poly, 1.0 - radius):
         return poly
@@ -43,7 +42,7 @@ def stabilised(poly: NDArray, radius: float = 0.999) -> NDArray:
     return np.real(np.poly(roots))
 
 
-def _arx(u: NDArray, y: NDArray, na: int, nb: int, nk: int) -> tuple[NDArray, NDArray]:
+def _arx(u: np.ndarray, y: np.ndarray, na: int, nb: int, nk: int) -> tuple[np.ndarray, np.ndarray]:
     """Least squares ``A y = B u``: A monic (na+1,), B (nb,)."""
     start = min(max(na, nb + nk - 1), y.size - 1)
     factor = factor_lags(np.stack([y, u]), np.array([-1.0, 1.0]), np.array([1, nk]), np.array([na, nb]), y, start)
@@ -51,13 +50,13 @@ def _arx(u: NDArray, y: NDArray, na: int, nb: int, nk: int) -> tuple[NDArray, ND
     return np.r_[1.0, theta[:na]], theta[na:]
 
 
-def _products(x: NDArray, z: NDArray, n: int, first_x: int, first_z: int, start: int) -> NDArray:
+def _products(x: np.ndarray, z: np.ndarray, n: int, first_x: int, first_z: int, start: int) -> np.ndarray:
     """M[i, j] = sum over t >= start of x(t - first_x - i) z(t - first_z - j), (n, n), by first row, first column and end
     corrections."""
     size = x.size
     m = np.empty((n, n))
 
-    def at(a: NDArray, lag: int) -> NDArray:
+    def at(a: np.ndarray, lag: int) -> np.ndarray:
         return a[start - lag : size - lag]
 
     for j in range(n):
@@ -71,7 +70,7 @@ def _products(x: NDArray, z: NDArray, n: int, first_x: int, first_z: int, start:
     return m
 
 
-def _long_arx(u: NDArray, y: NDArray, order: int, nk: int) -> tuple[NDArray, NDArray]:
+def _long_arx(u: np.ndarray, y: np.ndarray, order: int, nk: int) -> tuple[np.ndarray, np.ndarray]:
     """High-order ARX by accumulated products: O(N order), with a ridge at rounding level."""
     start = order + nk
     nb = order
@@ -90,7 +89,7 @@ def _long_arx(u: NDArray, y: NDArray, order: int, nk: int) -> tuple[NDArray, NDA
     return np.r_[1.0, theta[:order]], theta[order : order + nb]
 
 
-def _products_direct(x: NDArray, z: NDArray, n: int, first_x: int, first_z: int, start: int) -> NDArray:
+def _products_direct(x: np.ndarray, z: np.ndarray, n: int, first_x: int, first_z: int, start: int) -> np.ndarray:
     size = x.size
     return np.array(
         [
@@ -100,7 +99,7 @@ def _products_direct(x: NDArray, z: NDArray, n: int, first_x: int, first_z: int,
     )
 
 
-def _steiglitz(u: NDArray, y: NDArray, f: NDArray, nb: int, nk: int, loops: int = 12) -> tuple[NDArray, NDArray]:
+def _steiglitz(u: np.ndarray, y: np.ndarray, f: np.ndarray, nb: int, nk: int, loops: int = 12) -> tuple[np.ndarray, np.ndarray]:
     """Steiglitz-McBride from F: ARX on data filtered by 1/F, repeated; the iterate with the smallest output error is kept."""
     nf = f.size - 1
     best = (np.inf, f, np.zeros(nb))
@@ -119,14 +118,16 @@ def _steiglitz(u: NDArray, y: NDArray, f: NDArray, nb: int, nk: int, loops: int 
     return best[1], best[2]
 
 
-def _instrumental(u: NDArray, y: NDArray, f: NDArray, b: NDArray, whiten: NDArray, nk: int) -> tuple[NDArray, NDArray]:
+def _instrumental(
+    u: np.ndarray, y: np.ndarray, f: np.ndarray, b: np.ndarray, whiten: np.ndarray, nk: int
+) -> tuple[np.ndarray, np.ndarray]:
     """IV4's last step: instruments simulated by B/F, data and instruments filtered by ``whiten``."""
     nf, nb = f.size - 1, b.size
     x = lfilter(whiten, _ONE, lfilter(b, stabilised(f), u, nk))
     yf, uf = lfilter(whiten, _ONE, y), lfilter(whiten, _ONE, u)
     start, size = max(nf, nb + nk - 1), y.size
 
-    def rows(first: NDArray) -> list[NDArray]:
+    def rows(first: np.ndarray) -> list[np.ndarray]:
         lagged = [-first[start - i : size - i] for i in range(1, nf + 1)]
         return lagged + [uf[start - nk - i : size - nk - i] for i in range(nb)]
 
@@ -136,15 +137,16 @@ def _instrumental(u: NDArray, y: NDArray, f: NDArray, b: NDArray, whiten: NDArra
     return np.r_[1.0, theta[:nf]], theta[nf:]
 
 
-def _numerator(u: NDArray, y: NDArray, f: NDArray, nb: int, nk: int, whiten: NDArray) -> NDArray:
+def _numerator(u: np.ndarray, y: np.ndarray, f: np.ndarray, nb: int, nk: int, whiten: np.ndarray) -> np.ndarray:
     """B by least squares with F held, data filtered by ``whiten``."""
     uf = lfilter(whiten, f, u)
     yf = lfilter(whiten, _ONE, y)
     factor = factor_lags(uf[None, :], np.ones(1), np.array([nk]), np.array([nb]), yf, 0)
-    return least_squares(factor)[0]
+    solution: np.ndarray = least_squares(factor)[0]
+    return solution
 
 
-def noise_model(v: NDArray, nc: int, nd: int) -> tuple[NDArray, NDArray]:
+def noise_model(v: np.ndarray, nc: int, nd: int) -> tuple[np.ndarray, np.ndarray]:
     """C (nc+1,) and D (nd+1,) of ``D v = C e`` by Hannan-Rissanen, both stable."""
     if nc == 0 and nd == 0:
         return _ONE, _ONE
@@ -168,7 +170,7 @@ def noise_model(v: NDArray, nc: int, nd: int) -> tuple[NDArray, NDArray]:
     return stabilised(np.r_[1.0, theta[:nc]], 0.99), stabilised(np.r_[1.0, theta[nc:]])
 
 
-def _denoised(u: NDArray, y: NDArray, order: int, nk: int) -> tuple[NDArray, NDArray]:
+def _denoised(u: np.ndarray, y: np.ndarray, order: int, nk: int) -> tuple[np.ndarray, np.ndarray]:
     """Whitening filter and output (N,) of a long ARX model driven by the input; ([1], y) where there is none."""
     try:
         whiten, gain = _long_arx(u, y, order, nk)
@@ -180,15 +182,15 @@ def _denoised(u: NDArray, y: NDArray, order: int, nk: int) -> tuple[NDArray, NDA
     return whiten, denoised
 
 
-def first_models(s: Structure, u: NDArray, y: NDArray) -> Iterator[tuple[str, NDArray]]:
+def first_models(s: Structure, u: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Named starts (label, theta) with theta = [a, b, c, d, f]; a route that fails is left out."""
     order = s.na + s.nf
-    routes: list[tuple[str, NDArray, NDArray]] = []
+    routes: list[tuple[str, np.ndarray, np.ndarray]] = []
     size = y.size
     long = int(min(max(20, 4 * order), size // 10, 200))
     whiten = _ONE
 
-    def attempt(label: str, make: Callable[[], tuple[NDArray, NDArray]]) -> tuple[NDArray, NDArray] | None:
+    def attempt(label: str, make: Callable[[], tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray] | None:
         try:
             f, b = make()
         except (np.linalg.LinAlgError, ValueError, FloatingPointError):

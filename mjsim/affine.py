@@ -18,9 +18,15 @@ PARTS = 4  # sub-intervals in which a margin is looked at for a dip
 MAX_EVENTS = 10_000  # per sample
 GATED, UNGATED, NO_PULL = 0, 1, 2
 
+_Axis = tuple[np.ndarray, int, float, float, float, np.ndarray, np.ndarray]
+"""f (6, n), gap law, gain, input lag, output lag, friction levels (n, 4), constant torques (n)."""
+
+_Work = tuple[np.ndarray, ...]
+"""A, torque balances, coupling torques, event functions, their owners and tolerances, power series, polynomial: scratch."""
+
 
 @compiled()
-def _couplings(f, gap_law, mode, couplings):  # pragma: no cover
+def _couplings(f: np.ndarray, gap_law: int, mode: np.ndarray, couplings: np.ndarray) -> None:  # pragma: no cover
     """Rows (n, N) of the couplings' torques; N: size of the state."""
     n, one = f.shape[1], couplings.shape[1] - 1
     couplings[:] = 0.0
@@ -39,7 +45,7 @@ def _couplings(f, gap_law, mode, couplings):  # pragma: no cover
 
 
 @compiled()
-def _lags(n, tau, tau_out, a):  # pragma: no cover
+def _lags(n: int, tau: float, tau_out: float, a: np.ndarray) -> None:  # pragma: no cover
     """Rows of the first-order lags of the input and of the sensors."""
     size = a.shape[0]
     held, lag = size - 2, size - 3
@@ -53,7 +59,7 @@ def _lags(n, tau, tau_out, a):  # pragma: no cover
 
 
 @compiled()
-def _build(axis, mode, a, forces, couplings):  # pragma: no cover
+def _build(axis: _Axis, mode: np.ndarray, a: np.ndarray, forces: np.ndarray, couplings: np.ndarray) -> None:  # pragma: no cover
     """A (N, N) of y' = A y in the present modes; rows of the torque balances (n, N) and of the couplings' torques (n, N)."""
     f, gap_law, gain, tau, tau_out, levels, torque = axis
     n = f.shape[1]
@@ -81,7 +87,10 @@ def _build(axis, mode, a, forces, couplings):  # pragma: no cover
 
 
 @compiled()
-def _margins(f, gap_law, levels, mode, forces, couplings, rows, owner, tol):  # pragma: no cover
+def _margins(
+    f: np.ndarray, gap_law: int, levels: np.ndarray, mode: np.ndarray, forces: np.ndarray, couplings: np.ndarray,
+    rows: np.ndarray, owner: np.ndarray, tol: np.ndarray
+) -> int:  # pragma: no cover  # fmt: skip
     """Event functions, positive while the modes hold, as rows over y; owner: body i, or n + coupling, or 2n + coupling (pull)."""
     n = f.shape[1]
     one = rows.shape[1] - 1
@@ -133,7 +142,7 @@ def _margins(f, gap_law, levels, mode, forces, couplings, rows, owner, tol):  # 
 
 
 @compiled()
-def _poly(c, s):  # pragma: no cover
+def _poly(c: np.ndarray, s: float) -> float:  # pragma: no cover
     total = 0.0
     for k in range(ORDER, -1, -1):
         total = total * s + c[k]
@@ -141,7 +150,7 @@ def _poly(c, s):  # pragma: no cover
 
 
 @compiled()
-def _slope(c, s):  # pragma: no cover
+def _slope(c: np.ndarray, s: float) -> float:  # pragma: no cover
     total = 0.0
     for k in range(ORDER, 0, -1):
         total = total * s + k * c[k]
@@ -149,7 +158,7 @@ def _slope(c, s):  # pragma: no cover
 
 
 @compiled()
-def _first_root(c, h, tol):  # pragma: no cover
+def _first_root(c: np.ndarray, h: float, tol: float) -> float:  # pragma: no cover
     """First s in (0, h] at which the polynomial turns negative by more than tol, or -1."""
     left = 0.0
     for part in range(PARTS):
@@ -183,7 +192,7 @@ def _first_root(c, h, tol):  # pragma: no cover
 
 
 @compiled()
-def _settle(levels, mode, forces, y, skip):  # pragma: no cover
+def _settle(levels: np.ndarray, mode: np.ndarray, forces: np.ndarray, y: np.ndarray, skip: int) -> bool:  # pragma: no cover
     """Stick or slip of every body that stands still; True when a mode changed."""
     n = forces.shape[0]
     changed = False
@@ -203,7 +212,9 @@ def _settle(levels, mode, forces, y, skip):  # pragma: no cover
 
 
 @compiled()
-def _start(f, has_friction, x0, before):  # pragma: no cover
+def _start(
+    f: np.ndarray, has_friction: np.ndarray, x0: np.ndarray, before: float
+) -> tuple[np.ndarray, np.ndarray]:  # pragma: no cover
     """State (N) and modes (3, n) at the first sample: slip of the bodies, side of the gaps, which bodies have friction."""
     n = f.shape[1]
     size = 2 * n + 5
@@ -223,7 +234,7 @@ def _start(f, has_friction, x0, before):  # pragma: no cover
 
 
 @compiled()
-def _clamp(axis, y, mode, couplings):  # pragma: no cover
+def _clamp(axis: _Axis, y: np.ndarray, mode: np.ndarray, couplings: np.ndarray) -> None:  # pragma: no cover
     """Couplings that never pull transmit nothing (mode +-2) while they would."""
     gap_law = axis[1]
     if gap_law != NO_PULL:
@@ -235,7 +246,7 @@ def _clamp(axis, y, mode, couplings):  # pragma: no cover
 
 
 @compiled()
-def _expand(a, y, series):  # pragma: no cover
+def _expand(a: np.ndarray, y: np.ndarray, series: np.ndarray) -> None:  # pragma: no cover
     """The power series (ORDER + 1, N) of exp(A s) y."""
     size = a.shape[0]
     series[0] = y
@@ -248,7 +259,9 @@ def _expand(a, y, series):  # pragma: no cover
 
 
 @compiled()
-def _next_event(series, rows, owner, tol, count, h, poly):  # pragma: no cover
+def _next_event(
+    series: np.ndarray, rows: np.ndarray, owner: np.ndarray, tol: np.ndarray, count: int, h: float, poly: np.ndarray
+) -> tuple[float, int]:  # pragma: no cover
     """The first event within h: its time and its owner, (h, -1) when there is none."""
     hit = -1
     for m in range(count):
@@ -264,7 +277,7 @@ def _next_event(series, rows, owner, tol, count, h, poly):  # pragma: no cover
 
 
 @compiled()
-def _flow(series, h, y):  # pragma: no cover
+def _flow(series: np.ndarray, h: float, y: np.ndarray) -> None:  # pragma: no cover
     """The state after h."""
     for r in range(y.shape[0]):
         total = 0.0
@@ -274,7 +287,7 @@ def _flow(series, h, y):  # pragma: no cover
 
 
 @compiled()
-def _switch(hit, axis, y, mode, work):  # pragma: no cover
+def _switch(hit: int, axis: _Axis, y: np.ndarray, mode: np.ndarray, work: _Work) -> int:  # pragma: no cover
     """Change the mode that an event ends; returns the body that has begun to slip, which may stand still yet, or -1."""
     a, forces, couplings = work[0], work[1], work[2]
     f, gap_law, levels = axis[0], axis[1], axis[5]
@@ -304,7 +317,9 @@ def _switch(hit, axis, y, mode, work):  # pragma: no cover
 
 
 @compiled()
-def _span(axis, y, mode, work, span, n_sub, events):  # pragma: no cover
+def _span(
+    axis: _Axis, y: np.ndarray, mode: np.ndarray, work: _Work, span: float, n_sub: int, events: int
+) -> int:  # pragma: no cover
     """The state after a span [s] of constant input, in n_sub parts; returns the events so far, -1 when they are too many."""
     a, forces, couplings, rows, owner, tol, series, poly = work
     f, gap_law, levels = axis[0], axis[1], axis[5]
@@ -329,7 +344,7 @@ def _span(axis, y, mode, work, span, n_sub, events):  # pragma: no cover
 
 
 @compiled()
-def _sample(axis, y, mode, work, out):  # pragma: no cover
+def _sample(axis: _Axis, y: np.ndarray, mode: np.ndarray, work: _Work, out: np.ndarray) -> bool:  # pragma: no cover
     """Modes and signals (2n + 2 + n - 1) at the instant of a sample; False when the run has left the finite numbers."""
     a, forces, couplings = work[0], work[1], work[2]
     n = axis[0].shape[1]
@@ -339,17 +354,20 @@ def _sample(axis, y, mode, work, out):  # pragma: no cover
     out[: 2 * n + 2] = y[: 2 * n + 2]
     for j in range(n - 1):
         out[2 * n + 2 + j] = 0.0 if abs(mode[1, j]) == 2 else couplings[j] @ y
-    return np.isfinite(y[n]) and abs(y[n]) <= 1e12
+    return bool(np.isfinite(y[n]) and abs(y[n]) <= 1e12)
 
 
 @compiled(inline="always")
-def _held(u, k, before):  # pragma: no cover
+def _held(u: np.ndarray, k: int, before: float) -> float:  # pragma: no cover
     """The torque held from sample k on, which lies before the record when negative."""
     return u[k] if k >= 0 else before
 
 
 @compiled()
-def run(axis, has_friction, u, dt, shift, split, before, late, n_sub, x0, out, mid):  # pragma: no cover
+def run(
+    axis: _Axis, has_friction: np.ndarray, u: np.ndarray, dt: float, shift: int, split: float, before: float, late: float,
+    n_sub: int, x0: np.ndarray, out: np.ndarray, mid: np.ndarray
+) -> tuple[int, int]:  # pragma: no cover  # fmt: skip
     """Free run; out (N, 2n + 2 + n-1): q, v, lagged q and v, coupling torques; mid: the same at (k + late) dt.
 
     axis: (f, gap law, gain, input lag, output lag, friction levels, constant torques). Returns (status, sample): 0 done,

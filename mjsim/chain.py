@@ -160,7 +160,7 @@ class Chain:
         if site not in self.sites():
             raise KeyError(f"no site {str(site)!r}; choose from {', '.join(map(str, self.sites()))}")
         if site.side in (Side.ACTUATOR, Side.SENSOR):
-            return site.side.value
+            return str(site.side.value)
         parts: tuple[Body, ...] | tuple[Coupling, ...] = self.couplings if site.side is Side.COUPLING else self.bodies
         return next(part.place for part in parts if part.joint == site.joint)
 

@@ -27,19 +27,25 @@ __all__ = ["callback", "compiled", "kept_at"]
 class _Kept(FunctionCache):
     """numba's cache on disk; it is asked before anything is prepared for compiling."""
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        base: Any = super()
+        base.__init__(function)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for a signature, None where there is none."""
         rtsys.initialize(target_context)
+        base: Any = super()
         with self._guard_against_spurious_io_errors():
-            found = self._load_overload(sig, target_context)
+            found = base._load_overload(sig, target_context)
         if found is None:
             compiling()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the code, where the disk takes it."""
+        base: Any = super()
         with contextlib.suppress(OSError):
-            super().save_overload(sig, data)
+            base.save_overload(sig, data)
 
 
 class _Unkept(NullCache):

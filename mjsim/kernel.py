@@ -45,11 +45,11 @@ STEADY = 0.01  # relative change of how far a sliding bristle is bent, past whic
 
 
 @intrinsic
-def _call_law(typingctx, address, z, p, out):  # pragma: no cover
+def _call_law(typingctx: Any, address: Any, z: Any, p: Any, out: Any) -> Any:  # pragma: no cover
     """Call the law at an address on three addresses."""
     sig = types.void(types.int64, types.int64, types.int64, types.int64)
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
         function = ir.FunctionType(ir.VoidType(), [pointer, pointer, pointer])
         target = builder.inttoptr(args[0], function.as_pointer())
@@ -63,10 +63,10 @@ _call: Any = _call_law
 
 
 @intrinsic
-def _view_of(typingctx, array):  # pragma: no cover
+def _view_of(typingctx: Any, array: Any) -> Any:  # pragma: no cover
     """The array without a count of its references, which every call that hands it on would raise and lower."""
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         view = context.make_array(signature.args[0])(context, builder, args[0])
         view.meminfo = cgutils.get_null_value(view.meminfo.type)
         view.parent = cgutils.get_null_value(view.parent.type)
@@ -79,11 +79,11 @@ _view: Any = _view_of
 
 
 @intrinsic
-def _bounded_of(typingctx, bodies):  # pragma: no cover
+def _bounded_of(typingctx: Any, bodies: Any) -> Any:  # pragma: no cover
     """Whether ``bodies`` are floats: a constant of the compiled code, so that axes without limits have none of theirs."""
     value = isinstance(bodies[0], types.Float)
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return cgutils.true_bit if value else cgutils.false_bit
 
     return types.boolean(bodies), codegen
@@ -92,7 +92,7 @@ def _bounded_of(typingctx, bodies):  # pragma: no cover
 _bounded: Any = _bounded_of
 
 
-def _bound_of(servo, side, v):
+def _bound_of(servo: np.ndarray, side: int, v: float) -> float:
     """Largest torque of the drive towards a side (-1, +1) at a velocity: the force limit and the torque-speed line."""
     return min(servo[2], servo[3] - side * servo[4] * v)
 
@@ -100,7 +100,7 @@ def _bound_of(servo, side, v):
 _bound: Any = compiled(error_model="numpy", inline="always")(_bound_of)
 
 
-def _error_of(servo, gain, u, q):
+def _error_of(servo: np.ndarray, gain: float, u: float, q: float) -> float:
     """Torque that the input asks for through the stiffness, ahead of the dead band."""
     return gain * u - servo[0] * q
 
@@ -108,7 +108,7 @@ def _error_of(servo, gain, u, q):
 _error: Any = compiled(error_model="numpy", inline="always")(_error_of)
 
 
-def _asked_of(servo, gain, u, q, v, mode):
+def _asked_of(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode: np.ndarray) -> float:
     """Torque that the drive asks for, ahead of its limits."""
     pull = _error(servo, gain, u, q)
     if servo[5] > 0.0:
@@ -119,7 +119,7 @@ def _asked_of(servo, gain, u, q, v, mode):
 _asked: Any = compiled(error_model="numpy", inline="always")(_asked_of)
 
 
-def _pull_of(servo, gain, u, q, v, mode):
+def _pull_of(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode: np.ndarray) -> float:
     """Torque of the drive on body 0."""
     side = mode[3, 0]
     if side != 0:
@@ -131,7 +131,7 @@ _pull: Any = compiled(error_model="numpy", inline="always")(_pull_of)
 
 
 @compiled(error_model="numpy")
-def _choose_sides(servo, gain, u, q, v, mode):
+def _choose_sides(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode: np.ndarray) -> None:
     """Set the sides of dead band and force limit after the input jumped."""
     if servo[5] > 0.0:
         e = _error(servo, gain, u, q)
@@ -141,7 +141,7 @@ def _choose_sides(servo, gain, u, q, v, mode):
 
 
 @compiled(error_model="numpy")
-def _drive_margin(which, servo, gain, u, q, v, mode):
+def _drive_margin(which: int, servo: np.ndarray, gain: float, u: float, q: float, v: float, mode: np.ndarray) -> float:
     """Positive while the drive keeps its side of the force limit (0) or of the dead band (1)."""
     if which == 1:
         e = _error(servo, gain, u, q)
@@ -154,7 +154,7 @@ def _drive_margin(which, servo, gain, u, q, v, mode):
 
 
 @compiled(error_model="numpy", inline="always")
-def _acting(u, us, lag, tau, h):
+def _acting(u: float, us: float, lag: float, tau: float, h: float) -> float:
     """Input a time h after it was u and grew by us per second; behind a lag that stood at ``lag``."""
     if tau <= 0.0:
         return u + us * h
@@ -164,7 +164,7 @@ def _acting(u, us, lag, tau, h):
 
 
 @compiled(error_model="numpy")
-def _impedance(p, at, depth):
+def _impedance(p: np.ndarray, at: int, depth: float) -> float:
     """MuJoCo's impedance of a constraint that is violated by ``depth``; p[at:at+5]: solimp."""
     low, high, width, middle, power = p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4]
     if low == high or width <= 1e-15:
@@ -178,7 +178,9 @@ def _impedance(p, at, depth):
 
 
 @compiled(error_model="numpy")
-def _limited(p, at, side, q, v, balance, inertia, share, soft):
+def _limited(
+    p: np.ndarray, at: int, side: int, q: float, v: float, balance: float, inertia: float, share: float, soft: int
+) -> tuple[float, float]:
     """Force of a joint limit and the force of soft friction beside it, both on the body: (limit, friction).
 
     ``side``: -1 beyond the lower limit, +1 beyond the upper; balance: all other forces; inertia: the body's, at its angle; share:
@@ -213,7 +215,7 @@ def _limited(p, at, side, q, v, balance, inertia, share, soft):
 
 
 @compiled(error_model="numpy")
-def _held_by_limit(p, at, side, q, v, a, share):
+def _held_by_limit(p: np.ndarray, at: int, side: int, q: float, v: float, a: float, share: float) -> float:
     """Force of a joint limit on a body whose acceleration is ``a``; arguments as of `_limited`."""
     depth = side * (q - p[at + (1 if side > 0 else 0)])
     d = _impedance(p, at + 4, depth)
@@ -222,7 +224,7 @@ def _held_by_limit(p, at, side, q, v, a, share):
 
 
 @compiled(error_model="numpy")
-def _push_back(f, el, p, x, mode, w):
+def _push_back(f: np.ndarray, el: np.ndarray, p: np.ndarray, x: np.ndarray, mode: np.ndarray, w: np.ndarray) -> None:
     """Add the force of the joint limits to what `_rates` has gathered for body 0, and solve for soft friction beside it."""
     side = mode[5, 0]
     if side == 0:
@@ -248,7 +250,10 @@ def _push_back(f, el, p, x, mode, w):
     w[1, 0] += stop
 
 
-def _rates_of(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
+def _rates_of(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
+) -> None:  # fmt: skip
     """Accelerations and internal rates at one instant.
 
     Writes w (n_w, m): rows 0 accelerations, 1 torque balance without friction, 2 / 3 breakaway levels forward / backward of
@@ -388,7 +393,7 @@ _rates_here: Any = compiled(inline="always")(_rates_of)  # in the step: passing 
 
 
 @compiled(error_model="numpy")
-def _relax(s, alpha, beta, h):
+def _relax(s: float, alpha: float, beta: float, h: float) -> float:
     """Exact flow of s' = alpha - beta s over h."""
     x = beta * h
     if x < 1e-7:
@@ -397,7 +402,11 @@ def _relax(s, alpha, beta, h):
     return s * decay + alpha * (1.0 - decay) / beta
 
 
-def _step_of(bodies, f, gap_law, gain, servo, el, p, x, xn, h, t, u, us, lag, tau, n_s, mode, w, wk, z):
+def _step_of(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    x: np.ndarray, xn: np.ndarray, h: float, t: float, u: float, us: float, lag: float, tau: float, n_s: int, mode: np.ndarray,
+    w: np.ndarray, wk: np.ndarray, z: np.ndarray
+) -> None:  # fmt: skip
     """One RK4 step of length h from x to xn (each 3 x m: q, v, s); the input is u and grows by us, behind a lag when tau > 0.
 
     wk (17, m) holds the stage slopes and, in its last row, the coupling torques at the start.
@@ -443,7 +452,10 @@ _step_here: Any = compiled(inline="always")(_step_of)
 
 
 @compiled(error_model="numpy")
-def _margin(event, bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
+def _margin(
+    event: int, bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray,
+    p: np.ndarray, x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
+) -> float:  # fmt: skip
     """Event function, positive while the mode holds.
 
     Events 0..n-1: friction of a body; n..2n-2: gap of a coupling; 2n-1, 2n: force limit and dead band of the drive; 2n+1: the
@@ -478,7 +490,7 @@ def _margin(event, bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
 
 
 @compiled(error_model="numpy")
-def _beyond(el, p, x, w):
+def _beyond(el: np.ndarray, p: np.ndarray, x: np.ndarray, w: np.ndarray) -> int:
     """Side of the joint limit that body 0 is beyond: -1, +1, or 0 within both."""
     last = el.shape[0] - 1
     at = el[last, 3]
@@ -487,7 +499,10 @@ def _beyond(el, p, x, w):
 
 
 @compiled(error_model="numpy")
-def _settle(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
+def _settle(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
+) -> None:  # fmt: skip
     """Re-decide stick or slip of every body at rest, after the torques jumped."""
     n = len(bodies)
     for _ in range(2):
@@ -504,7 +519,11 @@ def _settle(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z):
 
 
 @compiled(error_model="numpy")
-def _propagator(bodies, f, gap_law, gain, servo, el, p, mode, tau, steps, w, z, xt, a, power, term, phis, rows, level):
+def _propagator(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    mode: np.ndarray, tau: float, steps: np.ndarray, w: np.ndarray, z: np.ndarray, xt: np.ndarray, a: np.ndarray,
+    power: np.ndarray, term: np.ndarray, phis: np.ndarray, rows: np.ndarray, level: np.ndarray
+) -> None:  # fmt: skip
     """Matrices of the present mode over y = (q, v, lagged input, input, its slope, 1), N = 2n + 4, read off the rates.
 
     Writes phis (2, 2n+1, N): y(h) - y(0) for both steps h; rows (4n, N): accelerations, balances without friction, their rates
@@ -572,7 +591,7 @@ def _propagator(bodies, f, gap_law, gain, servo, el, p, mode, tau, steps, w, z, 
 
 
 @compiled(error_model="numpy", inline="always")
-def _dips(g0, s0, g1, s1, h):
+def _dips(g0: float, s0: float, g1: float, s1: float, h: float) -> float:
     """Whether the cubic through two margins and their slopes falls below zero in between; the time of its minimum, or -1."""
     if not (s0 < 0.0 and s1 > 0.0):
         return -1.0
@@ -591,7 +610,7 @@ def _dips(g0, s0, g1, s1, h):
 
 
 @compiled(error_model="numpy")
-def _cubic_root(g0, s0, g1, s1, h):
+def _cubic_root(g0: float, s0: float, g1: float, s1: float, h: float) -> tuple[float, float]:
     """Where the cubic through a margin that holds at 0 and is violated at h crosses zero, and its slope there."""
     a = s0 * h
     d = g1 - g0
@@ -618,9 +637,11 @@ def _cubic_root(g0, s0, g1, s1, h):
 
 @compiled(error_model="numpy")
 def integrate(
-    bodies, f, gap_law, gain, servo, el, p, has_friction, u, growth, dt, shift, split, before, tau, n_sub, parts, affine,
-    x0, s0, angle, locked, t0, out
-):  # fmt: skip
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    has_friction: np.ndarray, u: np.ndarray, growth: np.ndarray, dt: float, shift: int, split: float, before: float, tau: float,
+    n_sub: int, parts: int, affine: bool, x0: np.ndarray, states0: np.ndarray, angle: np.ndarray, locked: bool, t0: float,
+    out: np.ndarray
+) -> tuple[int, int, int]:  # fmt: skip
     """Free run. u (N) input at the start of each sample, growth (N) its slope over it.
 
     out (N, 2 n + n_s + n-1) receives q, v, s, coupling torques.
@@ -633,7 +654,7 @@ def integrate(
     sample; what it took, in products of a step: a step by RK4 is four.
     """
     n = len(bodies)
-    n_s = s0.shape[0]
+    n_s = states0.shape[0]
     m = max(n, n_s, 1)
     own_x = np.zeros((9, m))
     own_w = np.zeros((15, m))
@@ -653,7 +674,7 @@ def integrate(
         else:
             mode[0, i] = 1
     for i in range(n_s):
-        x[2, i] = s0[i]
+        x[2, i] = states0[i]
     _rates(bodies, f, gap_law, gain, servo, el, p, x, t0, u[0], mode, w, z)
     for j in range(n - 1):
         if f[5, j] > 0.0:
@@ -1175,7 +1196,10 @@ def integrate(
 
 
 @compiled(error_model="numpy")
-def drive(bodies, f, gap_law, gain, servo, el, p, q0, v0, a0, dt, n_sub, t0, rest, out):
+def drive(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    q0: np.ndarray, v0: np.ndarray, a0: np.ndarray, dt: float, n_sub: int, t0: float, rest: np.ndarray, out: np.ndarray
+) -> tuple[int, int]:  # fmt: skip
     """Inverse dynamics: body 0 is moved as measured (q0, v0, a0, each (N)); out (N) receives the input torque that this needs.
 
     Bodies behind it run free from the deflections ``rest`` (2, n) relative to a rigid chain. Friction of body 0 takes the

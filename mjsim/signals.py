@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mjsim.compiled import compiled
 
@@ -18,7 +18,7 @@ FEW_LEVELS = 12  # of a signal that is binary or coarsely quantised
 
 
 @compiled()
-def filter_into(num, num_delay, den, x, out):
+def filter_into(num: np.ndarray, num_delay: int, den: np.ndarray, x: np.ndarray, out: np.ndarray) -> None:
     """``den(q) out(t) = num(q) x(t - num_delay)`` from rest; ``den`` is monic, coefficients in rising powers of q^-1."""
     n = x.size
     nn, nd = num.size, den.size - 1
@@ -43,7 +43,10 @@ def filter_into(num, num_delay, den, x, out):
 
 
 @compiled()
-def weigh_into(measured, predicted, sigma, counts, whitening, clear, out):
+def weigh_into(
+    measured: np.ndarray, predicted: np.ndarray, sigma: float, counts: np.ndarray, whitening: np.ndarray, clear: np.ndarray,
+    out: np.ndarray
+) -> int:  # fmt: skip
     """Write what of measured less predicted (N,) tells, from the start of ``out`` on; how many numbers that are.
 
     It is divided by sigma, put to 0 where it does not count, whitened by a filter in rising powers of q^-1, and taken where
@@ -72,7 +75,7 @@ def weigh_into(measured, predicted, sigma, counts, whitening, clear, out):
     return at
 
 
-def lfilter(b: ArrayLike, a: ArrayLike, x: ArrayLike, delay: int = 0) -> NDArray:
+def lfilter(b: ArrayLike, a: ArrayLike, x: ArrayLike, delay: int = 0) -> np.ndarray:
     """What ``B(q)/A(q) q^-delay``, at rest before, makes of x (N,), or of each column of x (N, k).
 
     b, a: coefficients in rising powers of q^-1, a[0] not 0 (`scipy.signal.lfilter` along the first axis).
@@ -86,14 +89,14 @@ def lfilter(b: ArrayLike, a: ArrayLike, x: ArrayLike, delay: int = 0) -> NDArray
     return out[0] if np.ndim(x) == 1 else out.T
 
 
-def freqz(b: ArrayLike, a: ArrayLike, w: NDArray) -> NDArray:
+def freqz(b: ArrayLike, a: ArrayLike, w: np.ndarray) -> np.ndarray:
     """Response of ``B(q)/A(q)``, complex (K,), at w (K,) [rad/sample]."""
     back = np.exp(-1j * w)
     up, down = (np.polyval(np.flip(np.atleast_1d(c)), back) for c in (b, a))
     return np.asarray(up / down)
 
 
-def transforms(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> tuple[NDArray, NDArray]:
+def transforms(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (F,) [Hz] and Fourier transforms (S, F) of the Hann-windowed segments of x, overlapping by half.
 
     Scaled so that the mean of abs(X)^2 over the segments is the one-sided power density [unit^2/Hz], and that of conj(U) Y the
@@ -110,13 +113,13 @@ def transforms(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> 
     return np.fft.rfftfreq(length, dt), X
 
 
-def welch(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> tuple[NDArray, NDArray]:
+def welch(x: ArrayLike, dt: float, length: int, *, level: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (F,) [Hz] and one-sided power density (F,) [unit^2/Hz] by segments of ``length`` samples (`transforms`)."""
     f, X = transforms(x, dt, length, level=level)
     return f, np.mean(np.abs(X) ** 2, axis=0)
 
 
-def coherence(u: ArrayLike, y: ArrayLike, length: int) -> NDArray:
+def coherence(u: ArrayLike, y: ArrayLike, length: int) -> np.ndarray:
     """Magnitude-squared coherence (F,) of two signals by segments of ``length`` samples; NaN where one has no power."""
     (_, U), (_, Y) = transforms(u, 1.0, length), transforms(y, 1.0, length)
     cross = np.mean(np.conj(U) * Y, axis=0)

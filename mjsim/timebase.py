@@ -157,4 +157,5 @@ def _means(time: np.ndarray, u: np.ndarray, grid: np.ndarray, dt: float) -> np.n
     edges = np.append(time, max(time[-1], grid[-1]) + 2.0 * dt)
     area = np.concatenate([[0.0], np.cumsum(u * np.diff(edges))])
     total = np.interp(np.append(grid, grid[-1] + dt), edges, area)
-    return np.diff(total) / dt
+    means: np.ndarray = np.diff(total) / dt
+    return means

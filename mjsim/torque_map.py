@@ -191,11 +191,13 @@ class TorqueMap(Effect):
         b = basis(self.axes[0], x[0])
         if len(self.axes) == 1:
             return b
-        return np.einsum("ni,nj->nij", b, basis(self.axes[1], x[1])).reshape(len(b), -1)
+        products: np.ndarray = np.einsum("ni,nj->nij", b, basis(self.axes[1], x[1])).reshape(len(b), -1)
+        return products
 
     def torque(self, *x: np.ndarray) -> np.ndarray:
         """The map (N,) [N m | N] at the variables' values, each (N,)."""
-        return self.row(*x) @ np.array(self.coefficients)
+        torque: np.ndarray = self.row(*x) @ np.array(self.coefficients)
+        return torque
 
     def describe(self, motion: Motion = Motion.HINGE) -> str:
         """What it is, and over what."""

@@ -12,7 +12,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator, MutableMapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # where no command is given; click < 8.2 ends the program itself
+HELP: Any = getattr(click.exceptions, "NoArgsIsHelpError", ())  # where no command is given; click < 8.2 ends the program itself
 COMPILING = "simgap: compiling the simulation, once on this machine: this takes up to three minutes ..."
 UNKEPT = (
     "simgap: compiling the simulation for this run alone, up to three minutes: no folder for compiled code can be written; "
@@ -210,7 +210,7 @@ def _outcome() -> int:
         return _tell("interrupted", 130)
     except HELP as error:
         click.echo(error.format_message(), err=True)
-        return error.exit_code
+        return int(error.exit_code)
     except click.UsageError as error:
         return _tell(one_line(printable(_usage(error))), error.exit_code)
     except click.ClickException as error:

@@ -180,7 +180,8 @@ class Machine:
             z[RATE], z[DIRECTION] = v, 1.0
             port.law(z, port.p, out)
             levels.append(float(out[0]))
-        return np.interp(speed, grid, levels)
+        level: np.ndarray = np.interp(speed, grid, levels)
+        return level
 
     def input_lag(self) -> float:
         """Lag and delay [s] that the model has itself between command and motion, sensors included."""

@@ -112,7 +112,8 @@ def solve(
 
 def _counted(keep: np.ndarray, filters: np.ndarray) -> np.ndarray:
     """Rows (M - p,) of a filtered column that take no row with them that does not count."""
-    return filtered((~keep).astype(float)[:, None], np.ones(len(filters)))[:, 0] == 0
+    complete: np.ndarray = filtered((~keep).astype(float)[:, None], np.ones(len(filters)))[:, 0] == 0
+    return complete
 
 
 def _autoregression(residual: np.ndarray) -> np.ndarray:

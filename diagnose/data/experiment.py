@@ -66,7 +66,8 @@ def measured_velocity(recording: Recording) -> np.ndarray:
     if recording.velocity is not None:
         return recording.velocity
     assert recording.angle is not None
-    return np.gradient(recording.angle, recording.dt)
+    velocity: np.ndarray = np.gradient(recording.angle, recording.dt)
+    return velocity
 
 
 def smooth_velocity(recording: Recording) -> np.ndarray:
@@ -154,7 +155,8 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
         return np.zeros(len(recording), bool)
     speed = np.abs(v[~held])  # of each row that was measured, and of the one after it: neither is fast at rest
     moves = np.maximum(speed, np.append(speed[1:], 0.0)) > slow * math.sqrt(float(np.mean(v**2)))
-    return held & moves[np.cumsum(~held) - 1]
+    carried: np.ndarray = held & moves[np.cumsum(~held) - 1]
+    return carried
 
 
 def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = FEWEST) -> Experiment:

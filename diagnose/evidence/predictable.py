@@ -48,7 +48,8 @@ def _clean_velocity(fitter: Fitter, axis: Axis, experiment: Experiment, initial:
     if fitter.view.channel != "torque":
         s = fitter.view.signals(axis, experiment, initial)
         if s is not None and fitter.view.channel == "angle":
-            return np.gradient(s.predicted, experiment.recording.dt)
+            velocity: np.ndarray = np.gradient(s.predicted, experiment.recording.dt)
+            return velocity
         return v if s is None else s.predicted
     width = max(3, int(0.003 / experiment.recording.dt))
     kernel = np.hanning(width + 2)[1:-1]

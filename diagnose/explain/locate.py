@@ -134,8 +134,10 @@ def _input(chain: Chain, r: Recording) -> np.ndarray:
     if r.command is None or chain.servo is None:
         return r.torque
     if chain.servo.target is Target.VELOCITY:
-        return chain.servo.scale * r.command - chain.servo.zero - measured_velocity(r)
-    return r.command - measured_angle(r)
+        error: np.ndarray = chain.servo.scale * r.command - chain.servo.zero - measured_velocity(r)
+    else:
+        error = r.command - measured_angle(r)
+    return error
 
 
 def _smooth(x: np.ndarray, width: int) -> np.ndarray:

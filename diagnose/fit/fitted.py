@@ -119,7 +119,8 @@ class Fitted:
             squares = variance * np.sum((vt.T / s) ** 2, axis=1)
             if left and not self.rough and J.any():
                 squares = np.maximum(squares, self._clustered((vt.T / s) @ (vt.T / s).T, scale))
-            return slope * np.sqrt(squares) / scale
+            errors: np.ndarray = slope * np.sqrt(squares) / scale
+            return errors
 
     def _clustered(self, inverse: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Variances (p,) of the scaled numbers where errors are correlated: by the scores of `BLOCKS` stretches.

@@ -174,7 +174,8 @@ def _bounded_step(A: np.ndarray, g: np.ndarray, x: np.ndarray, lower: np.ndarray
         if not inward.any():
             break
         free[np.argmax(np.where(inward, np.abs(slope), 0.0))] = True
-    return np.clip(x + d, lower, upper) - x
+    step: np.ndarray = np.clip(x + d, lower, upper) - x
+    return step
 
 
 def _moved(

@@ -77,7 +77,8 @@ def _ahead(s: System, v: np.ndarray, dt: float) -> np.ndarray:
     following = np.append(v[1:], v[-1])
     mean = 0.5 * (v + following) + s.output_lag / dt * (following - v)  # of y + T y', which a lag T shows as y
     k = np.arange(len(v))
-    return np.interp(k + s.output_delay / dt, k, mean) if s.output_delay > 0 else mean
+    delayed: np.ndarray = np.interp(k + s.output_delay / dt, k, mean) if s.output_delay > 0 else mean
+    return delayed
 
 
 class View(Protocol):
@@ -123,7 +124,8 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
 
 def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np.ndarray:
     """Velocity (N,) of a free run by its angle: averaged as the one that is measured by an encoder alone."""
-    return np.gradient(simulate(system, torque, dt, **how).angle, dt)
+    velocity: np.ndarray = np.gradient(simulate(system, torque, dt, **how).angle, dt)
+    return velocity
 
 
 @dataclass(frozen=True)
@@ -361,7 +363,8 @@ class ForceView:
         edge = math.ceil(2.0 / ((self.cutoff_hz or 0.1 / r.dt) * r.dt))
         inside = np.zeros(len(r), bool)
         inside[edge : len(r) - edge] = True
-        return (experiment.counts & moving & inside)[:: self.decimate]
+        counted: np.ndarray = (experiment.counts & moving & inside)[:: self.decimate]
+        return counted
 
     def noise(self, experiment: Experiment) -> float | None:
         """Not known beforehand: what acts on the torque is no sensor noise."""

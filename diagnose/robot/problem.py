@@ -9,7 +9,7 @@ file has.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -183,7 +183,7 @@ def _columns(robot: Robot, motion: RobotMotion, Y: np.ndarray, j: int, names: Se
     A = np.zeros((len(motion.counts), len(names)))
     A[:, : flat.shape[1]] = motion.thinned(flat)
     d, joint = robot.leading(j), robot.joints[j]
-    own = {
+    own: dict[str, Callable[[], np.ndarray]] = {
         "armature": lambda: low(motion.ddz[:, j]),
         "damping": lambda: low(motion.dz[:, j]),
         "frictionloss": lambda: low(np.sign(motion.dz[:, j]), 2),

@@ -16,7 +16,10 @@ __all__ = ["bristle_step", "dry_step"]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def dry_step(v, drive, drive_before, L_up, L_down, L0_up, L0_down, B_up, B_down, J, h, jump):
+def dry_step(
+    v: float, drive: float, drive_before: float, L_up: float, L_down: float, L0_up: float, L0_down: float, B_up: float,
+    B_down: float, J: float, h: float, jump: bool
+) -> float:  # fmt: skip
     """Velocity [rad/s] after ``h`` seconds of the inclusion above.
 
     ``L_*`` are the levels at the present speed, ``L0_*`` those at rest and ``B_*`` the breakaway levels [Nm];
@@ -48,7 +51,7 @@ def dry_step(v, drive, drive_before, L_up, L_down, L0_up, L0_down, B_up, B_down,
 
 
 @njit(cache=True, nogil=True, inline="always")
-def bristle_step(z, v, level, stiffness, h):
+def bristle_step(z: float, v: float, level: float, stiffness: float, h: float) -> tuple[float, float]:
     """Mean and final bristle deflection [rad] over a step at constant v of  z' = v - stiffness |v| z / level."""
     rate = stiffness * abs(v) / level
     if rate * h < 1e-9:

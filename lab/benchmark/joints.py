@@ -11,7 +11,7 @@ __all__ = ["joint_torque", "play", "slip_step"]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def play(start, end, half):
+def play(start: float, end: float, half: float) -> tuple[float, float]:
     """Mean stretch beyond a play of +-half [rad] and fraction in contact, on the line from start to end."""
     e0 = start - min(max(start, -half), half)
     e1 = end - min(max(end, -half), half)
@@ -23,7 +23,9 @@ def play(start, end, half):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def joint_torque(phi, rate, rate_now, k, k3, d, gap, law, impact, h):
+def joint_torque(
+    phi: float, rate: float, rate_now: float, k: float, k3: float, d: float, gap: float, law: float, impact: float, h: float
+) -> float:
     """Torque [Nm] of a joint at mid-step; deflection phi [rad], its rate [rad/s] there and at the step's start.
 
     T = k e + k3 e^3 + d phi', with e the stretch beyond the play, nothing inside it; `laws` lists the variants.
@@ -40,7 +42,7 @@ def joint_torque(phi, rate, rate_now, k, k3, d, gap, law, impact, h):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def slip_step(z, rate, k, limit, sharp, h):
+def slip_step(z: float, rate: float, k: float, limit: float, sharp: float, h: float) -> tuple[float, float]:
     """Mean and final torque [Nm] of an elasto-plastic element of stiffness k that yields at ``limit``.
 
     Gradual (Bouc-Wen, n = 1, gamma = 0): z' = k phi' - k |phi'| z / limit.

@@ -61,13 +61,14 @@ class PowerCurve:
 
     def chance(self, size: np.ndarray) -> np.ndarray:
         """The fitted chance at sizes [noise rms]."""
-        return 1 / (1 + np.exp(-(self.intercept + self.slope * np.log10(size))))
+        share: np.ndarray = 1 / (1 + np.exp(-(self.intercept + self.slope * np.log10(size))))
+        return share
 
 
 def _fit(x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     """(a, b) by Firth's modified scores; None when it does not settle."""
     X = np.stack([np.ones_like(x), x], axis=1)
-    beta = np.zeros(2)
+    beta: np.ndarray = np.zeros(2)
     for _ in range(200):
         p = 1 / (1 + np.exp(-np.clip(X @ beta, -30, 30)))
         w = p * (1 - p)

@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -59,7 +60,7 @@ def envelope_hash(path: Path) -> str:
     return _digest(path.read_bytes())
 
 
-def open_envelope(recordings: Path, truth: Path) -> dict[str, dict]:
+def open_envelope(recordings: Path, truth: Path) -> dict[str, dict[str, Any]]:
     """The truth of every case, after its hash and those of the recordings agree with the manifest."""
     manifest = json.loads((recordings / "manifest.json").read_text())
     if envelope_hash(truth) != manifest["envelope_sha256"]:
@@ -67,7 +68,7 @@ def open_envelope(recordings: Path, truth: Path) -> dict[str, dict]:
     for name, digest in manifest["recordings"].items():
         if _digest((recordings / name).read_bytes()) != digest:
             raise InputError(recordings / name, "the recording was changed after it was written", digest)
-    cases: dict[str, dict] = json.loads(truth.read_text())["cases"]
+    cases: dict[str, dict[str, Any]] = json.loads(truth.read_text())["cases"]
     return cases
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def not_white(rng: np.random.Generator) -> Measurement:
     return measurement
 
 
-def _dress(laws: Laws, chosen: tuple[Entry, ...], rng: np.random.Generator, peak: float) -> tuple[Laws, list[dict]]:
+def _dress(laws: Laws, chosen: tuple[Entry, ...], rng: np.random.Generator, peak: float) -> tuple[Laws, list[dict[str, Any]]]:
     parameters = []
     for entry in chosen:
         p = draw(entry, rng, peak)

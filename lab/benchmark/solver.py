@@ -15,12 +15,13 @@ from numba import njit
 
 from lab.benchmark.friction import bristle_step, dry_step
 from lab.benchmark.joints import joint_torque, slip_step
+from lab.benchmark.laws import Laws
 
 __all__ = ["integrate", "run"]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _drive(u, p):
+def _drive(u: float, p: Laws) -> float:
     """Torque [Nm] of the actuator's static laws: dead zone, droop u (1 - c u^2), saturation."""
     if p.deadzone > 0.0:
         u = math.copysign(max(abs(u) - p.deadzone, 0.0), u)
@@ -29,7 +30,7 @@ def _drive(u, p):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _motor_level(p, v, t, angle, load):
+def _motor_level(p: Laws, v: float, t: float, angle: float, load: float) -> float:
     """Level [Nm] of the motor's dry friction, asymmetry apart, at speed v, time t, angle and transmitted torque."""
     level = p.coulomb_m + p.load_m * abs(load)
     if p.stribeck_extra > 0.0:
@@ -42,7 +43,10 @@ def _motor_level(p, v, t, angle, load):
     return level
 
 
-def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop, fs, substeps):
+def run(
+    p: Laws, torque: np.ndarray, speed_set: np.ndarray, kp: float, ki: float, closed: bool, feed_noise: bool, noise_v: np.ndarray,
+    noise_a: np.ndarray, drop: np.ndarray, fs: float, substeps: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """`integrate` on arguments of one type each: numba compiles a function anew, which takes half a minute, for every other."""
     return integrate(
         type(p)(*map(float, p)), np.array(torque, float), np.array(speed_set, float), float(kp), float(ki), bool(closed),
@@ -51,7 +55,10 @@ def run(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop
 
 
 @njit(cache=True, nogil=True)
-def integrate(p, torque, speed_set, kp, ki, closed, feed_noise, noise_v, noise_a, drop, fs, substeps):
+def integrate(
+    p: Laws, torque: np.ndarray, speed_set: np.ndarray, kp: float, ki: float, closed: bool, feed_noise: bool, noise_v: np.ndarray,
+    noise_a: np.ndarray, drop: np.ndarray, fs: float, substeps: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Simulate from rest; returns logged torque [Nm], then measured and true motor velocity [rad/s] and angle [rad],
     and the state at the end: angles [rad] of motor, gearbox, arm and the mass split off it, then their speeds [rad/s].
 

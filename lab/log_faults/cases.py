@@ -65,7 +65,8 @@ def _between(u: np.ndarray, every: int, hold: str) -> np.ndarray:
     if hold == "held":
         return np.repeat(u, every)
     k = np.arange(len(u) * every) / every
-    return np.interp(k + 0.5 / every, np.arange(len(u)), u)  # mean over the fine interval
+    between: np.ndarray = np.interp(k + 0.5 / every, np.arange(len(u)), u)  # mean over the fine interval
+    return between
 
 
 def _input(plant: Plant, rate: int, experiment: str, rng: np.random.Generator, axis: object) -> np.ndarray:
@@ -184,7 +185,8 @@ def _low_pass(m: _Motion, r: Recording, plant: Plant, rng: np.random.Generator) 
         k, few = np.arange(n), np.arange(0, n, 4)
 
         def change(x: np.ndarray) -> np.ndarray:
-            return np.interp(k, few, x[few])
+            held: np.ndarray = np.interp(k, few, x[few])
+            return held
 
         detail = "interpolated from a quarter of the samples"
     return _replace(r, velocity=change(r.column("velocity")), angle=change(r.column("angle"))), ("velocity", "angle"), detail

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
+from typing import Any
 
 from lab.panel.case import Case
 from lab.panel.examples import example_cases
@@ -42,8 +43,8 @@ def select(ids: Sequence[str]) -> list[Case]:
     return [known[name] for name in ids]
 
 
-def _data() -> dict:
-    table: dict = json.loads((files("lab.panel") / "data" / "quick.json").read_text(encoding="utf-8"))
+def _data() -> dict[str, Any]:
+    table: dict[str, Any] = json.loads((files("lab.panel") / "data" / "quick.json").read_text(encoding="utf-8"))
     return table
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,8 +45,8 @@ def _cases(origin: str, seed: int, levels: str, numbers: list[str] | None = None
             yield Case(f"s{seed}_{number}", origin, level, partial(_make, seed, level, index))
 
 
-def _data() -> dict[str, list[dict]]:
-    table: dict[str, list[dict]] = json.loads((files("lab.panel") / "data" / "seeds.json").read_text(encoding="utf-8"))
+def _data() -> dict[str, list[dict[str, Any]]]:
+    table: dict[str, list[dict[str, Any]]] = json.loads((files("lab.panel") / "data" / "seeds.json").read_text(encoding="utf-8"))
     return table
 
 

@@ -114,20 +114,24 @@ def simulate(robot: ServoRobot, command: np.ndarray, dt: float, settle: float = 
 
 
 @njit(cache=True)
-def _cross(a, b):
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @njit(cache=True)
-def _turned(axis, angle, x, back):
+def _turned(axis: np.ndarray, angle: float, x: np.ndarray, back: bool) -> np.ndarray:
     """A vector turned about a unit axis (Rodrigues), or back."""
     c, s = np.cos(angle), np.sin(angle) * (-1.0 if back else 1.0)
     dot = axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]
-    return x * c + _cross(axis, x) * s + axis * (dot * (1 - c))
+    turned: np.ndarray = x * c + _cross(axis, x) * s + axis * (dot * (1 - c))
+    return turned
 
 
 @njit(cache=True)
-def _torque(place, axis, mass, centre, inertia, q, v, a, gravity):
+def _torque(
+    place: np.ndarray, axis: np.ndarray, mass: np.ndarray, centre: np.ndarray, inertia: np.ndarray, q: np.ndarray, v: np.ndarray,
+    a: np.ndarray, gravity: float
+) -> np.ndarray:  # fmt: skip
     """Torque (n,) of a motion: recursion outwards for accelerations, inwards for forces (Craig, Introduction to Robotics, ch.
     6)."""
     n = len(q)
@@ -153,7 +157,10 @@ def _torque(place, axis, mass, centre, inertia, q, v, a, gravity):
 
 
 @njit(cache=True)
-def _run(place, axis, mass, centre, inertia, rotor, viscous, servos, lead, dt, each):
+def _run(
+    place: np.ndarray, axis: np.ndarray, mass: np.ndarray, centre: np.ndarray, inertia: np.ndarray, rotor: np.ndarray,
+    viscous: np.ndarray, servos: np.ndarray, lead: np.ndarray, dt: float, each: int
+) -> np.ndarray:  # fmt: skip
     count, n = lead.shape
     h = dt / each
     q, v, target = lead[0].copy(), np.zeros(n), lead[0].copy()

@@ -83,7 +83,8 @@ def _error(g: np.ndarray, reference: np.ndarray) -> float:
 
 
 def _delayed(g: np.ndarray, seconds: float) -> np.ndarray:
-    return g * np.exp(-2j * np.pi * _F * seconds)
+    delayed: np.ndarray = g * np.exp(-2j * np.pi * _F * seconds)
+    return delayed
 
 
 def _fit(target: np.ndarray, dg_bounds: tuple[float, float], delay: bool, starts: tuple[float, ...]) -> dict[str, float]:
@@ -102,7 +103,8 @@ def _fit(target: np.ndarray, dg_bounds: tuple[float, float], delay: bool, starts
 
     def residual(x: np.ndarray) -> np.ndarray:
         off = (modelled(x) - target) / scale
-        return np.r_[off.real, off.imag]
+        parts: np.ndarray = np.r_[off.real, off.imag]
+        return parts
 
     best = None
     for dg in starts:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mjsim.accurate.step import NO_PULL, _forward, _laws
 from mjsim.compiled import compiled
 from mjsim.effects.law import N_LOCAL
@@ -11,7 +13,9 @@ __all__: list[str] = []
 
 
 @compiled()
-def _deflection(f, el, p, x, j, t, z):  # pragma: no cover
+def _deflection(
+    f: np.ndarray, el: np.ndarray, p: np.ndarray, x: np.ndarray, j: int, t: float, z: np.ndarray
+) -> float:  # pragma: no cover
     """Deflection of a coupling, its kinematic error included."""
     d = f[2, j] * x[0, j] - x[0, j + 1]
     for e in range(el.shape[0]):
@@ -24,8 +28,11 @@ def _deflection(f, el, p, x, j, t, z):  # pragma: no cover
 
 @compiled()
 def _margin(
-    ev, mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, smooth, applied, armature, m0
-):  # pragma: no cover
+    ev: int, mj: np.ndarray, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
+    mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
+    qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, smooth: np.ndarray, applied: np.ndarray, armature: np.ndarray,
+    m0: np.ndarray,
+) -> float:  # pragma: no cover  # fmt: skip
     """One event function, positive while its mode holds: stick / slip of a body, contact of a coupling, pull of a coupling."""
     n = f.shape[1]
     if ev < n:
@@ -50,8 +57,11 @@ def _margin(
 
 @compiled()
 def _margins(
-    mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, smooth, applied, armature, m0, out
-):  # pragma: no cover
+    mj: np.ndarray, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
+    mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
+    qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, smooth: np.ndarray, applied: np.ndarray, armature: np.ndarray,
+    m0: np.ndarray, out: np.ndarray,
+) -> None:  # pragma: no cover  # fmt: skip
     """All event functions."""
     for ev in range(3 * f.shape[1]):
         out[ev] = _margin(

@@ -17,9 +17,12 @@ MAX_EVENTS = 256  # per sample
 
 @compiled()
 def _run(
-    mj, staged, f, gap_law, gain, el, p, has_friction, nominal, u, dt, shift, split, before, tau, n_sub, x0, s0, t0, out,
-    qpos, qvel, qacc, smooth, ctrl, applied, armature, m0, stiffness, damping, reference, timestep,
-):  # pragma: no cover  # fmt: skip
+    mj: np.ndarray, staged: bool, f: np.ndarray, gap_law: int, gain: float, el: np.ndarray, p: np.ndarray,
+    has_friction: np.ndarray, nominal: np.ndarray, u: np.ndarray, dt: float, shift: int, split: float, before: float, tau: float,
+    n_sub: int, x0: np.ndarray, s0: np.ndarray, t0: float, out: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray,
+    smooth: np.ndarray, ctrl: np.ndarray, applied: np.ndarray, armature: np.ndarray, m0: np.ndarray, stiffness: np.ndarray,
+    damping: np.ndarray, reference: np.ndarray, timestep: np.ndarray
+) -> tuple[int, int]:  # pragma: no cover  # fmt: skip
     """Free run; out (N, 2n + n-1): q, v, coupling torques. mj: addresses of model, data, mj_step, mj_forward.
 
     Returns (status, sample): 0 done, 1 diverged at that sample.

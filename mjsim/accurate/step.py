@@ -20,11 +20,11 @@ HELD = 1e20  # mass of a body that sticks: its acceleration is zero to rounding
 
 
 @intrinsic
-def _call_pair(typingctx, address, m, d):  # pragma: no cover
+def _call_pair(typingctx: Any, address: Any, m: Any, d: Any) -> Any:  # pragma: no cover
     """Call a C function ``void(const mjModel*, mjData*)`` at an address."""
     sig = types.void(types.int64, types.int64, types.int64)
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
         function = ir.FunctionType(ir.VoidType(), [pointer, pointer])
         target = builder.inttoptr(args[0], function.as_pointer())
@@ -38,7 +38,10 @@ _mj: Any = _call_pair
 
 
 @compiled()
-def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque, z):  # pragma: no cover
+def _laws(
+    f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float, mode: np.ndarray,
+    applied: np.ndarray, extra: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray
+) -> None:  # pragma: no cover  # fmt: skip
     """What MuJoCo lacks at one state: torques (n) beside the native ones, change of mass (n), internal rates in slope rows 1, 2.
 
     level (2, n): breakaway levels of bodies at rest; slope (3, m): kinematic slopes of the couplings, then alpha and beta of
@@ -132,7 +135,7 @@ def _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque
 
 
 @compiled(inline="always")
-def _mass(f, mode, extra, armature, m0):  # pragma: no cover
+def _mass(f: np.ndarray, mode: np.ndarray, extra: np.ndarray, armature: np.ndarray, m0: np.ndarray) -> None:  # pragma: no cover
     """The mass matrix's diagonal: bodies at rest are held. MuJoCo takes dof_M0 for simple bodies, the armature for others."""
     for i in range(f.shape[1]):
         armature[i] = HELD if mode[0, i] == 0 else extra[i]
@@ -140,7 +143,10 @@ def _mass(f, mode, extra, armature, m0):  # pragma: no cover
 
 
 @compiled()
-def _switch(f, gap_law, nominal, mode, stiffness, damping, reference):  # pragma: no cover
+def _switch(
+    f: np.ndarray, gap_law: int, nominal: np.ndarray, mode: np.ndarray, stiffness: np.ndarray, damping: np.ndarray,
+    reference: np.ndarray
+) -> None:  # pragma: no cover  # fmt: skip
     """The couplings' mode in the model: stiffness, damping and spring reference of their tendons."""
     for j in range(f.shape[1] - 1):
         half, gap = f[5, j], mode[1, j]
@@ -156,8 +162,10 @@ def _switch(f, gap_law, nominal, mode, stiffness, damping, reference):  # pragma
 
 @compiled()
 def _forward(
-    mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, applied, armature, m0
-):  # pragma: no cover
+    mj: np.ndarray, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
+    mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
+    qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, applied: np.ndarray, armature: np.ndarray, m0: np.ndarray
+) -> None:  # pragma: no cover  # fmt: skip
     """MuJoCo's forward dynamics at a state, laws included."""
     n = f.shape[1]
     _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
@@ -171,9 +179,11 @@ def _forward(
 
 @compiled()
 def _advance(
-    mj, staged, f, gap_law, el, p, x, xn, h, t, u, lag, tau, n_s, mode, level, slope, torque, z, extra, wk,
-    qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
-):  # pragma: no cover  # fmt: skip
+    mj: np.ndarray, staged: bool, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, xn: np.ndarray,
+    h: float, t: float, u: float, lag: float, tau: float, n_s: int, mode: np.ndarray, level: np.ndarray, slope: np.ndarray,
+    torque: np.ndarray, z: np.ndarray, extra: np.ndarray, wk: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray,
+    ctrl: np.ndarray, applied: np.ndarray, armature: np.ndarray, m0: np.ndarray, timestep: np.ndarray
+) -> None:  # pragma: no cover  # fmt: skip
     """One step of length h from x to xn: mj_step, or where laws act its four stages around mj_forward."""
     n = f.shape[1]
     if not staged:
@@ -237,7 +247,7 @@ def _advance(
 
 
 @compiled()
-def _flow(s, alpha, beta, h):  # pragma: no cover
+def _flow(s: float, alpha: float, beta: float, h: float) -> float:  # pragma: no cover
     """Exact flow of s' = alpha - beta s over h."""
     e = beta * h
     if e < 1e-7:

@@ -54,7 +54,10 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
     v, travel = run.v[:, body], float(np.ptp(run.q[:, body]))
     turned = max(float(np.ptp(run.q[:, 0])), 1e-12)  # spatial laws of the gear run over the motor's angle
     u = run.torque
-    rms = lambda a: float(np.sqrt(np.mean(a**2)))  # noqa: E731
+
+    def rms(a: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(a**2)))
+
     return Scales(
         torque=rms(torque), max_torque=float(np.max(np.abs(torque))), velocity=rms(v), max_velocity=float(np.max(np.abs(v))),
         deflection=deflection, inertia=chain.bodies[body].inertia, stiffness=stiffness, travel=travel, input=rms(u),

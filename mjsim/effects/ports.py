@@ -145,11 +145,14 @@ class StaticMap(enum.Enum):
         """The map of an array of samples."""
         match self:
             case StaticMap.CLIP:
-                return np.clip(u, -c, c)
+                clipped: np.ndarray = np.clip(u, -c, c)
+                return clipped
             case StaticMap.DEAD:
-                return u - np.clip(u, -c, c)
+                excess: np.ndarray = u - np.clip(u, -c, c)
+                return excess
             case StaticMap.DROOP:
-                return u * (1.0 - c * u * u)
+                cubic: np.ndarray = u * (1.0 - c * u * u)
+                return cubic
             case StaticMap.ROUND:
                 return u if c == 0 else c * np.round(u / c)
             case StaticMap.ADD:

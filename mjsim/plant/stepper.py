@@ -89,7 +89,8 @@ def transition(model: mujoco.MjModel, data: mujoco.MjData, steps: int, control: 
         return np.concatenate(parts)
 
     def column(part: np.ndarray, index: int) -> np.ndarray:
-        return (after(part, index, SMALL) - after(part, index, -SMALL)) / (2 * SMALL)
+        slope: np.ndarray = (after(part, index, SMALL) - after(part, index, -SMALL)) / (2 * SMALL)
+        return slope
 
     a = np.column_stack([column(part, i) for part in parts for i in range(len(part))])
     return a, (column(data.ctrl, control) if control >= 0 else np.zeros(len(a)))[:, None]

@@ -60,7 +60,8 @@ def moments(
 
 def _at(take: Take, time: np.ndarray | float) -> np.ndarray:
     dt = float(take.time[1] - take.time[0])
-    return np.minimum(np.round(np.asarray(time) / dt).astype(int), len(take.time) - 1)
+    frames: np.ndarray = np.minimum(np.round(np.asarray(time) / dt).astype(int), len(take.time) - 1)
+    return frames
 
 
 def film_takes(

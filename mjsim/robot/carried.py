@@ -110,7 +110,10 @@ def slots_by_joint(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[
 
 
 @compiled(error_model="numpy")
-def act(p, native, zero, target, q, v, load, drive, t, h, state, out):
+def act(
+    p: np.ndarray, native: np.ndarray, zero: np.ndarray, target: np.ndarray, q: np.ndarray, v: np.ndarray, load: np.ndarray,
+    drive: np.ndarray, t: float, h: float, state: np.ndarray, out: np.ndarray
+) -> None:  # fmt: skip
     """What carried laws do at one instant.
 
     p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target (m,): of the

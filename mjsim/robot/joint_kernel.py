@@ -46,7 +46,7 @@ def empty() -> np.ndarray:
 
 
 @compiled(error_model="numpy", inline="always")
-def friction_level(p, q, v, load, t):
+def friction_level(p: np.ndarray, q: float, v: float, load: float, t: float) -> tuple[float, float]:
     """Dry friction for motion upwards and downwards, before the asymmetry."""
     level = p[FRICTION]
     if p[EXTRA] != 0.0:
@@ -65,7 +65,7 @@ def friction_level(p, q, v, load, t):
 
 
 @compiled(error_model="numpy", inline="always")
-def body_torque(p, q):
+def body_torque(p: np.ndarray, q: float) -> float:
     """Torque against motion that depends on the position, without the spring's stiffness."""
     T = p[PRELOAD]
     if p[ORDER] != 0.0:
@@ -79,13 +79,13 @@ def body_torque(p, q):
 
 
 @compiled(error_model="numpy", inline="always")
-def coupled(p, torque, sign, speed):
+def coupled(p: np.ndarray, torque: float, sign: float, speed: float) -> float:
     """Torque against motion that comes from another joint: its drive's torque, sign of motion, and velocity."""
     return p[COUPLE_SIGN] * sign + p[COUPLE_SPEED] * speed - p[COUPLE_TORQUE] * torque
 
 
 @compiled(error_model="numpy", inline="always")
-def _drive(p, velocity, r, q, v):
+def _drive(p: np.ndarray, velocity: bool, r: float, q: float, v: float) -> tuple[float, float, float]:
     """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state."""
     if velocity:
         constant, stiff, damp = p[KV] * (r - p[ZERO]), 0.0, p[KV]
@@ -117,7 +117,10 @@ def _drive(p, velocity, r, q, v):
 
 
 @compiled(error_model="numpy")
-def run_joint(p, velocity, starts, first, slope, series, dt, each, q, v):
+def run_joint(
+    p: np.ndarray, velocity: bool, starts: np.ndarray, first: np.ndarray, slope: np.ndarray, series: np.ndarray, dt: float,
+    each: int, q: np.ndarray, v: np.ndarray
+) -> None:  # fmt: skip
     """Write position and velocity (N,) of all recordings, one after the other, into q and v.
 
     p: slots (K,); velocity: whether the command is one; starts (R + 1,): where each recording begins; first, slope (N,):

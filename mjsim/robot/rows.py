@@ -169,14 +169,16 @@ def inertia_along(robot: Robot, z: np.ndarray) -> np.ndarray:
         unit = still.copy()
         unit[:, j] = 1.0
         out[:, j] = np.einsum("nlk,lk->n", (link_rows(robot, z, still, unit) - weight)[:, j], robot.nominal)
-    return out + robot.armature @ robot.tie**2
+    inertias: np.ndarray = out + robot.armature @ robot.tie**2
+    return inertias
 
 
 def nominal_torque(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray) -> np.ndarray:
     """Torque (N, m) that the robot of the file needs along a motion (N, m), its dry friction left out."""
     rows = np.einsum("nmlk,lk->nm", link_rows(robot, z, dz, ddz), robot.nominal)
     q, v, a = z @ robot.tie.T + robot.rest, dz @ robot.tie.T, ddz @ robot.tie.T
-    return rows + (robot.armature * a + robot.damping * v + robot.stiffness * (q - robot.spring)) @ robot.tie
+    torque: np.ndarray = rows + (robot.armature * a + robot.damping * v + robot.stiffness * (q - robot.spring)) @ robot.tie
+    return torque
 
 
 def check_rows(robot: Robot, samples: int = 5, tolerance: float = 1e-6) -> float:

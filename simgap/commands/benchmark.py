@@ -225,7 +225,7 @@ def diagnose_case(recordings: Path, name: str, seconds: float = float("inf"), th
 def diagnose_all(
     out: Path, jobs: int = 1, seconds: float = float("inf"), work: Work = diagnose_case, first: int | None = None,
     skip: int = 0, threads: int = 1,
-) -> dict[str, dict]:  # fmt: skip
+) -> dict[str, dict[str, Any]]:  # fmt: skip
     """Results of all cases, or the ``first`` so many after the ``skip`` first ones, by name.
 
     Those that stand in ``out/diagnoses``, by this code and budget, are not computed again.
@@ -250,7 +250,9 @@ def run_arm(identifier: str, recordings: Path, name: str, diagnosis: dict[str, A
     return ARMS[identifier].run(Task(model, load_axis(model), estimation, held_out, diagnosis))
 
 
-def run_arms(out: Path, arms: Sequence[Arm], names: Sequence[str], results: dict[str, dict], jobs: int = 1) -> list[dict]:
+def run_arms(
+    out: Path, arms: Sequence[Arm], names: Sequence[str], results: dict[str, dict[str, Any]], jobs: int = 1
+) -> list[dict[str, Any]]:
     """Each arm on the cases ``names``, kept in ``out/arms``: plain values for the scorer, and why one was skipped."""
     from lab.benchmark.resume import Job, Shelf, sealed_hashes
 

@@ -33,7 +33,8 @@ def judged(model: Path, recordings: Sequence[Path], baseline: Path, against: str
             model, f"it is {what[not known.robot]}, and {str(baseline)!r} is the diagnosis of {what[known.robot]}",
             "a baseline of this model", "run simgap diagnose with it",
         )  # fmt: skip
-    return (robot if known.robot else axis).judged(model, recordings, known, tolerance)
+    judge = robot.judged if known.robot else axis.judged
+    return judge(model, recordings, known, tolerance)
 
 
 def _show(checks: Sequence[Check]) -> None:

@@ -15,7 +15,7 @@ from diagnose.data.channels import with_common_channels
 from diagnose.data.derived import without_derived_velocity
 from diagnose.data.experiment import Experiment, hold_out_blocks, prepare
 from diagnose.data.servo import as_servo
-from diagnose.pipeline import choose_view
+from diagnose.problem.choose_view import choose_view
 from diagnose.problem.view import View
 from diagnose.verdict.reference import Case, cases_of, error
 from diagnose.verdict.reference_runs import run_files

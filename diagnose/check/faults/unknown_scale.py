@@ -7,8 +7,7 @@ import math
 from diagnose.check.context import Context
 from diagnose.check.machine import Machine
 from diagnose.check.registry import check
-from diagnose.check.scale import RATIO_TOLERANCE
-from diagnose.check.thresholds import DISTINCT, Z95
+from diagnose.check.thresholds import DISTINCT, RATIO_TOLERANCE, Z95
 from diagnose.check.types import Problem, Severity
 from mjsim.recording import Recording
 from mjsim.signals import limits

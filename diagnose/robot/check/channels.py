@@ -42,7 +42,8 @@ def clipped(channel: str, joint: str, x: np.ndarray, unit: str, time: np.ndarray
 
 
 def _at(x: np.ndarray, limit: Limit) -> np.ndarray:
-    return np.isclose(x, limit.value, rtol=1e-12, atol=0)
+    at_limit: np.ndarray = np.isclose(x, limit.value, rtol=1e-12, atol=0)
+    return at_limit
 
 
 def clipped_torque(

@@ -46,7 +46,7 @@ BLOCKS = 10  # of the validation part
 
 
 @njit(cache=True)
-def _terms(v, q, u, out):
+def _terms(v: float, q: float, u: float, out: np.ndarray) -> None:
     """The values of `TERMS` at one instant."""
     s = math.tanh(v / SLOW)
     out[0] = 1.0
@@ -67,7 +67,10 @@ def _terms(v, q, u, out):
 
 
 @njit(cache=True)
-def _run(A, B, at, u, q, c, gain, substeps, most, out):
+def _run(
+    A: np.ndarray, B: np.ndarray, at: int, u: np.ndarray, q: np.ndarray, c: np.ndarray, gain: float, substeps: int, most: float,
+    out: np.ndarray
+) -> bool:  # fmt: skip
     """Velocity of body 0, ``x' = A x + B torque`` exact for a torque held over each substep; False if it diverges."""
     n = A.shape[0]
     x, y, f = np.zeros(n), np.zeros(n), np.empty(c.size)
@@ -90,7 +93,7 @@ def _run(A, B, at, u, q, c, gain, substeps, most, out):
 
 
 @njit(cache=True)
-def _features(v, q, u, out):
+def _features(v: np.ndarray, q: np.ndarray, u: np.ndarray, out: np.ndarray) -> None:
     for k in range(v.size):
         _terms(v[k], q[k], u[k], out[k])
 
@@ -153,7 +156,8 @@ def _sparse(Y: np.ndarray, e: np.ndarray, dt: float, threshold: float) -> np.nda
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a threshold leaves no term is an answer
         model.fit(Y / norms, t=dt, x_dot=e[:, None])
-    return np.array(model.coefficients(), float).ravel() / norms
+    coefficients: np.ndarray = np.array(model.coefficients(), float).ravel() / norms
+    return coefficients
 
 
 def _offered(travel: float) -> np.ndarray:
