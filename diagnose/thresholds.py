@@ -1,4 +1,4 @@
-"""Every number by which a diagnosis decides: levels of decisions, costs, numerical tolerances.
+"""Every number by which a diagnosis decides: levels of decisions, costs, numerical tolerances, and what is derived from these.
 
 Each has its value, unit, what it decides or how it is derived, and the test file that exercises it; `TABLE` lists them by name.
 The prices of an effect stand with the noise model (`diagnose.problem.noise_model`), the levels that a user may set with the
@@ -15,6 +15,7 @@ __all__ = ["TABLE", "Threshold"]  # and every number below, by its name
 
 T = TypeVar("T")
 LEVEL, COST, NUMERIC = "level of a decision", "cost", "numerical tolerance"
+DERIVED = "derived from other numbers of the table"
 
 
 @dataclass(frozen=True)
@@ -60,20 +61,12 @@ TWICE = _number(
     "what is known roughly is known to a factor of two: nominal numbers, a noise level, the gain that a linear model predicts",
     "search",
 )
-SAME = _number(
-    "SAME",
-    LEVEL,
-    0.002,
-    "log chi2",
-    "0.1 % of an error: one minimum, one direction, the end of a fit that leaves more than noise",
-    "search",
-)
 EQUIVALENT = _number("EQUIVALENT", LEVEL, 10.0, "C", "a likelihood ratio of 150", "search")
 MATERIAL = _number(
     "MATERIAL", LEVEL, 0.02, "of a squared error", "a smaller change matters to no prediction: 1 % of an rms error", "search"
 )
 SMALL = _number("SMALL", LEVEL, 0.05, "of samples or of a level", "negligible, or too few to judge by", "experiment")
-FAIR = _number("FAIR", LEVEL, 0.25, "of a gain", "half its rms: more than the time of one event can give", "observer")
+FAIR = _number("FAIR", DERIVED, 1 / TWICE**2, "of a gain", "half its rms: more than the time of one event can give", "observer")
 MOST = _number(
     "MOST",
     LEVEL,
@@ -84,6 +77,14 @@ MOST = _number(
 )
 CLEAR = _number(
     "CLEAR", LEVEL, 10.0, "times a material gain", "where the held-out data are few, or a nonsmooth run diverges", "search"
+)
+SAME = _number(
+    "SAME",
+    DERIVED,
+    MATERIAL / CLEAR,
+    "log chi2",
+    "clearly less than material, 0.1 % of an error: one minimum, one direction, the end of a fit that leaves more than noise",
+    "search",
 )
 NEARLY_ALL = _number("NEARLY_ALL", LEVEL, 0.8, "of a squared error", "no sine of a few periods takes that by chance", "evidence")
 ALPHA = _number("ALPHA", LEVEL, 0.01, "p-value", "of a test, over all hypotheses that it was asked about", "force_orders")
@@ -109,7 +110,14 @@ HALVINGS = _number(
     "how many go on, for how long, how far behind",
     "search",
 )
-LEADING = _number("LEADING", COST, 3, "of a ranking", "maps, orders and rivals that are tried, refusals reported", "graph")
+LEADING = _number(
+    "LEADING",
+    DERIVED,
+    HALVINGS[-1][0],
+    "of a ranking",
+    "as many as the last rung fits: maps, orders and rivals that are tried, refusals reported",
+    "graph",
+)
 SECOND_SPLIT = _number(
     "SECOND_SPLIT",
     COST,
@@ -123,7 +131,14 @@ LONGEST = _number(
     "LONGEST", COST, 240_000, "samples", "2 min at 2 kHz: 2 GB; of a longer recording stretches are fitted", "stretches"
 )
 STRETCH_COUNT = _number("STRETCH_COUNT", COST, 12, "stretches", "eight fitted, four held out: 5 s each at 2 kHz", "stretches")
-LEAST_SAMPLES = _number("LEAST_SAMPLES", COST, 5000, "samples", "that tell a screened candidate: a noise rms to 1 %", "screening")
+LEAST_SAMPLES = _number(
+    "LEAST_SAMPLES",
+    DERIVED,
+    round(2 / MATERIAL**2),
+    "samples",
+    "that tell a screened candidate: the mean square of white samples has the relative deviation sqrt(2 / n) = MATERIAL",
+    "screening",
+)
 
 # Numerics: tolerances, grids and filters
 FASTEST = _number("FASTEST", NUMERIC, 0.85, "of Nyquist", "above it a smooth motion has no power: noise alone", "noise")
@@ -176,4 +191,11 @@ TAPS = _number(
 FEW_TAPS = _number("FEW_TAPS", NUMERIC, 8, "taps", "ahead, between sensors; to level the spectrum of a residual", "orders")
 BLOCKS = _number("BLOCKS", NUMERIC, 40, "blocks", "of a recording, for paired tests and cross-validation", "second_encoder")
 ROUNDING = _number("ROUNDING", NUMERIC, 1e-10, "relative", "of a sum of squares or a second difference: rounding", "torque_map")
-FEWEST = _number("FEWEST", NUMERIC, 200, "samples", "of a recording, or of its first part", "experiment")
+FEWEST = _number(
+    "FEWEST",
+    DERIVED,
+    round(1 / (2 * SMALL**2)),
+    "samples",
+    "of a recording, or of its first part: the rms of white samples has the relative deviation 1 / sqrt(2 n) = SMALL",
+    "experiment",
+)

@@ -12,7 +12,7 @@ from diagnose.fit.least_squares import Status
 from diagnose.structure import graph
 from diagnose.structure.significance import Significance
 from diagnose.structure.state import State
-from diagnose.thresholds import EQUIVALENT, SAME
+from diagnose.thresholds import EQUIVALENT, MATERIAL
 from mjsim.effects import Effect
 
 __all__ = ["Pruning"]
@@ -79,7 +79,7 @@ class Pruning:
             return []
         # a fit that was stopped is no further from the best than it has come
         alike = [f for f in state.fits.values() if len(f.effects) == len(best.effects) and f.key != best.key]
-        stopped = [f for f in alike if f.fit.status is Status.BUDGET and math.log(f.chi2 / best.chi2) < 10 * SAME]
+        stopped = [f for f in alike if f.fit.status is Status.BUDGET and math.log(f.chi2 / best.chi2) < MATERIAL]
         tasks = [partial(fitter.fit, f.hypothesis, f.fit.x, rival=True) for f in stopped]
         for others, s in graph.confounders(fitter, best, effect, state.candidates):
             known = state.fits.get(tuple(sorted([*(e.key for e in others), s.candidate.key])))

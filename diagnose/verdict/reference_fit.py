@@ -17,7 +17,7 @@ import numpy as np
 
 from diagnose.thresholds import HORIZONS
 from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
-from diagnose.verdict.reference_runs import run_files, run_surrogate, run_watched, work_of
+from diagnose.verdict.reference_runs import ROUNDS, run_files, run_surrogate, run_watched, work_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf.faithful import Writer
@@ -25,7 +25,6 @@ from mjsim.plant import MujocoPlant, Start
 
 __all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator", "uncertainties"]
 
-ROUNDS = 8  # Gauss-Newton steps
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 FINE = 1e-4  # the same where a slope of an unstable motion is asked, which bends within less than `STEP`
 DAMPINGS = (1e-3, 1e-1, 10.0)  # of the diagonal of the normal equations, in turn until the cost falls

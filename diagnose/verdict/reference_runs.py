@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from diagnose.thresholds import SIGMAS, SMALL
+from diagnose.thresholds import HORIZONS, SIGMAS, SMALL
 from diagnose.verdict.reference import Case, Run, judged, noise_level
 from mjsim.axis import Axis
 from mjsim.mjcf.joint_limit import with_limit
@@ -26,8 +26,8 @@ from mjsim.system import assemble
 
 __all__ = ["run_file", "run_files", "run_surrogate", "run_watched", "starts_of", "too_far", "work_of"]
 
-OWN_STEP, OWN_ROUNDS, DAMPED = 0.1, 5, (1.0, 0.3)  # standard deviations of a difference, Gauss-Newton steps, parts of a step
-LOOKS = (1 / 64, 1 / 32, *(k / 16 for k in range(1, 17)))  # parts of a recording after which a watched run is looked at
+ROUNDS = 8  # Gauss-Newton steps of a start, or of a file's numbers
+OWN_STEP, DAMPED = 0.1, (1.0, 0.3)  # standard deviations of a difference, parts of a step
 
 Useless = Callable[[Sequence[Run]], bool]
 
@@ -148,7 +148,7 @@ def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run 
     if first is None or shift is None:
         return first
     best, shift = _tried(plant, case, first, shift, (1.0,))
-    for _ in range(OWN_ROUNDS):
+    for _ in range(ROUNDS):
         before, at = _errors(case, best), shift.moved
         if float(before @ before) <= noise_level(len(before)) or not shift.explains(before):
             break
@@ -204,12 +204,12 @@ def run_watched(
 ) -> tuple[list[Run], bool]:
     """Runs of a file on every recording from given starts, and whether they went to the end.
 
-    They stop, all at the same part of their recordings (`LOOKS`), where one diverges or ``useless`` says so of what there is.
+    They stop, all at the same part of their recordings (`HORIZONS`), where one diverges or ``useless`` says so of what there is.
     """
     pieces = [_pieces(plant, case, start) for case, start in zip(cases, starts, strict=True)]
     runs = [Run(np.empty(0), np.empty(0), start) for start in starts]
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        for _ in LOOKS:
+        for _ in HORIZONS:
             try:
                 more = list(pool.map(next, pieces))
             except DivergedError:
@@ -224,9 +224,9 @@ def run_watched(
 
 def _pieces(plant: MujocoPlant, case: Case, start: Start) -> Iterator[np.ndarray]:
     u, hold = case.drive()
-    ends = sorted({max(2, math.ceil(part * len(u))) for part in LOOKS})
+    ends = sorted({max(2, math.ceil(part * len(u))) for part in HORIZONS})
     yield from plant.pieces(u, case.recording.dt, start=start, hold=hold, ends=ends)
-    while True:  # of a recording with fewer samples than looks
+    while True:  # of a recording with fewer samples than horizons
         yield np.empty((0, 2))
 
 
