@@ -12,7 +12,9 @@ from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError, Scales, registered
 from mjsim.effects.backlash import Backlash
 from mjsim.effects.coulomb_friction import CoulombFriction
+from mjsim.effects.ports import JointLimit
 from mjsim.effects.static_friction import StaticFriction
+from mjsim.mjcf.native_write import FRICTION_STEP
 from mjsim.ode import Trajectory
 from mjsim.system import assemble
 
@@ -54,6 +56,7 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
     v, travel = run.v[:, body], float(np.ptp(run.q[:, body]))
     turned = max(float(np.ptp(run.q[:, 0])), 1e-12)  # spatial laws of the gear run over the motor's angle
     u = run.torque
+    reach = float(np.max(np.abs(run.q[:, 0] - run.q[0, 0])))
 
     def rms(a: np.ndarray) -> float:
         return float(np.sqrt(np.mean(a**2)))
@@ -63,12 +66,15 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
         deflection=deflection, inertia=chain.bodies[body].inertia, stiffness=stiffness, travel=travel, input=rms(u),
         max_input=float(np.max(np.abs(u))), output=rms(run.velocity), dt=dt, duration=float(run.time[-1]),
         orders=(2 * math.pi * 3 / turned,),
-        stops=tuple((side, float(np.quantile(run.q[:, 0], 0.5 + 0.3 * side)), 0.02) for side in (-1, 1)),
+        stops=tuple((side, float(run.q[0, 0]) + 0.5 * side * reach, 0.02) for side in (-1, 1)),
     )  # fmt: skip
 
 
 def effect_cases(axis: Axis, u: np.ndarray, dt: float = DT) -> tuple[list[Case], list[tuple[str, str]]]:
-    """One case for every registered effect at every place, at the first start of a fit; and what the chain has no place for."""
+    """One case for every registered effect at every place, at the first start of a fit; and what the chain has no place for.
+
+    The input is mirrored where the effect changes nothing as it is, as a stop that the motion goes away from.
+    """
     bare = Axis(axis.chain, (), axis.backlash_law)
     run = ode.simulate(bare, u, dt)
     cases, skipped = [], []
@@ -84,12 +90,16 @@ def effect_cases(axis: Axis, u: np.ndarray, dt: float = DT) -> tuple[list[Case],
             values = cls.starts(scales_at(bare, run, place))[0]
             try:
                 effect = cls(place=place, **values)
-                with_it = bare + effect
-                assemble(with_it)
+                system = assemble(bare + effect)
             except ValueError as error:
                 skipped.append((f"{name}@{place}", str(error)))
                 continue
-            cases.append(Case(effect.key, with_it, effect.tolerance, kernel=max(KERNEL, effect.tolerance)))
+            change = np.max(np.abs(ode.simulate(system, u, dt).velocity - run.velocity))
+            felt = change > KERNEL * np.max(np.abs(run.velocity))
+            limits = {"accurate": effect.tolerance, "kernel": max(KERNEL, effect.tolerance)}
+            # no timestep is written with a limit: the author's may be too long for an impact
+            step = FRICTION_STEP if any(isinstance(port, JointLimit) for port in effect.ports(axis.chain)) else None
+            cases.append(Case(effect.key, bare + effect, **limits, literal_step=step, drive=1.0 if felt else -1.0))
     return cases, skipped
 
 

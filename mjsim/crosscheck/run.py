@@ -18,7 +18,7 @@ from mjsim.excitation import chirp
 from mjsim.mjcf import load_axis
 from mjsim.mjcf.compile import caught_warnings
 from mjsim.models import shipped_model
-from mjsim.ode import Trajectory
+from mjsim.ode import DivergedError, Trajectory
 
 __all__ = ["check_all"]
 
@@ -49,11 +49,14 @@ def check_all(model: str | Path | None = None, *, duration: float = 10.0, amplit
     cases += more
     rows = []
     # in the batch, together; then each alone
-    factors = sorted({c.drive for c in cases})
-    together = rollout([c.axis for c in cases], [Drive(f * u, DT) for f in factors], engine=Engine.ACCURATE)
+    together: dict[int, Trajectory | DivergedError] = {}
+    for factor in sorted({c.drive for c in cases}):
+        at = [i for i, c in enumerate(cases) if c.drive == factor]
+        runs = rollout([cases[i].axis for i in at], [Drive(factor * u, DT)], engine=Engine.ACCURATE)
+        together |= {i: run for i, (run,) in zip(at, runs, strict=True)}
 
     def one(at: int) -> Row:
-        batched = together[at][factors.index(cases[at].drive)]
+        batched = together[at]
         if not isinstance(batched, Trajectory):
             raise batched
         return compare(cases[at], path, cases[at].drive * u, DT, batched)

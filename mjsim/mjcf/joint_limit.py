@@ -13,7 +13,7 @@ from mjsim.axis import Axis
 from mjsim.chain import Limit
 from mjsim.mjcf.load import Model
 
-__all__ = ["limit_of", "with_limit"]
+__all__ = ["limit_of", "on_joint", "with_limit"]
 
 ALIKE = 1e-6  # relative difference of two numbers that are one
 
@@ -54,6 +54,24 @@ def limit_of(model: Model) -> Limit | None:
     if not (stiffness > 0 and math.isfinite(stiffness) and low + margin < high - margin):
         return None
     return Limit(float(low) + margin - zero, float(high) - margin - zero, stiffness, damping, _impedance(m.jnt_solimp[j]))
+
+
+def on_joint(limit: Limit, model: mujoco.MjModel, joint: str, inertia: float) -> Limit:
+    """A limit over the angle of the chain as the limit of a joint [rad | m] of a compiled file.
+
+    inertia: of the chain's first body in that file [kg m^2 | kg]. MuJoCo regularises by m = d / ((1 - d) w) with
+    w = dof_invweight0, which is 1 / inertia unless other joints follow this one by equalities. Else d' = c d / (1 - d + c d) with
+    c = w inertia gives the same m, and K' = K d / d' the same spring where the impedance d has risen to its end.
+    """
+    its = model.joint(joint)
+    zero, share = float(model.qpos0[its.qposadr[0]]), float(model.dof_invweight0[its.dofadr[0]]) * inertia
+    moved = dataclasses.replace(limit, lower=limit.lower + zero, upper=limit.upper + zero)
+    if abs(share - 1.0) <= ALIKE:
+        return moved
+    low, high, *shape = limit.impedance
+    first, last = (share * d / (1.0 - d + share * d) for d in (low, high))
+    width, middle, power = shape
+    return dataclasses.replace(moved, stiffness=limit.stiffness * high / last, impedance=(first, last, width, middle, power))
 
 
 def _impedance(solimp: np.ndarray) -> tuple[float, float, float, float, float]:

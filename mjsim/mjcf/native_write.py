@@ -12,6 +12,7 @@ import numpy as np
 from mjsim.effects import native as N  # noqa: N812
 from mjsim.effects.ports import BacklashLaw
 from mjsim.mjcf.editor import MjcfEditor, element, number, row, stiffest
+from mjsim.mjcf.joint_limit import on_joint
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
 from mjsim.mjcf.servo import bias_of
@@ -19,8 +20,7 @@ from mjsim.quantity import Motion
 
 __all__ = ["FRICTION_STEP", "NativeWriter"]
 
-# largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf.md)
-FRICTION_STEP = 1e-4
+FRICTION_STEP = 1e-4  # largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf.md)
 SLACK_STEP, DELAY_STEP = 5e-5, 1e-4
 SLACK_ARMATURE = 5e-4  # largest inertia of a free node [kg m^2 | kg], and its part of the lighter body's
 SLACK_SHARE = 2e-4
@@ -204,11 +204,11 @@ class NativeWriter:
 
     def _joint_range(self, value: N.JointRange) -> str:
         """Range and solver settings of the driven joint, by direct numbers, which MuJoCo takes as they are at any timestep."""
-        editor, limit, joint = self.editor, value.limit, self.editor.joint_of(0)
+        editor, joint = self.editor, self.editor.joint_of(0)
         if joint is None:
             return NOT_ONE_JOINT
-        most, zero = limit.impedance[1], float(editor.model.qpos0[editor.model.joint(joint).qposadr[0]])
-        span = np.array([limit.lower + zero, limit.upper + zero])
+        limit = on_joint(value.limit, editor.model, joint, editor.chain.bodies[0].inertia)
+        most, span = limit.impedance[1], np.array([limit.lower, limit.upper])
         editor.set(
             "joint", joint, limited="true", range=row(list(np.degrees(span) if editor.degrees() else span)),
             solreflimit=row([-limit.stiffness * most**2, -limit.damping * most]), solimplimit=row(limit.impedance),

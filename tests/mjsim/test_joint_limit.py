@@ -12,9 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mjsim.axis import Axis
-from mjsim.mjcf import load_model
+from mjsim.crosscheck import literal, relative
+from mjsim.effects import effect_class
+from mjsim.mjcf import load_axis, load_model
 from mjsim.mjcf.joint_limit import limit_of, with_limit
+from mjsim.mjcf.native_write import FRICTION_STEP
 from mjsim.mjcf.softness import with_softness
+from mjsim.models import shipped_model
 from mjsim.ode import inverse, simulate
 from mjsim.system import assemble
 
@@ -138,3 +142,19 @@ def test_a_range_that_is_not_asked_for_costs_nothing(tmp_path: Path) -> None:
     model = load_model(tmp_path / "model.xml")
     assert assemble(model.axis).affine
     assert not assemble(with_limit(model.axis, model)).affine
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_stop_of_a_joint_that_others_follow_is_written_as_found(side: int) -> None:
+    """MuJoCo regularises such a limit by another inertia than the body's."""
+    path = shipped_model("robot_axis1")
+    axis = load_axis(path)
+    torque = np.full(400, 0.1 * side)
+    stop = effect_class(f"{'upper' if side > 0 else 'lower'}_joint_stop")
+    at = 0.5 * float(simulate(axis, torque, DT).angle[-1])
+    stopped = axis + stop(angle_rad=at, time_constant_s=0.02, damping_ratio=0.5)
+    expected = simulate(stopped, torque, DT).velocity
+    assert np.min(side * expected) < 0, "it is thrown back"
+    plain, lacks = literal(path, stopped, torque, DT, FRICTION_STEP)
+    assert plain is not None, lacks
+    assert relative(plain.velocity, expected) < 1e-3

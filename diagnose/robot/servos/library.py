@@ -26,7 +26,6 @@ LOGGED = "position_late"  # form of a delay that is of the log
 PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
 MOST_PERIODS = 40.0  # over the travel
-SINE = Number("", log=False)
 
 
 @dataclass(frozen=True, eq=False)
