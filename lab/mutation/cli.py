@@ -56,6 +56,8 @@ def main(
         mutants = random.Random(seed).sample(mutants, sample)
     known = _killed_before(out)
     files = list(tests) or tests_that_import(sorted({module for module, _ in functions}), ROOT)
+    if not files:
+        raise click.ClickException("no file of tests imports these modules; name one by --tests")
     click.echo(f"{len(mutants)} mutants of {len(functions)} functions; tests in {len(files)} files")
     found = tests_of(functions, files, most)
     click.echo(f"{len(found.seconds)} tests of less than {most:g} s")
