@@ -64,7 +64,7 @@ UNITS: dict[str, tuple[float, str]] = {
     "N": (1.0, "torque"), "kN": (1e3, "torque"), "lbf": (POUND, "torque"), "kip": (1e3 * POUND, "torque"),
     "kgf": (KILOPOND, "torque"),
     "V": (math.nan, "torque"), "A": (math.nan, "torque"), "1": (math.nan, "torque"), "mA": (math.nan, "torque"),
-    "mV": (math.nan, "torque"),
+    "mV": (math.nan, "torque"), "degC": (1.0, "temperature"), "°C": (1.0, "temperature"),
 }  # fmt: skip
 _AMPERES, _VOLTS = {"A": 1.0, "mA": 1e-3}, {"V": 1.0, "mV": 1e-3}
 _OWN = {"current": _AMPERES, "voltage": _VOLTS, "control": {**_AMPERES, **_VOLTS, "1": 1.0}}  # of channels that are no torque
@@ -77,6 +77,7 @@ SI_UNITS = {
     "V": "", "A": "", "1": "", "mA": "", "mV": "",
     "Nm": "Nm", "N m": "Nm", "mNm": "Nm", "kNm": "Nm", "rad/s": "rad/s", "deg/s": "rad/s", "rpm": "rad/s",
     "rad": "rad", "deg": "rad", "rev": "rad", "mrad": "rad", "s": "s", "ms": "s", "us": "s", "ns": "s",
+    "degC": "degC", "°C": "degC",
 }  # fmt: skip
 """Unit of a binding -> that of the values once they are in SI; empty where the gain decides (newton or newton metre)."""
 
@@ -141,13 +142,14 @@ class Binding:
 
     CHANNELS = (
         "time", "torque", "velocity", "angle", "second_angle", "second_velocity", "command", "current", "supply", "known_torque",
-        "command_time", "control",
+        "command_time", "control", "temperature",
     )  # fmt: skip
     MEASURES = MappingProxyType(
         {
             "time": "time", "torque": "torque", "velocity": "velocity", "angle": "angle", "second_angle": "angle",
             "second_velocity": "velocity", "command": "command", "current": "current", "supply": "voltage",
             "known_torque": "torque", "command_time": "time", "control": "control",
+            "temperature": "temperature",
         }
     )  # fmt: skip
     KNOWN = ("kp", "kv", "supply_V")

@@ -50,7 +50,7 @@ def find_binding(recording: Path, model: Path | None = None) -> Binding:
 
 ARRAYS = (
     "time", "torque", "velocity", "angle", "second_angle", "second_velocity", "command", "current", "supply", "known_torque",
-    "control",
+    "control", "temperature",
 )  # fmt: skip
 
 
@@ -61,12 +61,12 @@ class Recording:
     time [s]; torque: commanded input [N m | N], not a number where the log has none and the input is the ``command`` of a servo
     [rad | m, per second for a velocity]; velocity [rad/s | m/s] and angle [rad | m] of body 0, either may be None; second_angle,
     second_velocity: behind the gear; control: input of the actuator, in its own units, where it is not yet known to be a torque
-    or a command (`mjsim.control`); current [A], supply [V]; known_torque: on body 0, beside the drive's [N m | N]; hold: how
-    the input goes between samples (`mjsim.hold`); joint: its name in a robot's log; known: values of this experiment;
-    columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...) where the binding
-    tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes: what reading changed;
-    noise: rms of the noise of a channel, where reading changed it; driven: False where the drive was off and the torque is zero;
-    control_column: name of the column of ``control``.
+    or a command (`mjsim.control`); current [A], supply [V], temperature [degC]; known_torque: on body 0, beside the drive's
+    [N m | N]; hold: how the input goes between samples (`mjsim.hold`); joint: its name in a robot's log; known: values of
+    this experiment; columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...)
+    where the binding tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes:
+    what reading changed; noise: rms of the noise of a channel, where reading changed it; driven: False where the drive was
+    off and the torque is zero; control_column: name of the column of ``control``.
 
     >>> import numpy as np
     >>> t = np.arange(5) * 0.01
@@ -105,6 +105,7 @@ class Recording:
     control: np.ndarray | None = None
     control_column: str = ""
     driven: bool = True
+    temperature: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from diagnose.data.stretches import Stretches, choose
 from diagnose.result import Estimate
@@ -17,6 +20,10 @@ from mjsim.readers.stream import row_count, windows
 from mjsim.recording import Recording, find_binding, from_table, load
 
 __all__ = ["Loaded", "load_all", "told", "trend_sentences"]
+
+ALIKE = math.sqrt(0.9)
+"""Correlation above which less than a tenth of the variance of one is left beside the other."""
+TOGETHER = "Time and temperature change together, so that the recording cannot tell which of them the friction follows."
 
 
 @dataclass(frozen=True)
@@ -75,18 +82,34 @@ def _stretches(
 
 
 def told(stretches: Sequence[Stretches], friction: Mapping[str, Mapping[str, Estimate]]) -> tuple[dict[str, Any], ...]:
-    """The stretches for ``diagnosis.json``, each with the friction that was fitted to it alone (by the hash of its samples)."""
+    """The stretches for ``diagnosis.json``, each with the friction that was fitted to it alone (by the hash of its samples).
+
+    As well with its mean temperature, where the log has one.
+    """
     return tuple(
-        {**s.as_dict(), "friction": {name: e.as_dict() for name, e in friction.get(r.sha256, {}).items()}}
+        {
+            **s.as_dict(), **({} if r.temperature is None else {"temperature_degC": float(r.temperature.mean())}),
+            "friction": {name: e.as_dict() for name, e in friction.get(r.sha256, {}).items()},
+        }
         for part in stretches for s, r in zip(part.chosen, part.recordings, strict=True)
     )  # fmt: skip
 
 
 def trend_sentences(stretches: Sequence[Stretches], friction: Mapping[str, Mapping[str, Estimate]]) -> list[str]:
-    """Which numbers of friction change over the time of each long recording."""
+    """Which numbers of friction change over the time of each long recording, and which with the temperature.
+
+    Time and temperature of which each tells the other (a correlation above `ALIKE`) are told as such.
+    """
     out = []
     for part in stretches:
         times = [s.start_s for s in part.chosen]
         numbers = [friction.get(r.sha256, {}) for r in part.recordings]
         out += [f"{part.chosen[0].file}: {line.sentence()}" for line in trends(times, numbers) if line.significant]
+        if any(r.temperature is None for r in part.recordings):
+            continue
+        degrees = [float(r.temperature.mean()) for r in part.recordings if r.temperature is not None]
+        lines = [line for line in trends(degrees, numbers) if line.significant]
+        out += [f"{part.chosen[0].file}: {line.by_temperature()}" for line in lines]
+        if lines and abs(np.corrcoef(times, degrees)[0, 1]) > ALIKE:
+            out.append(f"{part.chosen[0].file}: {TOGETHER}")
     return out

@@ -72,10 +72,10 @@ def _is_friction(entry: Entry, best: Fitted) -> bool:
 
 @dataclass(frozen=True)
 class Trend:
-    """The straight line through the estimates of one number over the times [s] of the recordings.
+    """The straight line through the estimates of one number over the times [s], or temperatures [degC], of the recordings.
 
-    slope, ci95: change per second and its 95 % interval; first, last: the line at the first and the last recording; p_value:
-    two-sided, of no change.
+    slope, ci95: change per second or degree and its 95 % interval; first, last: the line at the least and the largest time or
+    temperature, which are ``ends``; p_value: two-sided, of no change.
     """
 
     name: str
@@ -86,6 +86,16 @@ class Trend:
     last: float
     p_value: float
     significant: bool
+    ends: tuple[float, float] = (0.0, 0.0)
+
+    def by_temperature(self) -> str:
+        """Of a line over temperatures, for the notes of a diagnosis."""
+        low, high = self.ci95
+        cold, hot = self.ends
+        return (
+            f"{self.name} changes with the temperature: {self.first:.4g} {self.unit} at {cold:.3g} degC, {self.last:.4g} "
+            f"{self.unit} at {hot:.3g} degC, {self.slope:.3g} {self.unit} per degree (95 % interval {low:.3g} to {high:.3g})."
+        )
 
     def sentence(self) -> str:
         """For the notes of a diagnosis."""
@@ -130,7 +140,8 @@ def _line(name: str, rows: Sequence[tuple[float, Estimate]], fewest: int) -> Tre
     half = float(student.ppf(0.975, len(y) - 2)) * error
     p = 2 * float(student.sf(abs(slope) / error, len(y) - 2))
     first, last = (level + slope * (end - middle) for end in (at.min(), at.max()))
-    return Trend(name, rows[0][1].unit, slope, (slope - half, slope + half), float(first), float(last), p, False)
+    ends = float(at.min()), float(at.max())
+    return Trend(name, rows[0][1].unit, slope, (slope - half, slope + half), float(first), float(last), p, False, ends)
 
 
 def _by_holm(lines: Sequence[Trend]) -> tuple[Trend, ...]:

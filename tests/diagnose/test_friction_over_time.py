@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from diagnose.data.experiment import prepare
+from diagnose.data.stretches import Stretch, Stretches
 from diagnose.evidence.conditioning import conditioning
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.view import MotionView
 from diagnose.result import Estimate
 from diagnose.verdict.friction_over_time import friction_by_recording, trends
 from mjsim.effects import effect_class
+from mjsim.errors import InputError
+from mjsim.recording import Recording, load
+from simgap.long_logs import TOGETHER, told, trend_sentences
 
 COULOMB = effect_class("coulomb_friction")
 
@@ -97,3 +101,59 @@ def test_many_numbers_are_tested_together():
     flat = {f"g{i}": estimate(1.0) for i in range(39)}
     together = trends(times, [numbers | flat for numbers in steep])
     assert not any(line.significant for line in together)
+
+
+def stretches(temperatures, times=None):
+    """Stretches of one log, with their mean temperatures, and Coulomb friction that follows `level` of them."""
+    n = len(temperatures)
+    times = np.linspace(0.0, 3600.0, n) if times is None else times
+    recordings = [
+        Recording(np.arange(3.0), np.zeros(3), np.zeros(3), None, 1.0, sha256=str(i),
+                  temperature=None if c is None else np.array([c - 1.0, c, c + 1.0]))
+        for i, c in enumerate(temperatures)
+    ]  # fmt: skip
+    chosen = [Stretch("log.csv", i, i + 1, float(t), float(t) + 1.0, 1.0, False) for i, t in enumerate(times)]
+    return Stretches(tuple(chosen), tuple(recordings), n, 0)
+
+
+def test_friction_over_temperature_is_told_beside_that_over_time():
+    """Friction that falls with a temperature that goes up and down: a line over temperature, none over time."""
+    degrees = [20.0, 60.0, 30.0, 50.0, 60.0, 20.0, 50.0, 30.0]
+    part = stretches(degrees)
+    friction = {str(i): {"coulomb": estimate(0.5 - 0.005 * c, 0.002)} for i, c in enumerate(degrees)}
+    (said,) = trend_sentences([part], friction)
+    assert said.startswith(
+        "log.csv: coulomb changes with the temperature: 0.4 N m at 20 degC, 0.2 N m at 60 degC, -0.005 N m per"
+    )
+    assert [s["temperature_degC"] for s in told([part], friction)] == degrees
+    steady = {str(i): {"coulomb": estimate(0.3)} for i in range(8)}
+    assert trend_sentences([part], steady) == []
+
+
+@pytest.mark.parametrize(("odd", "together"), [(0.0, True), (60.0, False)])
+def test_time_and_temperature_that_rise_together_are_not_told_apart(odd, together):
+    degrees = [20.0 + 5.0 * i + odd * (i == 1) for i in range(8)]
+    part = stretches(degrees)
+    friction = {str(i): {"coulomb": estimate(0.5 - 0.003 * c, 0.002)} for i, c in enumerate(degrees)}
+    said = trend_sentences([part], friction)
+    assert any("with the temperature" in s for s in said)
+    assert any(TOGETHER in s for s in said) is together
+
+
+def test_a_log_without_a_temperature_says_nothing_of_it():
+    part = stretches([None] * 8)
+    friction = {str(i): {"coulomb": estimate(0.5 - 0.01 * i, 0.002)} for i in range(8)}
+    (said,) = trend_sentences([part], friction)
+    assert "over the recording" in said
+    assert all("temperature_degC" not in s for s in told([part], friction))
+
+
+@pytest.mark.parametrize("unit", ["", ', unit = "degC"', ', unit = "°C"'])
+def test_a_temperature_is_bound(tmp_path, unit):
+    rows = "".join(f"{0.01 * i:.2f},{i % 7},{i % 5},{30 + i}\n" for i in range(9))
+    (tmp_path / "log.csv").write_text("time_s,torque_Nm,velocity_rad_s,housing\n" + rows)
+    (tmp_path / "log.toml").write_text(f'[recording]\ntemperature = {{column = "housing"{unit}}}\n', encoding="utf-8")
+    assert np.array_equal(load(tmp_path / "log.csv").temperature, 30.0 + np.arange(9))
+    (tmp_path / "log.toml").write_text('[recording]\ntemperature = {column = "housing", unit = "rpm"}\n')
+    with pytest.raises(InputError, match="a unit of temperature"):
+        load(tmp_path / "log.csv")
