@@ -107,8 +107,8 @@ def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
             return
         with (
             LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, memory_limit=memory, dashboard_address=None,
-                env=os.environ | single, silence_logs=50,
+                n_workers=workers, threads_per_worker=1, processes=True, memory_limit=memory, env=os.environ | single,
+                dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False}, silence_logs=50,
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip

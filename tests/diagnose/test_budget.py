@@ -14,7 +14,7 @@ from mjsim.excitation import chirp
 from mjsim.ode import simulate, work_done
 from mjsim.recording import Recording
 
-DT, N, NOISE = 1e-3, 8_000, 0.05
+DT, N, NOISE = 1e-3, 4_000, 0.05
 STICTION = {"torque_Nm": 0.06, "peak": 3.6}
 PAIR = ("coulomb_friction", "static_friction", "stribeck_friction", "sensor_lag", "hysteresis")
 

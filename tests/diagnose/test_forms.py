@@ -28,15 +28,15 @@ DT, N = 1e-3, 8_000
 LUGRE = {"torque_Nm": 0.1, "stiffness_Nm_rad": 1.0, "damping_Nms_rad": 0.01}
 
 
-def two_chirps(plant, seed, noise, low, *chirps):
+def two_chirps(plant, seed, noise, low, *chirps, n=N):
     """A recording for each (amplitude [N m], highest frequency [Hz]), from ``low`` [Hz]; noise in rad/s and 1e-4 rad."""
     rng = np.random.default_rng(seed)
     out = []
     for amplitude, top in chirps:
-        torque = chirp(N * DT, DT, amplitude, low, top)
+        torque = chirp(n * DT, DT, amplitude, low, top)
         run = simulate(plant, torque, DT)
-        velocity = run.velocity + noise * rng.standard_normal(N)
-        out.append(Recording(run.time, torque, velocity, run.angle + 1e-4 * rng.standard_normal(N), DT))
+        velocity = run.velocity + noise * rng.standard_normal(n)
+        out.append(Recording(run.time, torque, velocity, run.angle + 1e-4 * rng.standard_normal(n), DT))
     return out
 
 
@@ -44,7 +44,7 @@ def two_chirps(plant, seed, noise, low, *chirps):
 def damped(robot):
     """Two chirps of an axis whose bristle is damped, as the contract's presliding friction has it not."""
     plant = robot + effect_class("presliding_friction_with_damping")(**LUGRE)
-    return two_chirps(plant, 5, 0.02, 0.5, (0.5, 20.0), (0.35, 30.0))
+    return two_chirps(plant, 5, 0.02, 0.5, (0.5, 20.0), (0.35, 30.0), n=5_000)
 
 
 def test_every_form_is_of_an_effect_of_the_contract():

@@ -173,7 +173,7 @@ def test_what_a_filter_leaves_open_all_recordings_may_settle(robot, looped):
     assert motion_error(fitter, pooled(fitter, plain)) > Options().missed, "else there is nothing to show"
     whitened = fitter.relax(whitening=filter_)
     assert motion_error(whitened, pooled(whitened, settled)) < Options().missed
-    result = diagnose(robot, [first], [other], Options(jobs=1))
+    result = diagnose(robot, [first], [other], Options(jobs=1, effects=("coulomb_friction", "torque_offset", "sensor_lag")))
     assert result.verdict in (Verdict.PARAMETERS_ONLY, Verdict.NO_MISMATCH)
 
 
