@@ -21,6 +21,7 @@ from mjsim.effects import effect_class
 from mjsim.recording import Recording
 
 DT, SECONDS, INERTIA, VISCOUS = 4e-3, 10.0, 10.0, 20.0
+FEW = ("asymmetric_friction", "coulomb_friction", "gravity_load", "quadratic_friction", "stribeck_friction", "torque_ripple")
 NOMINAL = Axis(Chain((Body("motor", 0.85 * INERTIA, 1.3 * VISCOUS, "axis"),), ()))
 
 
@@ -52,10 +53,10 @@ def moved(rng, unknown, dry=0.0, memory=0.05, ripple=0.0):
     return Recording(DT * np.arange(len(goal)), torque, None, angle, DT, judge="force", loop="closed")
 
 
-def told(seed, **how):
+def told(seed, effects=(), **how):
     rng = np.random.default_rng([seed, 4])
     fitted, held = moved(rng, **how), moved(rng, **how)
-    return diagnose(NOMINAL, [fitted], [held], Options())
+    return diagnose(NOMINAL, [fitted], [held], Options(effects=effects))
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(0, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
@@ -81,13 +82,13 @@ def test_without_that_rule_it_would_be(monkeypatch):
 
 @pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), (0.05, 1.0)])
 def test_friction_beside_them_is_named(unknown, memory):
-    result = told(5, unknown=unknown, memory=memory, dry=0.3)
+    result = told(5, FEW, unknown=unknown, memory=memory, dry=0.3)
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
 
 
 def test_ripple_of_few_periods_is_named_where_it_is_most_of_the_error():
     """Three or four periods over the travel have no other orders beside them to stand out of."""
-    result = told(5, unknown=0.02, ripple=0.3)
+    result = told(5, FEW, unknown=0.02, ripple=0.3)
     assert [f.effect for f in result.findings] == ["torque_ripple"]
     assert result.findings[0].parameters["cycles_per_rev"].value == pytest.approx(14.0, rel=0.03)
 
