@@ -137,7 +137,11 @@ def merged(offered: Sequence[Candidate], effects: tuple[Effect, ...]) -> list[tu
 
 
 def split(fitter: Fitter, offered: Sequence[Candidate], base: Fitted) -> list[Neighbour]:
-    """For each compound effect of a structure its parts in its place, the first of them by an effect that refines it."""
+    """For each compound effect of a structure its parts in its place, the first of them by an effect that refines it.
+
+    Each start of that effect is a neighbour of its own: beside all that the compound effect explained, their first costs differ
+    by too little to rank them.
+    """
     out, keys = [], {c.key for c in offered}
     for effect in base.effects:
         others = without(base.effects, effect)
@@ -154,7 +158,7 @@ def split(fitter: Fitter, offered: Sequence[Candidate], base: Fitted) -> list[Ne
                 starts = tuple(
                     make(c.id, c.place, inherit(cls, v, first)) for v in cls.starts(fitter.scales_for(cls, c.place))
                 )  # fmt: skip
-                out.append((beside, Screened(c, starts[0], math.inf, starts)))
+                out += [(beside, Screened(c, start, math.inf, (start,))) for start in starts]
     return out
 
 
