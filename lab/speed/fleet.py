@@ -3,13 +3,18 @@
     python lab/speed/fleet.py --logs 24 --repeats 200 --out fleet.json
 
 Recordings: 4 s at 250 Hz of a pendulum with Coulomb friction, stepped by plain MuJoCo. Seconds are of the wall; memory is the
-resident set of the process after a tenth of the recordings and after the last one.
+resident set of the process after a tenth of the recordings and after the last one. ``cpu_s`` is the processor time of the client
+and of its workers, load the mean number of processes that ran or waited in the minute before. Where other work loads the machine,
+the wall tells little: ``serial`` is the processor time of the client alone over that of all, which a second worker cannot take,
+and 1 / (serial + (1 - serial) / 2) the speed-up that it allows.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import resource
 import statistics
 import tempfile
 import time
@@ -59,6 +64,11 @@ def resident() -> float:
         return int(handle.read().split()[1]) * 4096 / 1e6
 
 
+def _cpu() -> float:
+    """Processor time of this process and of those that have ended [s]."""
+    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=24)
@@ -69,11 +79,13 @@ def main() -> None:
         folder = Path(work)
         planned = plan(folder, args.logs)
         record_of(planned[0], folder)  # what is compiled once on a machine
-        wall = {}
+        wall, cpu, load, serial = {}, {}, {}, {}
         for workers in (1, 2):
-            began = time.perf_counter()
+            load[workers] = os.getloadavg()[0]
+            began, client, all_of_it = time.perf_counter(), time.process_time(), _cpu()
             run(planned, folder / f"out{workers}", workers=workers)
-            wall[workers] = time.perf_counter() - began
+            wall[workers], cpu[workers] = time.perf_counter() - began, _cpu() - all_of_it
+            serial[workers] = (time.process_time() - client) / cpu[workers]
         records = [place(folder / "out2", j.key) for j in planned]
         size = statistics.median(p.stat().st_size for p in records)
         seconds, memory = [], []
@@ -82,7 +94,8 @@ def main() -> None:
             memory.append(resident())
     tenth = max(1, args.repeats // 10)
     told = {
-        "logs": args.logs, "wall_s": wall, "speed_up": wall[1] / wall[2], "record_bytes": size, "repeats": args.repeats,
+        "logs": args.logs, "wall_s": wall, "cpu_s": cpu, "load": load, "serial": serial, "speed_up": wall[1] / wall[2],
+        "record_bytes": size, "repeats": args.repeats,
         "seconds_median": statistics.median(seconds), "memory_MB": {"after_a_tenth": memory[tenth - 1], "at_the_end": memory[-1]},
     }  # fmt: skip
     print(json.dumps(told, indent=2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,8 @@ def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
         "distributed.worker.daemon": False, "distributed.comm.timeouts.connect": "10s",
     }  # fmt: skip
     single = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    with dask.config.set(options):
+    with dask.config.set(options), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Port .* is already in use")  # of the page of another cluster on this machine
         if scheduler:
             try:
                 with Client(scheduler) as client:

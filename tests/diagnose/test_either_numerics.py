@@ -89,7 +89,7 @@ def searched(monkeypatch):
     """`by_either_numerics` around made-up searches: (answers in turn, others, seconds, each takes) -> (answer, calls)."""
 
     def ask(answers, others, seconds=math.inf, takes=1.0):
-        now, calls = [0.0], []
+        now, calls = [100.0], []
 
         def diagnose(axis, recordings, held_out, options, say, ledger, corrections):
             calls.append((axis, options.seconds, ledger, corrections))

@@ -130,6 +130,12 @@ def test_motion_counts_where_it_is_asked_for_and_explains(motion):
     assert passed[0].seconds == 30.0
 
 
+def test_motion_has_the_time_that_is_left(motion):
+    (axis, _, _), passed = motion(seconds=20.5, takes=20.0)
+    assert axis == "axis"
+    assert passed[0].seconds == 0.5
+
+
 @pytest.mark.parametrize(
     "what",
     [
@@ -146,6 +152,9 @@ def test_force_decides_where_motion_cannot(motion, what):
     assert axis is NOMINAL
     assert runs is None
     assert first.verdict is Verdict.UNEXPLAINED
+
+
+PLAIN = Recording(DT * np.arange(9), np.arange(9.0), None, np.arange(9.0), DT)
 
 
 @pytest.mark.parametrize(("ok", "above", "follows"), [(True, False, True), (True, True, False), (False, False, False)])
@@ -170,10 +179,11 @@ def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, follows):
         def close(self):
             closed.append(True)
 
+    monkeypatch.setattr(either_view, "split", lambda *_: ((), ()))
     monkeypatch.setattr(either_view, "Fitter", Fitted)
     monkeypatch.setattr(either_view, "physics_found", lambda _: [])
     monkeypatch.setattr(either_view, "as_fitted", lambda _: {})
-    assert _follows_freely(NOMINAL, None, [log(1)], [log(2)], Options(jobs=1)) is follows
+    assert _follows_freely(NOMINAL, None, [PLAIN], [PLAIN], Options(jobs=1)) is follows
     assert closed == [True]
     assert levels in ([], [FAR])
 
@@ -181,7 +191,7 @@ def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, follows):
         raise InputError("log", "what", "more")
 
     monkeypatch.setattr(either_view, "Fitter", refuse)
-    assert _follows_freely(NOMINAL, None, [log(1)], [log(2)], Options(jobs=1)) is False
+    assert _follows_freely(NOMINAL, None, [PLAIN], [PLAIN], Options(jobs=1)) is False
 
 
 @pytest.mark.parametrize(

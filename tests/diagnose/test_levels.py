@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnose.evidence.intervals import half_width, open_sizes, sizes_of
+from diagnose.evidence.intervals import at_bounds, half_width, open_sizes, sizes_of
 from diagnose.fit.least_squares import Status
-from diagnose.thresholds import SIGMAS, SMALL
+from diagnose.thresholds import ROUNDING, SIGMAS, SMALL
 from diagnose.verdict import determined as asked
 from diagnose.verdict import reference_stage
 from diagnose.verdict.determined import _admissible, _poorer, determined
@@ -122,6 +122,18 @@ def test_a_size_is_open_where_its_interval_contains_zero():
     assert open_sizes(f, None, {}) == ()
     f.errors = [math.nan] * 4
     assert [o.name for o in open_sizes(f, None)] == ["torque_Nm", "extra_static_torque_Nm"]  # of no interval nothing is known
+
+
+def test_a_number_at_a_bound():
+    """Inertias and stiffnesses of the model, whose entries are logarithms, within `ROUNDING` of a bound."""
+    entry = lambda name, owner="", log=True: SimpleNamespace(name=name, owner=owner, log=log)  # noqa: E731
+    entries = [entry("low"), entry("near low"), entry("within"), entry("near high"), entry("high"), entry("own", "coulomb@motor"),
+               entry("plain", log=False)]  # fmt: skip
+    x = [-1.0, -1.0 + 2 * ROUNDING, 0.0, 1.0 - 2 * ROUNDING, 1.0, 1.0, 1.0]
+    hypothesis = SimpleNamespace(entries=entries, bounds=([-1.0] * 7, [1.0] * 7))
+    assert at_bounds(SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(x=x))) == ("low", "high")
+    x[1], x[3] = -1.0 + 0.5 * ROUNDING, 1.0 - 0.5 * ROUNDING
+    assert at_bounds(SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(x=x))) == ("low", "near low", "near high", "high")
 
 
 def structure(name, *effects, cost=0.0, ok=True, status=None):

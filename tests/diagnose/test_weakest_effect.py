@@ -151,7 +151,7 @@ def test_which_effect_is_the_weakest():
 @pytest.fixture
 def judged(monkeypatch, tmp_path):
     """`without_weakest` around made-up runs: chi-squares of (fit, estimation, held out) beyond those before, in prices."""
-    level = KnownNoise.prices.entry + 0.5 * KnownNoise.prices.price  # one parameter
+    level = KnownNoise.prices.entry + 0.5 * KnownNoise.prices.price * 2  # a spring has two parameters
 
     def ask(fit=0.0, estimation=0.0, held_out=0.0, quiet=True, lacks=(), unwritten=()):
         base = {"estimation": 1000.0, "held_out": 500.0}
@@ -176,7 +176,7 @@ def judged(monkeypatch, tmp_path):
         out = tmp_path / "corrected.xml"
         out.write_text("both")
         axis = SimpleNamespace(effects=(SPRING, DRAG), without=lambda key: key)
-        found = Found((finding(SPRING, 1.0, 0.1), finding(DRAG, 1.0, math.sqrt(1 - 0.5 * SMALL))))
+        found = Found((finding(DRAG, 1.0, 0.1), finding(SPRING, 1.0, math.sqrt(1 - 0.5 * SMALL))), ("kept",))
         form = SimpleNamespace(lacks=lacks, write=write)
         less = without_weakest(PLAIN, axis, found, SimpleNamespace(cases=()), form, "before", out, 1)
         assert sorted(p.name for p in tmp_path.iterdir()) == ["corrected.xml"]
@@ -192,8 +192,10 @@ def test_an_effect_is_needed_above_its_price(judged):
     less = judged(fit=1.0, estimation=1.0, held_out=1.0)
     assert less is not None
     result, axis, runs = less
-    assert (axis, runs) == ("quadratic_friction@motor", "after")
-    assert [f.effect for f in result.findings] == ["joint_spring"]
+    assert (axis, runs) == ("joint_spring@motor", "after")
+    assert [f.effect for f in result.findings] == ["quadratic_friction"]
+    assert result.notes[0].startswith("Joint spring at the motor is not named")
+    assert result.notes[1:] == ("kept",)
     for above in ({"fit": 1.001}, {"estimation": 1.001}, {"held_out": 1.001}, {"quiet": False}):
         assert judged(**above) is None
     assert judged(lacks=("what MJCF lacks",)) is None
