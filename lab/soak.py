@@ -57,7 +57,8 @@ def resident(pid: int) -> int:
     """Resident set of a process and of those that it started [kB]; 0 where it has ended. Linux only."""
     try:
         own = int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        tasks = list(Path(f"/proc/{pid}/task").iterdir())  # a child belongs to the thread that started it
+        children = [child for task in tasks for child in (task / "children").read_text().split()]
     except (OSError, IndexError):
         return 0
     return own + sum(resident(int(child)) for child in children)

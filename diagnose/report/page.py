@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path, PurePath
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from diagnose.report import tables
@@ -269,5 +270,6 @@ def _commands(d: Diagnosis) -> list[str]:
     names = [PurePath(r.get("file", "")).name for r in d.recordings]
     if not names:
         return []
+    log = quote(f"./{names[-1]}" if names[-1].startswith("-") else names[-1])
     models = ["corrected.xml", *(["mapped.xml"] if d.map is not None else [])]
-    return [f"simgap replay {model} {names[-1]} --out prediction.csv" for model in models]
+    return [f"simgap replay {model} {log} --out prediction.csv" for model in models]

@@ -223,3 +223,15 @@ def test_a_fleet_survives_killed_workers(tmp_path, monkeypatch):
     assert time.perf_counter() - began < 1.0
     assert not list((tmp_path / "out").rglob("*.part"))
     assert json.loads(place(tmp_path / "out", planned[0].key).read_text())["job"]["robot"] == "r0"
+
+
+def test_what_a_killed_worker_left_is_removed(tmp_path):
+    """Half a record beside whole ones: the next run removes it, also where nothing is left to do."""
+    model = model_in(tmp_path)
+    write_log(tmp_path / "logs/r0/2026-01-01.csv", 0.15, 0)
+    planned = jobs(str(tmp_path / "logs/*/*.csv"), model, Settings())
+    target = place(tmp_path / "out", planned[0].key)
+    write_record(target, {"job": planned[0].as_dict(), "refused": "made"})
+    target.with_suffix(".123.part").write_text("{")
+    assert run(planned, tmp_path / "out") == 0
+    assert [p.name for p in target.parent.iterdir()] == [target.name]

@@ -267,3 +267,32 @@ def test_a_struct_whose_size_nothing_bounds(rows, width, said, tmp_path):
     path.write_bytes(data)
     with pytest.raises(InputError, match=said):
         read_table(path)
+
+
+def test_an_altered_value_of_an_mcap_file_is_told_by_its_checksum(tmp_path):
+    """A digit of a message that was stored plainly: the file is well-formed, and the sum of its chunk is not."""
+    writer = pytest.importorskip("mcap.writer")
+    out = io.BytesIO()
+    log = writer.Writer(out, compression=writer.CompressionType.NONE)
+    log.start()
+    channel = log.register_channel("joint", "json", log.register_schema("s", "jsonschema", b"{}"))
+    for i in range(N):
+        row = json.dumps({"time_s": i * 1e-3, "torque_Nm": 1.25, "angle_rad": 0.5}).encode()
+        log.add_message(channel, i * 1000000, row, i * 1000000)
+    log.finish()
+    data = out.getvalue()
+    (tmp_path / "log.mcap").write_bytes(data)
+    assert refusal(tmp_path / "log.mcap") is None
+    assert b"1.25" in data
+    (tmp_path / "log.mcap").write_bytes(data.replace(b"1.25", b"1.35", 1))
+    told = refusal(tmp_path / "log.mcap")
+    assert told is not None
+    assert "not a readable MCAP file" in told
+
+
+@pytest.mark.parametrize("header", ["time_s,torque_Nm,angle_rad,angle_rad", "time_s,torque_Nm,,angle_rad"])
+def test_a_column_name_that_is_there_twice_or_empty_is_refused(header, tmp_path):
+    (tmp_path / "log.csv").write_text(header + "\n" + "0,0,0,0\n" * 3)
+    told = refusal(tmp_path / "log.csv")
+    assert told is not None
+    assert "empty or repeated column name" in told

@@ -9,6 +9,7 @@ import json
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from diagnose.report.charts import explorer_of
 from diagnose.report.curves import envelope, worst_stretch
 from diagnose.report.document import theme
 from diagnose.report.figures import estimate, interval, number, p_value, percent, prose, unit
-from diagnose.report.page import render_report
+from diagnose.report.page import _commands, render_report
 from diagnose.report.plots import page_data
 from diagnose.report.static import VARIABLES
 from diagnose.report.words import formula
@@ -360,3 +361,14 @@ def test_worst_stretch_holds_the_worst_error(diagnosis: Diagnosis) -> None:
     e2 = np.where(t.counted, (t.measured - t.refitted) ** 2, 0)
     assert 50 < s.stop - s.start <= len(t.time) // 5
     assert np.mean(e2[s]) > 2 * np.mean(e2)
+
+
+@pytest.mark.parametrize(
+    ("name", "quoted"),
+    [("log.csv", "log.csv"), ("a b;rm -rf $HOME.csv", "'a b;rm -rf $HOME.csv'"), ("-rf.csv", "./-rf.csv"),
+     ("it's.csv", "'it'\"'\"'s.csv'")],
+)  # fmt: skip
+def test_a_suggested_command_can_be_pasted_into_a_shell(name, quoted):
+    d = SimpleNamespace(recordings=[{"file": f"logs/{name}"}], map=object())
+    assert _commands(d) == [f"simgap replay {m}.xml {quoted} --out prediction.csv" for m in ("corrected", "mapped")]
+    assert _commands(SimpleNamespace(recordings=[], map=None)) == []
