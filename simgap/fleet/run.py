@@ -94,8 +94,9 @@ def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
     options = {
         "distributed.scheduler.allowed-failures": LOSSES, "distributed.logging.distributed": "error",
         "distributed.worker.daemon": False, "distributed.comm.timeouts.connect": "10s",
-        # what a cluster keeps of its own doings, which grows for an hour and more
-        "distributed.admin.system-monitor.log-length": 60, "distributed.admin.log-length": 1000,
+        # entries of its own doings that a cluster keeps: they grow with each task, the monitor with time
+        "distributed.admin.system-monitor.log-length": 60, "distributed.admin.log-length": 100,
+        "distributed.admin.low-level-log-length": 100,
         "distributed.worker.profile.enabled": False,
     }  # fmt: skip
     single = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
