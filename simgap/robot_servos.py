@@ -59,7 +59,7 @@ def judge_servos(
         table[name] = [
             {
                 "file": r.source,
-                "role": "held_out" if role else "estimation",
+                "role": "held-out" if role else "estimation",
                 "moves": _moves(r, name),
                 "nominal_rms": _rms(a),
                 "corrected_rms": _rms(b),

@@ -47,7 +47,7 @@ def with_tracking(
         diverged = [a or run.diverged for a, run in zip(diverged, (first, second), strict=True)]
         for name, rows in table.items():
             rows.append(
-                {"file": r.source, "role": "estimation" if k < len(recordings) else "held_out", "moves": True,
+                {"file": r.source, "role": "estimation" if k < len(recordings) else "held-out", "moves": True,
                  "nominal_rms": before[name], "corrected_rms": corrected_rms[name]}
             )  # fmt: skip
     engine = f"MuJoCo, all joints together under the logged torques and a tracking loop of {TRACKING:g} Hz: torque of the loop"

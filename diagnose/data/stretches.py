@@ -43,7 +43,7 @@ class Stretch:
 
     def as_dict(self) -> dict[str, object]:
         """For ``diagnosis.json``."""
-        role = "held_out" if self.held_out else "estimation"
+        role = "held-out" if self.held_out else "estimation"
         return {**{k: v for k, v in dataclasses.asdict(self).items() if k != "held_out"}, "role": role}
 
 

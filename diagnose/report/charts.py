@@ -83,7 +83,7 @@ def recording_chart(s: Signals, channel: str, u: str, error_of: str, key: str) -
         tops.append(Panel(x, Axis(channel, u, limits=top_limits), top, spans, title))
         bottoms.append(Panel(x, Axis("error", u, limits=bottom_limits), tuple(bottom), spans))
     alt = (
-        f"{channel.capitalize()} of {s.source} ({s.role.replace('_', ' ')}) over time, measured and predicted, with the "
+        f"{channel.capitalize()} of {s.source} ({s.role}) over time, measured and predicted, with the "
         f"prediction errors below; at the right the stretch from {ends[0]:.4g} to {ends[1]:.4g} s where the error is largest"
     )
     return Chart(key, alt, (tuple(tops), tuple(bottoms)), 350, (1.7, 1.0))

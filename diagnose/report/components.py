@@ -169,7 +169,7 @@ def explorer_section(explorer: Explorer, title: str, film: Markup | None = None)
     key, channel = _key(explorer.key), explorer.channel
     recordings = Markup("").join(
         Markup('<option value="{}"{}>{}</option>').format(
-            i, Markup(" selected") if i == _first(explorer) else "", f"{s.source} ({s.role.replace('_', ' ').replace('-', ' ')})"
+            i, Markup(" selected") if i == _first(explorer) else "", f"{s.source} ({s.role.replace('-', ' ')})"
         )
         for i, s in enumerate(explorer.recordings)
     )

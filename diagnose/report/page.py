@@ -118,7 +118,7 @@ def _elsewhere(d: Diagnosis, drawn: Mapping[str, Markup]) -> list[dict[str, Any]
     return [
         {
             "source": m.source,
-            "role": m.role.replace("_", " "),
+            "role": m.role,
             "share": percent(d.shares()[i]),
             "where": where(d, m),
             "plots": [drawn[k] for k in (f"s{i}", f"n{i}") if k in drawn],
@@ -257,7 +257,7 @@ def _recordings(d: Diagnosis) -> list[dict[str, str]]:
     out: dict[str, dict[str, str]] = {}
     for r in d.recordings:
         key = r.get("sha256") or r.get("file", "")
-        role = r.get("role", "").replace("_", " ")
+        role = r.get("role", "")
         if key in out:
             out[key]["role"] += f" and {role}"
         else:

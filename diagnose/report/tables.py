@@ -85,7 +85,7 @@ def stretch_table(d: Diagnosis) -> Markup | None:
         found = [s["friction"].get(name) for name in names]
         told = [Estimate(e["value"], tuple(e["ci95"]), e["unit"], e.get("at_bound", False)) if e else None for e in found]
         values = [f"{estimate(e)} ({interval(e)})" if e else "–" for e in told]
-        rows.append((f"{number(s['start_s'])} s", str(s["role"]).replace("_", "-"), *values))
+        rows.append((f"{number(s['start_s'])} s", str(s["role"]), *values))
     return table(columns, rows, "Friction of each stretch by itself, with 95 % intervals; all other numbers are held")
 
 

@@ -139,7 +139,7 @@ def prepare(
     role: str = "estimation",
     split: bool = False,
 ) -> RobotMotion:
-    """The recording behind the filter. ``split``: hold out every third of ten blocks; role "held_out": hold out all of it."""
+    """The recording behind the filter. ``split``: hold out every third of ten blocks; role "held-out": hold out all of it."""
     from scipy.signal import butter, sosfiltfilt
 
     coarse = max(1, int(1 / (recording.dt * OVERSAMPLING * cutoff)))
@@ -165,7 +165,7 @@ def prepare(
     for j, name in enumerate(robot.joints):
         counts[:, j] &= name in joints
     held = np.zeros(len(counts), bool)
-    if role == "held_out":
+    if role == "held-out":
         held[:] = True
     elif split:
         held = (np.arange(len(counts)) * BLOCKS // len(counts)) % EVERY == EVERY - 1

@@ -169,7 +169,7 @@ def explorer_of(r: JointResult, index: int) -> Explorer | None:
     recordings = tuple(_signals(t, added=bool(r.findings)) for t in traces)
     channel, u = _channel(r), unit(r.unit)
     error_of = "refitted" if r.findings else "corrected"
-    held = [s for s in recordings if s.role == "held_out"]
+    held = [s for s in recordings if s.role == "held-out"]
     printed = max(held or recordings, key=lambda s: len(s.time))
     static = (recording_chart(printed, channel, u, error_of, f"joint-{index}-printed"),)
     return Explorer(f"joint-{index}", channel, u, recordings, NAMES, COLOURS, error_of, static)
@@ -207,7 +207,7 @@ def _recordings(d: RobotDiagnosis) -> str:
                 errors = [
                     number(scale * row[k], 3) if row[k] is not None else "diverged" for k in ("nominal_rms", "corrected_rms")
                 ]
-                rows.append([escape(joint), escape(row["file"]), row["role"].replace("_", " "), *errors])
+                rows.append([escape(joint), escape(row["file"]), row["role"], *errors])
     lacking = d.closed_loop.get("lacking") or []
     said = f"{escape(d.closed_loop['engine'])}." + (f" Not run: {escape(', '.join(lacking))}." if lacking else "")
     head = ["Joint", "Recording", "Role", f"file as given [{u}]", f"corrected.xml [{u}]"]
@@ -243,10 +243,7 @@ def _notes(d: RobotDiagnosis) -> str:
 
 
 def _footer(d: RobotDiagnosis) -> str:
-    rows = "".join(
-        f"<li>{escape(r['file'])} ({escape(r['role'].replace('_', ' '))}) <code>{escape(r['sha256'])}</code></li>"
-        for r in d.recordings
-    )
+    rows = "".join(f"<li>{escape(r['file'])} ({escape(r['role'])}) <code>{escape(r['sha256'])}</code></li>" for r in d.recordings)
     versions = ", ".join(f"{k} {v}" for k, v in d.versions.items())
     below = f"Below {number(d.cutoff_hz, 3)} Hz; " if np.isfinite(d.cutoff_hz) else ""
     return (

@@ -64,7 +64,7 @@ def diagnose_robot(
     names = _chosen(robot, everything, options)
     cutoff = options.cutoff_hz or min(clean_band(robot, r, names) for r in everything)
     motions = [prepare(robot, r, names, cutoff, split=not held_out) for r in recordings]
-    motions += [prepare(robot, r, names, cutoff, role="held_out") for r in held_out]
+    motions += [prepare(robot, r, names, cutoff, role="held-out") for r in held_out]
     problem = build(robot, motions, [robot.joints.index(n) for n in names], options.effects)
     _enough(problem)
     say(f"{len(names)} joints, {sum(len(p.y) for p in problem.fitted.values())} samples below {cutoff:.3g} Hz")
@@ -145,7 +145,7 @@ def _told(
         _notes(search, recordings, joints), search.hypotheses, cutoff,
         tuple(
             {"file": r.source, "sha256": r.sha256, "role": role}
-            for role, group in (("estimation", recordings), ("held_out", held_out)) for r in group
+            for role, group in (("estimation", recordings), ("held-out", held_out)) for r in group
         ),
         search.options.seed, time.perf_counter() - begun,
         {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
@@ -214,7 +214,7 @@ def _traces(p: Problem, j: int, *solutions: Solution) -> list[Trace]:
     out = []
     angle, speed = ("m", "m/s") if p.robot.motions[j] is Motion.SLIDE else ("rad", "rad/s")
     for k, motion in enumerate(p.motions):
-        for parts, which, role in ((p.fitted[j], "fitted", "estimation"), (p.held[j], "held", "held_out")):
+        for parts, which, role in ((p.fitted[j], "fitted", "estimation"), (p.held[j], "held", "held-out")):
             rows = parts.run == k
             counted = motion.counts[:, j] & (motion.held if which == "held" else ~motion.held)
             if not rows.any():

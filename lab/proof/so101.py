@@ -129,7 +129,7 @@ def _each(joints: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
         rows.append([Path(str(first["file"])).stem + (" (fitted)" if first["role"] == "estimation" else ""), *cells])
     medians = ["median, held out"]
     for n in names:
-        kept = [r for r in joints[n] if r["role"] == "held_out" and r["moves"]]
+        kept = [r for r in joints[n] if r["role"] == "held-out" and r["moves"]]
         medians.append(" → ".join(f"{1e3 * np.median([r[k] for r in kept]):.1f}" for k in ("nominal_rms", "corrected_rms")))
     return table(["recording", *names], [*rows, medians])
 

@@ -65,6 +65,6 @@ def summary_rows(d: RobotDiagnosis) -> list[tuple[str, float, float, int]]:
     assert d.closed_loop is not None
     out = []
     for name, rows in d.closed_loop["joints"].items():
-        kept = [r for r in rows if r["role"] == "held_out" and r["moves"]]
+        kept = [r for r in rows if r["role"] == "held-out" and r["moves"]]
         out.append((name, *(1e3 * float(np.median([r[k] for r in kept])) for k in ("nominal_rms", "corrected_rms")), len(kept)))
     return out

@@ -49,7 +49,7 @@ def recorded(role: str, seconds: float, dt: float, seed: int) -> Traces:
 
 def diagnosis(seconds: float, dt: float) -> Diagnosis:
     """What a report is made of, without a search."""
-    traces = recorded("estimation", seconds, dt, 0), recorded("held_out", seconds, dt, 1)
+    traces = recorded("estimation", seconds, dt, 0), recorded("held-out", seconds, dt, 1)
     evidence = {"held_out_error_before": 0.4, "held_out_error_after": NOISE, "p_value": 1e-20, "hypotheses": 60.0}
     finding = Finding("coulomb_friction", "motor", "motor", "Dry friction of 0.1 N m.",
                       {"torque_Nm": Estimate(0.1, (0.099, 0.101), "N m")}, evidence)  # fmt: skip

@@ -89,7 +89,7 @@ def _baseline(path: Path, told: Mapping[str, Any], against: str) -> Baseline:
 
 
 def _role(told: Mapping[str, Any]) -> str:
-    """Role of a recording; a robot's diagnosis writes an underscore."""
+    """Role of a recording; a robot's diagnosis of an earlier version has an underscore."""
     return str(told["role"]).replace("_", "-")
 
 

@@ -22,7 +22,7 @@ def finding(effect, value):
 
 
 def servo_diagnosis(corrected):
-    rows = [row("a", "estimation", 0.05, 0.01), row("b", "held_out", 0.02, corrected), row("c", "held_out", 0.03, 1.0, False)]
+    rows = [row("a", "estimation", 0.05, 0.01), row("b", "held-out", 0.02, corrected), row("c", "held-out", 0.03, 1.0, False)]
     joints = {
         n: SimpleNamespace(verdict=Verdict.MISSING_PHYSICS, findings=[finding("coulomb_friction", 0.2)]) for n in JOINT_BY_JOINT
     }

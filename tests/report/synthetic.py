@@ -65,7 +65,7 @@ def synthetic(samples: int = 20_000) -> Diagnosis:
     from scipy.signal import welch
 
     rng = np.random.default_rng(3)
-    one, two = traces(samples, "estimation", rng), traces(samples, "held_out", rng)
+    one, two = traces(samples, "estimation", rng), traces(samples, "held-out", rng)
     e = one.measured - one.refitted
     f, pe = welch(e, 1 / DT, nperseg=2048, detrend=False)
     _, py = welch(one.measured, 1 / DT, nperseg=2048)

@@ -39,14 +39,14 @@ def joint(name: str, *, missing: bool) -> JointResult:
     return JointResult(
         name, "N m", verdict, "It is judged by its torque.", (friction,) if missing else (), fit,
         {"damping": Estimate(0.5, (0.49, 0.51), "N m s/rad")}, {"damping": 0.5}, (0.0, 0.5), ("presliding_friction: no gain",),
-        (trace("estimation", 1), trace("held_out", 2)),
+        (trace("estimation", 1), trace("held-out", 2)),
     )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     joints = {n: joint(n, missing=n == "elbow") for n in ("shoulder", "elbow")}
-    recordings = tuple({"file": f"{r}.csv", "role": r, "sha256": "0" * 64} for r in ("estimation", "held_out"))
+    recordings = tuple({"file": f"{r}.csv", "role": r, "sha256": "0" * 64} for r in ("estimation", "held-out"))
     d = RobotDiagnosis(
         Verdict.MISSING_PHYSICS, "Missing: friction at elbow.", joints, joints["elbow"].fit, {}, {}, (), ("armature",), (),
         12, 20.0, recordings, 0, 3.0, {"simgap": "0"},
@@ -76,7 +76,7 @@ def test_every_joint_has_an_explorer_of_its_own(browser: Any, still: Path) -> No
         for key in ("joint-0", "joint-1"):
             explorer = w.page.locator(f"[data-explorer={key}]")
             assert explorer.locator("[data-choose=recording] option").all_inner_texts() == [
-                "estimation.csv (estimation)", "held_out.csv (held out)"
+                "estimation.csv (estimation)", "held-out.csv (held out)"
             ]  # fmt: skip
             explorer.locator("[data-choose=moment]").fill("300")
             assert explorer.locator("[data-say=moment]").inner_text() == "3.0000 s"

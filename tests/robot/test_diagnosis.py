@@ -80,7 +80,7 @@ def test_the_corrected_file_does_it_in_plain_mujoco(rubbing):
     assert fit["surrogate"].held_out_rms < 0.2 * fit["nominal"].held_out_rms
     assert carried_effects(folder / "out" / "corrected.xml") == []
     rows = d.closed_loop["joints"]["joint2"]  # the torque that a tracking loop has to give beside the logged ones
-    assert [r["role"] for r in rows] == ["estimation", "held_out"]
+    assert [r["role"] for r in rows] == ["estimation", "held-out"]
     assert all(r["corrected_rms"] < 0.1 * r["nominal_rms"] for r in rows)
 
 
@@ -131,7 +131,7 @@ def test_the_folder_holds_what_the_contract_says(rubbing):
     for joint in told["joints"].values():
         assert {"verdict", "findings", "fit", "linear_parameters"} <= set(joint)
         assert {"nominal", "refitted", "corrected", "surrogate"} == set(joint["fit"])
-    assert [r["role"] for r in told["recordings"]] == ["estimation", "held_out"]
+    assert [r["role"] for r in told["recordings"]] == ["estimation", "held-out"]
     page = (folder / "out" / "report.html").read_text()
     assert "Coulomb friction" in page
     assert "default-src 'none'" in page  # it loads nothing

@@ -92,7 +92,7 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     assert kv - fitted.value == pytest.approx(0.5 * model.opt.timestep * 35.0, rel=0.5)
     told = json.loads((where / "out" / "diagnosis.json").read_text())
     assert told["judged_on"]["channel"] == "angle"
-    assert [row["role"] for row in told["closed_loop"]["joints"]["joint2"]] == ["estimation", "held_out"]
+    assert [row["role"] for row in told["closed_loop"]["joints"]["joint2"]] == ["estimation", "held-out"]
     page = (where / "out" / "report.html").read_text()
     assert "position under the recorded commands" in page
     assert '<figure class="robot">' in page

@@ -299,7 +299,7 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
             (firsts, first), (slopes, slope), (series, one), (angles, q), (fitted, counts & ~apart), (held, counts & apart),
         ):  # fmt: skip
             group.append(values)
-        sources.append((r.source, "held_out" if m.held else "estimation"))
+        sources.append((r.source, "held-out" if m.held else "estimation"))
     sizes = [len(a) for a in angles]
     q = np.concatenate(angles)
     return JointProblem(

@@ -275,7 +275,7 @@ def _told(
         worst, summary(worst, joints, lines), joints, overall(joints), links, dict.fromkeys(links, 0.0), (), lines, tuple(notes),
         sum(len(s.laws) for s in searches), math.nan,
         tuple({"file": r.source, "sha256": r.sha256, "role": role}
-              for role, group in (("estimation", recordings), ("held_out", held_out)) for r in group),
+              for role, group in (("estimation", recordings), ("held-out", held_out)) for r in group),
         searches[0].options.seed, time.perf_counter() - begun,
         {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
         {"channel": "angle", "unit": "rad", "view": "motion"},
