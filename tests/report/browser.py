@@ -94,10 +94,20 @@ WIDTHS = (390, 768, 1400)  # of a phone, a tablet and a desktop [px]
 CUT_OFF = """() => [...document.querySelectorAll('td, th, .tiles *, button, select, h1, h2, p, figcaption')].filter((e) =>
     e.offsetParent !== null && !e.closest('.scroll') && e.getBoundingClientRect().right > innerWidth + 1)
     .map((e) => e.textContent)"""
+COVERED = """() => {
+    const b = document.getElementById('theme').getBoundingClientRect(), out = [];
+    for (const e of document.querySelectorAll('header h1, header p, header .badge, header nav a')) {
+        const range = document.createRange();
+        range.selectNodeContents(e);
+        for (const r of range.getClientRects())
+            if (r.left < b.right && r.right > b.left && r.top < b.bottom && r.bottom > b.top) out.push(e.textContent);
+    }
+    return out;
+}"""  # texts that lie under the switch of colours
 
 
 def looks_right(browser: Any, file: Path, plots: int = 0) -> None:
-    """Hold that a page opens from disk at each width in both colours: nothing reported, requested, or out of sight."""
+    """Hold that a page opens from disk at each width in both colours: nothing reported, requested, covered or out of sight."""
     for width in WIDTHS:
         for scheme in ("light", "dark"):
             with opened(browser, file, width, color_scheme=scheme) as w:
@@ -105,6 +115,7 @@ def looks_right(browser: Any, file: Path, plots: int = 0) -> None:
                 w.until(f"document.querySelectorAll('.plot.on').length >= {plots}")
                 assert w.page.evaluate("document.documentElement.scrollWidth") <= width
                 assert w.page.evaluate(CUT_OFF) == []
+                assert w.page.evaluate(COVERED) == []
                 w.page.click("#theme")
                 w.clean()
                 if PICTURES:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from browser import looks_right
 
 from lab.study import claims as c
 from lab.study.cell import GRID_HZ, Cell, Experiment, Feature, Result, analyse, log, run_cell
@@ -314,7 +316,7 @@ def test_progress_is_told_where_no_terminal_is(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.slow
-def test_the_study_end_to_end(tmp_path: Path) -> None:
+def test_the_study_end_to_end(browser: Any, tmp_path: Path) -> None:
     from click.testing import CliRunner
 
     from simgap.commands.study import command
@@ -335,3 +337,4 @@ def test_the_study_end_to_end(tmp_path: Path) -> None:
     again = CliRunner().invoke(command, ["--out", str(out), "--jobs", "1", "--quick"])
     assert "0 of them new" in again.output.replace("\n", " ")
     assert not list(out.glob(".*"))
+    looks_right(browser, out / "study.html")
