@@ -134,11 +134,13 @@ def try_wheel(pages: tuple[str, ...], scratch: Path) -> bool:
 def try_clone(scratch: Path) -> bool:
     """Clone the last commit and run ``make demo`` there."""
     subprocess.run(["git", "clone", "-q", str(ROOT), str(scratch / "clone")], check=True)
-    began = time.monotonic()
+    began, used = time.monotonic(), processor()
     ended = subprocess.run(["make", "-s", "demo"], cwd=scratch / "clone", env=shell(scratch), check=False)
+    clock, total = time.monotonic() - began, processor() - used
     report = scratch / "clone/out/demo/report.html"
-    print(f"{time.monotonic() - began:6.1f} s  make demo, exit {ended.returncode}, {'a' if report.is_file() else 'NO'} report")
-    return ended.returncode == 0 and report.is_file()
+    there = "a" if report.is_file() else "NO"
+    print(f"{clock:6.1f} s, processor {total:5.1f} s  make demo, exit {ended.returncode}, {there} report")
+    return ended.returncode == 0 and report.is_file() and total <= MOST
 
 
 def main() -> None:
