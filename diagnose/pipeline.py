@@ -20,7 +20,7 @@ from diagnose.explain.torque_map import fit_map
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.ledger import Ledger
 from diagnose.options import Options
-from diagnose.problem.choose_view import choose_view
+from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Verdict
 from diagnose.structure.passes import searched
@@ -53,8 +53,7 @@ def diagnose(
     are made. ``corrections`` (N,): added to the measured velocity where motion is compared, by the SHA-256 (else source) of
     a recording. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
-    options = options or Options()
-    began = time.monotonic()
+    options, began = options or Options(), time.monotonic()
     recordings, held_out, alike = with_common_channels(recordings, held_out)
     nominal, recordings, held_out, said = as_servo(nominal, recordings, held_out)
     given = recordings[0].velocity is not None and nominal.chain.servo is None
@@ -66,7 +65,8 @@ def diagnose(
     def by(experiments: Split) -> Diagnosis:
         nonlocal taken
         fitted, held = (corrected(group, corrections or {}) for group in experiments)
-        fitter = Fitter(nominal, view, fitted, held, options.jobs, _varies(nominal, recordings[0]), ledger=ledger)
+        judged = with_samples(view, (*fitted, *held), nominal, options.judge)
+        fitter = Fitter(nominal, judged, fitted, held, options.jobs, _varies(nominal, recordings[0]), ledger=ledger)
         fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS))
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one

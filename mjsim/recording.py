@@ -31,7 +31,7 @@ from mjsim.binding import (
 from mjsim.errors import InputError, nearest
 from mjsim.hold import HOLDS
 from mjsim.readers import Table, digest, need_source, part_of, read_table
-from mjsim.timebase import need_numbers, noise_after, onto_stamps, resample, sample_time
+from mjsim.timebase import need_numbers, noise_after, onto_stamps, resample, sample_time, unrounded
 from mjsim.toml import lies_at
 from mjsim.unbound import by_headers, completed, guesses, without_input
 
@@ -220,6 +220,8 @@ def from_table(
     if stamps is not None and "command" in arrays:
         arrays["command"], note = onto_stamps(path, arrays["command"], stamps, arrays["time"])
         notes += [note] if note else []
+    arrays["time"], note = unrounded(arrays["time"])
+    notes += [note] if note else []
     flat, noise = table.of_length(count), dict[str, float]()
     dt = sample_time(path, arrays["time"], binding.jitter, uniform=uniform)
     if binding.jitter:

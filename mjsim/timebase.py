@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,13 +10,82 @@ import numpy as np
 
 from mjsim.errors import InputError
 
-__all__ = ["noise_after", "onto_stamps", "resample", "sample_time", "where_in"]
+__all__ = [
+    "grid_step",
+    "lacking",
+    "noise_after",
+    "onto_stamps",
+    "rate_of",
+    "resample",
+    "rounded_up",
+    "sample_time",
+    "unrounded",
+    "where_in",
+]
 
 UNIFORM = 0.05  # part of dt: a printed time stamp is rounded, a missing or shifted sample is off by a good part of dt
 
 DIGITS = 30
 LARGEST = 10.0**DIGITS
 """Largest size of a value in SI units, its inverse the smallest: products of several of them are finite and not zero."""
+
+
+GAP = 1.5  # sample times: a longer step lacks a sample
+COARSEST = 6  # powers of ten below a second that a grid of stamps may have
+
+
+def grid_step(time: np.ndarray) -> float:
+    """The coarsest decimal grid [s] from 1 s on that all stamps (N,) lie on, as far as float64 shows; 0 where there is none."""
+    since = time - time[0]
+    digits = 4.0 * np.finfo(float).eps * float(np.max(np.abs(time)))
+    for k in range(COARSEST + 1):
+        g = 10.0**-k
+        if digits < 1e-2 * g and np.all(np.abs(since - g * np.round(since / g)) < max(digits, 1e-6 * g)):
+            return g
+    return 0.0
+
+
+def unrounded(time: np.ndarray) -> tuple[np.ndarray, str]:
+    """Uniform stamps that were rounded to a grid (whole milliseconds), as they were before, and a note.
+
+    Stamps round((a + k dt) / g) g are off the line a + k dt by half a grid step g at most, and their steps by a whole one. The
+    stamps as they are, and no note, where g is too small to matter or a sample was taken at another time: the line of least
+    squares errs by 2 / sqrt(N) of the rounding's rms at its ends.
+    """
+    n = len(time)
+    if n < 3 or np.any(np.diff(time) <= 0):
+        return time, ""
+    g, dt = grid_step(time), float((time[-1] - time[0]) / (n - 1))
+    if g <= UNIFORM * dt:
+        return time, ""
+    k = np.arange(n)
+    slope, start = np.polyfit(k, time - time[0], 1)
+    if np.max(np.abs(time - time[0] - start - slope * k)) > g * (0.5 + 4.0 * 2.0 / math.sqrt(12.0 * n)):
+        return time, ""
+    note = (
+        f"The time stamps are rounded to {1e3 * g:g} ms, and agree with uniform sampling at {1e3 * slope:.6g} ms to within half "
+        "of that: the samples are taken as uniform."
+    )
+    return time[0] + slope * k, note
+
+
+def rate_of(time: np.ndarray) -> float:
+    """The sample time [s] of increasing stamps (N,): the mean step, of those that lack no sample."""
+    steps = np.diff(time)
+    middle, g = float(np.median(steps)), grid_step(time)
+    about = float(np.mean(steps[np.abs(steps - middle) <= max(g, 0.5 * middle) * (1.0 + 1e-9)]))
+    return float(np.mean(np.delete(steps, lacking(time, about))))
+
+
+def lacking(time: np.ndarray, dt: float) -> np.ndarray:
+    """Steps at which samples are missing: the stamps after them stay late by half a sample or more (their median over ten)."""
+    phase, steps = time / dt - np.arange(len(time)), np.diff(time)
+    found = []
+    for i in np.flatnonzero(steps >= GAP * dt):
+        before, after = phase[max(i - 9, 0) : i + 1], phase[i + 1 : i + 11]
+        if np.median(after) - np.median(before) >= GAP - 1:
+            found.append(i)
+    return np.array(found, int)
 
 
 def where_in(path: Path, index: int) -> str:
@@ -40,7 +110,8 @@ def need_numbers(path: Path, name: str, values: np.ndarray) -> None:
 def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: bool = True) -> float:
     """The uniform sample time [s] of stamps (N,), or an InputError that names the row at which it is not.
 
-    ``jitter``: part of the sample time by which a step may be off; ``uniform``: refuse others, else the median step is taken.
+    ``jitter``: part of the sample time by which a step may be off; ``uniform``: refuse others, else the mean step is taken of
+    those that lack no sample (`rate_of`).
     """
     if len(time) < 2:
         raise InputError(path, f"{len(time)} samples", "at least two", "record longer")
@@ -53,15 +124,21 @@ def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: b
     dt = float((time[-1] - time[0]) / (len(time) - 1))
     off = np.flatnonzero(np.abs(step - dt) > max(UNIFORM, jitter) * dt)
     if len(off) and not uniform:
-        return float(f"{np.median(step):.9g}")
+        return float(f"{rate_of(time):.9g}")
     if len(off):
         most = float(np.max(np.abs(step - dt))) / dt
         raise InputError(
             path, f"sample time {step[off[0]]:.6g} s at {where_in(path, off[0] + 1)}, elsewhere {dt:.6g} s", "uniform sampling",
             "resample to a uniform grid first; if only the stamps jitter, give [recording] dt in the binding, and no time; "
-            f"if the samples were taken at these times, jitter = {most:.2g} resamples them",
+            f"if the samples were taken at these times, jitter = {rounded_up(most):g} resamples them",
         )  # fmt: skip
     return float(f"{dt:.9g}")
+
+
+def rounded_up(x: float) -> float:
+    """The next number above x > 0 with two significant digits: what is printed is enough."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 1)
+    return float(f"{math.ceil(x / unit * (1.0 + 1e-9)) * unit:.3g}")
 
 
 def onto_stamps(path: Path, values: np.ndarray, stamps: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, str]:

@@ -15,14 +15,14 @@ from diagnose.check.scale import Scale, find_scale
 from diagnose.check.spectrum import noise_level
 from diagnose.check.unknown_gear import GearRatio, find_gear
 from mjsim.recording import Recording
+from mjsim.timebase import rate_of
 
 __all__ = ["Context", "stamps", "torque_of"]
 
 
 def stamps(recording: Recording) -> tuple[np.ndarray, float]:
-    """Steps between the stamps (N - 1,) and the sample time [s] that most of them have (their median)."""
-    steps = np.diff(recording.time)
-    return steps, float(np.median(steps))
+    """Steps between the stamps (N - 1,) and the sample time [s]: the mean of those that lack no sample."""
+    return np.diff(recording.time), rate_of(recording.time)
 
 
 def torque_of(recording: Recording) -> np.ndarray | None:

@@ -6,7 +6,7 @@ from statistics import NormalDist
 
 __all__ = [
     "ACTUATOR_DELAY", "CLIPPED_SHARE", "CONTENT_DROP", "DISTINCT", "EDGE_DROP", "EDGE_SLOPE", "EQUAL_NEIGHBOURS",
-    "EXCESS_TOLD", "FAMILY_LEVEL", "FLOOR_SLOPE", "FOLLOWED", "GAP_STEP", "HOLD_TOLERANCE", "IMPACTS", "IMPACT_NOISE",
+    "EXCESS_TOLD", "FAMILY_LEVEL", "FLOOR_SLOPE", "FOLLOWED", "HOLD_TOLERANCE", "IMPACTS", "IMPACT_NOISE",
     "INTERPOLATED",    "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "PARAMETER_FACTOR", "RANGE_FIX", "RATIO_TOLERANCE",
     "RESOLVED", "SHAPE_SPREAD", "SKEW_FIX", "STRAIGHT", "TESTS", "Z95", "Z_TEST",
 ]  # fmt: skip
@@ -62,9 +62,6 @@ tolerance)."""
 
 JITTER_FIX = 0.5
 """Deviation in samples at which neighbouring stamps may change places: the order of the samples is then not sure."""
-
-GAP_STEP = 1.5
-"""Step between two stamps, in samples, from which at least one sample is missing (the nearest whole number is two)."""
 
 CLIPPED_SHARE = 0.05
 """Part of the samples at a limit from which a response cannot be used: the share at which `diagnose.data.experiment` refuses."""

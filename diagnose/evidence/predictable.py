@@ -22,7 +22,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.problem import bounded
 from diagnose.problem.view import ForceView
-from diagnose.thresholds import INTERVALS, SIGMAS, WINDOWS
+from diagnose.thresholds import INTERVALS, SIGMAS, TWICE, WINDOWS
 from mjsim.axis import Axis
 from mjsim.quantity import Motion
 from mjsim.signals import lfilter
@@ -151,8 +151,11 @@ def motion_error(
     and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings (or those ``on``
     which it is asked) is therefore the mean square of the missed motion, whatever the colour of either noise. Over a long
     window little noise is left, and no motion faster than it; over a short one it is the other way round. What repeats with the
-    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error.
+    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error. Where the angle
+    alone is judged, see `_angle_error`.
     """
+    if fitter.view.channel == "angle":
+        return _angle_error(fitter, fitted, fitter.held_out if on is None else on)
     if fitter.view.channel != "velocity":
         return None
     runs = []
@@ -178,6 +181,33 @@ def motion_error(
         runs.append((error, angle_error, experiment.counts, r.dt))
     found = [_shared(runs, window) for window in windows]
     return max((x for x in found if x is not None), default=None)
+
+
+def _angle_error(fitter: Fitter, fitted: Fitted, on: Sequence[Experiment]) -> float | None:
+    """Mean square of the angle's error above that of its noise, over the latter; None where it may be noise of another colour.
+
+    An angle shows motion itself, so that its error e is motion as far as it exceeds the noise sigma that the recording shows.
+    No second channel tells coloured noise from motion here: up to an rms of `TWICE` sigma it may be either. What repeats with
+    the turn of the encoder is taken out.
+    """
+    total, weight = 0.0, 0.0
+    for experiment in on:
+        r, level = experiment.recording, fitter.view.noise(experiment)
+        solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
+        if solved is None or r.angle is None or not level:
+            return None
+        e = fitter.error(solved[0], experiment, solved[1])
+        if e is None:
+            return None
+        keep = fitter.counted(experiment)
+        orders = whole_orders(r.angle) if fitter.nominal.chain.motion is Motion.HINGE else []
+        if orders:
+            waves = np.column_stack([trig(n * r.angle) for n in orders for trig in (np.sin, np.cos)])
+            e = e - waves @ np.linalg.lstsq(waves[keep], e[keep], rcond=1e-8)[0]
+        total, weight = total + float(np.sum((e[keep] / level) ** 2)), weight + float(np.sum(keep))
+    if weight == 0.0 or total <= TWICE**2 * weight:
+        return None
+    return total / weight - 1.0
 
 
 def motion_errors(

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.data.experiment import measured_velocity
+from diagnose.data.experiment import Experiment, measured_velocity
 from diagnose.data.noise import white_noise_level
 from diagnose.problem.view import ForceView, MotionView, View
-from diagnose.thresholds import SENSOR_SHARE, SMALL
+from diagnose.thresholds import SENSOR_SHARE, SMALL, TAPS
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.system import assemble, state_matrix
 
-__all__ = ["choose_view", "clean_band", "growth_when_held"]
+__all__ = ["choose_view", "clean_band", "growth_when_held", "with_samples"]
 
 
 def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axis | None = None) -> View:
@@ -45,6 +45,31 @@ def choose_view(recordings: Sequence[Recording], judge: str | None, nominal: Axi
     if nominal is None:
         return ForceView(decimate=decimate)
     return ForceView(cutoff_hz=min(clean_band(nominal, r) for r in recordings), decimate=decimate)
+
+
+def with_samples(view: View, experiments: Sequence[Experiment], nominal: Axis, asked: str | None) -> View:
+    """The view, or where a short recording has no samples that count by force, that of motion.
+
+    ``asked``: how the user wants it judged, None where that is left to the bindings. Fewer samples than the whitening filter of
+    a torque has taps (`TAPS`) tell nothing. Raises InputError where force is asked for: the low-pass of the band in which the
+    torque of the encoder's noise is small has no inside in a recording shorter than its ends.
+    """
+    if not isinstance(view, ForceView):
+        return view
+    poor = [e for e in experiments if int(np.sum(view.counts(e))) < TAPS]
+    if not poor:
+        return view
+    recordings = [e.recording for e in experiments]
+    asked = asked or recordings[0].judge
+    swings_up = growth_when_held(nominal) * max(r.duration for r in recordings) > -math.log(SMALL)
+    if asked is None and not swings_up:
+        return MotionView.of(nominal, recordings)
+    r, band = poor[0].recording, view.cutoff_hz or 0.1 / poor[0].recording.dt
+    raise InputError(
+        r.source, f"{r.duration:.3g} s, of which no {TAPS} samples in motion can be judged by force below {band:.3g} Hz",
+        "motion for longer than the low-pass takes to settle",
+        "judge by motion ([experiment] judge = 'motion'), or record longer",
+    )  # fmt: skip
 
 
 def growth_when_held(axis: Axis) -> float:

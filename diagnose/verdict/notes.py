@@ -10,6 +10,7 @@ from diagnose.check.unused import unused_channels
 from diagnose.evidence.intervals import at_bounds
 from diagnose.explain.second_encoder import judge_second_encoder
 from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import noise_rms
 from diagnose.options import Options
 from diagnose.result import Finding, Verdict
@@ -184,10 +185,21 @@ def _of_the_search(outcome: Outcome, options: Options) -> Iterator[str]:
         return
     yield "The residual is coloured; errors were whitened before rivals were compared, so that its correlation is counted."
     if outcome.remaining.motion[1] is None:
-        yield (
-            "Coloured noise cannot be told from motion that the model misses, since one channel alone shows the motion: what "
-            "is left was taken for noise. Record angle and velocity."
-        )
+        yield _of_one_channel(fitter)
+
+
+def _of_one_channel(fitter: Fitter) -> str:
+    """What one channel leaves open, and what would tell, where the recordings lack it."""
+    said = (
+        "Coloured noise cannot be told from motion that the model misses, since one channel alone shows the motion: what "
+        "is left was taken for noise."
+    )
+    if fitter.view.channel == "angle":
+        return f"{said} It is at most {TWICE:g} times the noise of the angle."
+    both = all(e.recording.angle is not None and e.recording.velocity is not None for e in fitter.experiments)
+    if both:
+        return f"{said} The angle that is recorded beside the velocity tells nothing more here."
+    return f"{said} Record angle and velocity."
 
 
 def _steps(search: Search, best: Fitted, unit: str) -> list[str]:

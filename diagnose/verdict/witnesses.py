@@ -161,9 +161,10 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
 def _far_from_noise(fitter: Fitter, best: Fitted, held: HeldOut | None, missed: float | None) -> bool:
     """Whether the error is more than noise of any colour: over `TWICE**2` times the mean square that the recording shows.
 
-    Asked where one channel alone shows the motion, so that no second one can tell noise from it (``missed`` is None).
+    Asked where one channel alone shows the motion, so that no second one can tell noise from it: an angle that is judged, or a
+    velocity of which the angle tells nothing (``missed`` is None).
     """
-    if not fitter.noise.absolute or missed is not None:
+    if not fitter.noise.absolute or (missed is not None and fitter.view.channel == "velocity"):
         return False
     for i, experiment in enumerate(fitter.experiments):
         e, level = fitter.error_of(best, i), fitter.view.noise(experiment)

@@ -20,7 +20,7 @@ from mjsim.quantity import Motion
 from mjsim.readers import Table, digest, is_source, need_source, read_table
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
 from mjsim.robot.model import Robot
-from mjsim.timebase import need_numbers, resample, sample_time, where_in
+from mjsim.timebase import need_numbers, resample, sample_time, unrounded, where_in
 
 __all__ = ["RobotRecording", "joints_in_table", "joints_named", "load_robot_recording", "robot_from_table"]
 
@@ -140,6 +140,8 @@ def robot_from_table(
     arrays = _arrays(path, table, given, names)
     count = len(next(iter(arrays.values())))
     time, jitter = _time(path, table, binding, count), 0.0 if binding is None else binding.jitter
+    time, note = unrounded(time)
+    notes += [note] if note else []
     dt = sample_time(path, time, jitter, uniform=checked)
     if jitter:
         time, arrays, told = _resampled(time, arrays, binding.hold if binding else "held", dt)

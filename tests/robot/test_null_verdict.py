@@ -36,6 +36,10 @@ def test_a_ratio_that_is_not_told_is_left_out():
 @pytest.mark.parametrize(("share", "p_value", "is_met"), [(0.05, 1e-3, True), (0.06, 1e-3, False), (0.06, 0.05, True)])
 def test_an_error_above_the_noise_is_met_where_nothing_predicts_it(monkeypatch, share, p_value, is_met):
     monkeypatch.setattr("diagnose.robot.servos.answer.black_box", lambda problem, fit: (share, p_value))
+    monkeypatch.setattr("diagnose.robot.servos.answer.tells", lambda problem, error, weights: True)
     p = SimpleNamespace(noise=2e-4, fitted="fitted", held="held")
     s = SimpleNamespace(problem=p, options=SimpleNamespace(remains=0.05))
-    assert _is_met(s, SimpleNamespace(rms=lambda mask: 3.0 * p.noise)) is is_met
+    fit = SimpleNamespace(rms=lambda mask: 3.0 * p.noise, error=None, weights=None)
+    assert _is_met(s, fit) is is_met
+    monkeypatch.setattr("diagnose.robot.servos.answer.tells", lambda problem, error, weights: False)
+    assert _is_met(s, fit) is (share <= 0.05), "a test that has too few samples clears nothing"

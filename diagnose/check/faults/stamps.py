@@ -7,9 +7,10 @@ import numpy as np
 from diagnose.check.context import Context, stamps
 from diagnose.check.machine import Machine
 from diagnose.check.registry import check
-from diagnose.check.thresholds import GAP_STEP, JITTER_FIX, JITTER_LIMIT
+from diagnose.check.thresholds import JITTER_FIX, JITTER_LIMIT
 from diagnose.check.types import Problem, Severity
 from mjsim.recording import Recording
+from mjsim.timebase import grid_step, lacking, rounded_up
 
 __all__ = ["gaps", "jitter"]
 
@@ -20,7 +21,9 @@ def jitter(recording: Recording, machine: Machine, context: Context) -> list[Pro
     steps, dt = stamps(recording)
     off = steps / dt - 1
     inside = np.ones(len(steps), bool)
-    inside[_lost(recording.time, steps, dt)] = False
+    inside[lacking(recording.time, dt)] = False
+    grid = grid_step(recording.time) / dt
+    rounding = grid if grid > JITTER_LIMIT else 0.0  # of a grid that is too fine to see, a step is off by nothing
     worst = float(np.max(np.abs(off[inside]), initial=0.0))
     if worst <= JITTER_LIMIT:
         return []
@@ -29,9 +32,11 @@ def jitter(recording: Recording, machine: Machine, context: Context) -> list[Pro
     return [
         Problem(
             "time", "jitter", rms * dt, "s",
-            f"The steps between stamps differ from {dt:.6g} s by {100 * rms:.3g} % rms, {100 * worst:.3g} % at most.",
-            "if only the stamps jitter, give [recording] dt and no time column; else resample to a uniform grid by the stamps",
-            Severity.FIX if worst > JITTER_FIX else Severity.LIMITS, marks=_marks(recording, far),
+            f"The steps between stamps differ from {dt:.6g} s by {100 * rms:.3g} % rms, {100 * worst:.3g} % at most."
+            + (f" Stamps rounded to {1e3 * grid * dt:g} ms make {100 * rounding:.3g} % of it." if rounding else ""),
+            f"if the samples were taken at these times, [recording] jitter = {rounded_up(worst):g} resamples them; if only the "
+            "stamps jitter, give [recording] dt and no time column",
+            Severity.FIX if worst - rounding > JITTER_FIX else Severity.LIMITS, marks=_marks(recording, far),
         )
     ]  # fmt: skip
 
@@ -40,7 +45,7 @@ def jitter(recording: Recording, machine: Machine, context: Context) -> list[Pro
 def gaps(recording: Recording, machine: Machine, context: Context) -> list[Problem]:
     """Steps of more than one and a half samples."""
     steps, dt = stamps(recording)
-    at = _lost(recording.time, steps, dt)
+    at = lacking(recording.time, dt)
     if not len(at):
         return []
     longest = float(np.max(steps[at]))
@@ -53,17 +58,6 @@ def gaps(recording: Recording, machine: Machine, context: Context) -> list[Probl
             marks=_marks(recording, at),
         )
     ]  # fmt: skip
-
-
-def _lost(time: np.ndarray, steps: np.ndarray, dt: float) -> np.ndarray:
-    """Steps at which samples are missing: the stamps after them stay late by half a sample or more (their median over ten)."""
-    phase = time / dt - np.arange(len(time))
-    found = []
-    for i in np.flatnonzero(steps >= GAP_STEP * dt):
-        before, after = phase[max(i - 9, 0) : i + 1], phase[i + 1 : i + 11]
-        if np.median(after) - np.median(before) >= GAP_STEP - 1:
-            found.append(i)
-    return np.array(found, int)
 
 
 def _marks(recording: Recording, at: np.ndarray) -> tuple[tuple[float, float], ...]:

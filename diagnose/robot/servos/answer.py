@@ -15,8 +15,9 @@ from diagnose.robot.result import JointResult, RobotFinding, Trace
 from diagnose.robot.servos.fit import Fit, Number, covariance, fit, slots_of
 from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.motion import JointProblem
-from diagnose.robot.servos.remains import black_box
+from diagnose.robot.servos.remains import black_box, tells
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, held_out
+from diagnose.thresholds import MOST
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
 
@@ -95,7 +96,7 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     given = nominal_fit(s)
     found = tuple(_finding(s, law, V) for law in s.now.laws if not law.number)
     remains = black_box(p, s.now.fit)
-    verdict = _verdict(s, given, bool(found), remains)
+    verdict, why = _verdict(s, given, bool(found), remains)
     errors = {"nominal": figures(s, given), "refitted": figures(s, s.refitted.fit), "corrected": figures(s, s.now.fit)}
     refused = tuple(f"{k}: {v}" for k, v in s.refusals.items() if k not in {x.key for x in s.now.laws})
     motion = Motion.SLIDE if p.slide else Motion.HINGE
@@ -104,13 +105,13 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     own |= _ratios(s, V, motion)
     nominal = {OWN[n.slot][0]: _file_value(s, n) for n in s.now.fit.numbers if n.slot in OWN}
     result = JointResult(
-        p.name, "m" if p.slide else "rad", verdict, _sentence(verdict, errors["corrected"], remains, borrowed, p.slide), found,
+        p.name, "m" if p.slide else "rad", verdict, _sentence(why, errors[_shown(verdict)], remains, borrowed, p.slide), found,
         errors, own,
         {**nominal}, remains, refused, tuple(_traces(s, given)),
     )  # fmt: skip
     if verdict is Verdict.PARAMETERS_ONLY and _is_met(s, given) and not changed(s, result, scale):
         # no number that can be told differs, and the file leaves noise, or nothing that a black-box model predicts
-        told = _sentence(Verdict.NO_MISMATCH, errors["corrected"], remains, borrowed, p.slide)
+        told = _sentence(STARTS[Verdict.NO_MISMATCH], errors["nominal"], remains, borrowed, p.slide)
         return dataclasses.replace(result, verdict=Verdict.NO_MISMATCH, summary=told)
     return result
 
@@ -126,7 +127,7 @@ def _is_met(s: JointSearch, f: Fit) -> bool:
     if _at_noise(s, f):
         return True
     share, p_value = black_box(s.problem, f)
-    return share <= s.options.remains or p_value >= 0.05
+    return share <= s.options.remains or (p_value >= 0.05 and tells(s.problem, f.error, f.weights))
 
 
 def _file_value(s: JointSearch, n: Number) -> float:
@@ -199,28 +200,53 @@ def _without(s: JointSearch, law: ServoLaw) -> Structure:
     return s.without.get(law.key) or s.fitted(rest, s.refitted.fit.slots if not rest else s.cleared(rest))
 
 
-def _verdict(s: JointSearch, given: Fit, found: bool, remains: tuple[float, float]) -> Verdict:
-    """Structure that a black-box model predicts, else effects, changed numbers, or nothing."""
+STARTS = {
+    Verdict.NO_MISMATCH: "The file as given does as well as one with its numbers refitted.",
+    Verdict.PARAMETERS_ONLY: "The structure is right, its numbers are not.",
+    Verdict.MISSING_PHYSICS: "Physics is missing at this joint.",
+    Verdict.UNEXPLAINED: "Structure remains that none of the known effects accounts for.",
+}
+FEW = (
+    "The error is above the noise of the position, a black-box model predicts part of it, and the held-out samples are too few "
+    "to tell whether that is chance: record longer."
+)
+NOT_CARRIED = (
+    "Refitted, the numbers of the file take most of the error on the fitted samples and none on the held-out ones: the "
+    "structure of the file does not describe both."
+)
+
+
+def _verdict(s: JointSearch, given: Fit, found: bool, remains: tuple[float, float]) -> tuple[Verdict, str]:
+    """Structure that a black-box model predicts, else effects, changed numbers, or nothing; and why, in words.
+
+    Every answer but `unexplained` needs an error at the noise, or one of which a black-box model predicts no more than it may,
+    by a test that could have shown more; that the file stands needs a refit that takes no more than `MOST` of its squared error
+    where it is fitted.
+    """
     p = s.problem
-    if remains[0] > s.options.remains and remains[1] < 0.05 and not _at_noise(s, s.now.fit):
-        return Verdict.UNEXPLAINED
+    if remains[0] > s.options.remains and not _at_noise(s, s.now.fit):
+        if remains[1] < 0.05:
+            return Verdict.UNEXPLAINED, STARTS[Verdict.UNEXPLAINED]
+        if not tells(p, s.now.fit.error, s.now.fit.weights):
+            return Verdict.UNEXPLAINED, FEW
     if found:
-        return Verdict.MISSING_PHYSICS
+        return Verdict.MISSING_PHYSICS, STARTS[Verdict.MISSING_PHYSICS]
     best = s.refitted.fit
     test = compare(*(held_out(p, x.error, s.weights, given.error - best.error, best.error) for x in (given, best)))
     if test.relative_gain > s.options.material and test.p_value < s.options.p_enter:
-        return Verdict.PARAMETERS_ONLY
-    return Verdict.NO_MISMATCH
+        return Verdict.PARAMETERS_ONLY, STARTS[Verdict.PARAMETERS_ONLY]
+    if not _at_noise(s, given) and best.rms(p.fitted) ** 2 < (1.0 - MOST) * given.rms(p.fitted) ** 2:
+        return Verdict.UNEXPLAINED, NOT_CARRIED
+    return Verdict.NO_MISMATCH, STARTS[Verdict.NO_MISMATCH]
 
 
-def _sentence(verdict: Verdict, fit: FitFigures, remains: tuple[float, float], borrowed: str, slide: bool) -> str:
+def _shown(verdict: Verdict) -> str:
+    """Whose error the sentence of a verdict states: where nothing differs, that of the file."""
+    return "nominal" if verdict is Verdict.NO_MISMATCH else "corrected"
+
+
+def _sentence(start: str, fit: FitFigures, remains: tuple[float, float], borrowed: str, slide: bool) -> str:
     """Why a joint has its verdict, with the error that is left."""
-    start = {
-        Verdict.NO_MISMATCH: "The file as given does as well as one with its numbers refitted.",
-        Verdict.PARAMETERS_ONLY: "The structure is right, its numbers are not.",
-        Verdict.MISSING_PHYSICS: "Physics is missing at this joint.",
-        Verdict.UNEXPLAINED: "Structure remains that none of the known effects accounts for.",
-    }[verdict]
     unit, factor = ("mm", 1e3) if slide else ("mrad", 1e3)
     left = f"{factor * fit.rms:.2f} {unit} rms is left on the fitted samples and {factor * fit.held_out_rms:.2f} {unit} held out"
     black = f"a black-box model predicts {100 * max(remains[0], 0.0):.1f} % of the held-out squared error"

@@ -14,7 +14,10 @@ from diagnose.robot.servos.fit import Fit
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.state import held_out
 
-__all__ = ["black_box"]
+__all__ = ["black_box", "tells"]
+
+FEWEST = 30  # held-out samples that a dictionary is judged on
+BLOCKS = 3  # independent ones among them: of fewer, `compare` knows no chance
 
 LAGS = (0.0, 0.1, 0.25, 0.6)  # [s]
 
@@ -43,9 +46,14 @@ def _dictionary(problem: JointProblem, fit: Fit) -> np.ndarray:
     return np.column_stack(columns)
 
 
+def tells(problem: JointProblem, error: np.ndarray, weights: np.ndarray) -> bool:
+    """Whether the held-out samples of an error (N,), weighted (N,), are enough for `black_box` to find structure in it."""
+    return int(problem.held.sum()) >= FEWEST and int(np.sum(held_out(problem, error, weights).n > 0)) >= BLOCKS
+
+
 def black_box(problem: JointProblem, fit: Fit) -> tuple[float, float]:
     """(share of the held-out squared error that the dictionary predicts, its one-sided p-value)."""
-    if problem.held.sum() < 30:
+    if problem.held.sum() < FEWEST:
         return 0.0, 1.0
     D = _dictionary(problem, fit)
     each = fit.weights

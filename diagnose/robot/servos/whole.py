@@ -15,7 +15,7 @@ from diagnose.result import FitFigures, Verdict
 from diagnose.robot.result import JointResult
 from diagnose.robot.servos.answer import AT_NOISE
 from diagnose.robot.servos.fit import Fit
-from diagnose.robot.servos.remains import black_box
+from diagnose.robot.servos.remains import black_box, tells
 from diagnose.robot.servos.state import JointSearch
 
 __all__ = ["is_explained", "judged", "lowered", "predictable"]
@@ -37,7 +37,9 @@ def is_explained(s: JointSearch, error: np.ndarray, remains: tuple[float, float]
         return False
     p = s.problem
     rms = [float(np.sqrt(np.mean(error[mask] ** 2))) if mask.any() else 0.0 for mask in (p.fitted, p.held)]
-    return max(rms) < AT_NOISE * p.noise or remains[0] <= s.options.remains or remains[1] >= LEVEL
+    if max(rms) < AT_NOISE * p.noise or remains[0] <= s.options.remains:
+        return True
+    return remains[1] >= LEVEL and tells(p, error, s.now.fit.weights)
 
 
 def lowered(nominal: FitFigures, corrected: FitFigures) -> bool:
