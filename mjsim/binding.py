@@ -106,6 +106,8 @@ class Channel:
             measures = kind
         if measures in _OWN and self.unit in _OWN[measures]:
             return _OWN[measures][self.unit] * (1.0 if self.gain is None else self.gain)
+        if self.unit == "1" and self.gain is not None:
+            return self.gain  # counts, of which the gain says what one is in SI
         if kind != measures:
             raise InputError(where, f"unit {self.unit!r} measures {kind}", f"a unit of {measures}", "correct the unit")
         if math.isnan(factor):
@@ -124,7 +126,8 @@ class Binding:
     channels: by role; joints: the same of each joint of a robot, by name. ``[experiment]`` with ``loop`` = "open" | "closed",
     ``judge`` = "motion" | "force", ``varies`` = names of linear parameters that each recording has of its own (an inertia that
     depends on the pose of other axes), and values that are ``known``: ``kp``, ``kv`` of the servo [SI], ``supply_V``. named:
-    whether the channels are bound by name, and not by default; driven: False where the drive was off, so that its input is zero.
+    whether the channels are bound by name, and not by default; hold_stated: whether the binding says how the input is held;
+    driven: False where the drive was off, so that its input is zero.
     """
 
     channels: Mapping[str, Channel]
@@ -139,6 +142,7 @@ class Binding:
     known: Mapping[str, float] = field(default_factory=dict)
     named: bool = True
     driven: bool = True
+    hold_stated: bool = False
 
     CHANNELS = (
         "time", "torque", "velocity", "angle", "second_angle", "second_velocity", "command", "current", "supply", "known_torque",
@@ -209,6 +213,7 @@ class Binding:
             {k: _known(experiment, k, path) for k in cls.KNOWN if k in experiment},
             bool(channels),
             _driven(own, channels, path),
+            hold_stated="hold" in own,
         )
 
     def of_joint(self, name: str) -> Binding:

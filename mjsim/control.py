@@ -41,7 +41,7 @@ def as_driven(chain: Chain, recording: Recording) -> Recording:
     if r.control is None:
         return r
     if r.command is not None or np.isfinite(r.torque).all():
-        return dataclasses.replace(r, control=None)
+        return dataclasses.replace(r, control=None, control_column="")
     _need_kind(chain, r)
     if chain.servo is None:
         return dataclasses.replace(r, control=None, torque=r.control)

@@ -66,7 +66,7 @@ class Recording:
     this experiment; columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...)
     where the binding tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes:
     what reading changed; noise: rms of the noise of a channel, where reading changed it; driven: False where the drive was
-    off and the torque is zero; control_column: name of the column of ``control``.
+    off and the torque is zero; control_column: name of the column of ``control``; hold_stated: whether the binding states hold.
 
     >>> import numpy as np
     >>> t = np.arange(5) * 0.01
@@ -105,6 +105,7 @@ class Recording:
     control: np.ndarray | None = None
     control_column: str = ""
     driven: bool = True
+    hold_stated: bool = False
     temperature: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -237,7 +238,8 @@ def from_table(
     return Recording(
         dt=dt, source=path.name, sha256=sha256, columns=flat,
         loop=binding.loop, judge=binding.judge if has_input else "motion", driven=has_input,
-        control_column=column, varies=binding.varies, units=units, hold=binding.hold, joint=joint or "",
+        control_column=column, varies=binding.varies, units=units, hold=binding.hold,
+        hold_stated=binding.hold_stated, joint=joint or "",
         known=binding.known, notes=tuple(notes), noise=noise,
         **{name: arrays.get(name) for name in ARRAYS if name != "torque"},  # type: ignore[arg-type]
         torque=arrays.get("torque", np.full(len(arrays["time"]), np.nan)),

@@ -45,8 +45,8 @@ class Context:
 
     @property
     def hold_is_stated(self) -> bool:
-        """Whether the binding says another hold than the default."""
-        return self.hold != "held"
+        """Whether the binding says how the input is held."""
+        return self.recording.hold_stated or self.hold != "held"
 
     @cached_property
     def signals(self) -> Signals | None:

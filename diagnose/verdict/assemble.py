@@ -33,6 +33,9 @@ def unit_of(fitter: Fitter) -> str:
         return "rad" if angular else "m"
     if fitter.view.channel == "velocity":
         return "rad/s" if angular else "m/s"
+    control = {r.units.get("control") or "ctrl" for e in fitter.experiments if (r := e.recording).control_column}
+    if control:  # the torque is compared as the actuator takes it, before gain and gear
+        return control.pop() if len(control) == 1 else "ctrl"
     return "N m" if angular else "N"
 
 

@@ -48,7 +48,8 @@ _ENDING = re.compile(r"^(?P<name>.*?)[_/ ](?P<unit>rad_s|deg_s|rev_s|m_s|mm_s|in
 def guess(columns: Collection[str]) -> dict[str, tuple[str, str]]:
     """Channel -> (column, unit) where exactly one header names the channel and a unit of it."""
     found = _named(columns, ROLES)
-    found |= {role: named for role, named in _named(columns, TESTING).items() if role not in found}
+    for more in (_named(columns, TESTING), _by_unit(columns)):
+        found |= {role: named for role, named in more.items() if role not in found}
     return {role: named[0] for role, named in found.items() if len(named) == 1}
 
 
@@ -89,6 +90,11 @@ def _named(columns: Collection[str], words: Mapping[str, Collection[str]]) -> di
                 found.setdefault(role, []).append((column, unit))
             break
     return found
+
+
+def _by_unit(columns: Collection[str]) -> dict[str, list[tuple[str, str]]]:
+    """Columns whose header is a unit alone that only one channel has: ``rpm``."""
+    return {"velocity": [(c, "rpm") for c in columns if c.strip().lower() in ("rpm", "1/min", "u/min")]}
 
 
 def _role(name: str, known: Mapping[str, Collection[str]]) -> str | None:

@@ -34,7 +34,7 @@ class JointDrive:
 
     @property
     def velocity(self) -> bool:
-        """Whether the command is a velocity."""
+        """Whether the command is a velocity, or the voltage of a motor with a back-EMF."""
         return self.servo.target is Target.VELOCITY
 
     def target(self, command: np.ndarray, dt: float, start: float) -> np.ndarray:

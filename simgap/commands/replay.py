@@ -83,7 +83,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     assert isinstance(record, Recording)
     servo = source.axis.chain.servo is not None
     run = simulate(subject, record, engine=engine, start=start)
-    channel = "velocity" if record.velocity is not None and not servo else "angle"
+    channel = "velocity" if record.velocity is not None and (not servo or record.angle is None) else "angle"
     measured, predicted = record.column(channel), getattr(run, channel)
     if channel == "angle" and not servo:
         predicted = predicted + (measured[0] - predicted[0])

@@ -21,6 +21,7 @@ from mjsim.quantity import Motion
 from mjsim.recording import Recording
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
+from mjsim.servo import Target
 
 __all__ = ["check_servo_axis"]
 
@@ -28,8 +29,8 @@ __all__ = ["check_servo_axis"]
 def check_servo_axis(chain: Chain, robot: Robot, recordings: Sequence[Recording]) -> LogCheck:
     """Check recordings of an axis whose chain has a servo; ``robot``: the same file as a robot, for MuJoCo's run.
 
-    Channels of the problems are those of the axis: angle, velocity, command, time. Raises InputError for a log without a
-    command or an angle.
+    Channels of the problems are those of the axis: angle, velocity, command, time. Where a velocity servo's log has no angle it
+    is the integral of the velocity. Raises InputError for a log without a command, or of a position servo without an angle.
     """
     name = _driven(robot)
     found = check_robot(robot, [_as_robot(chain, robot, name, r) for r in recordings])
@@ -53,16 +54,19 @@ def _driven(robot: Robot) -> str:
 
 
 def _as_robot(chain: Chain, robot: Robot, name: str, r: Recording) -> RobotRecording:
-    command = command_of(chain, r)
-    if r.angle is None:
+    command, angle = command_of(chain, r), r.angle
+    if angle is None and (r.velocity is None or chain.servo is None or chain.servo.target is not Target.VELOCITY):
         raise InputError(
             r.source, "a command and no angle", "the angle of the joint, which the check compares with the command",
-            "record or bind it; simgap diagnose takes the log of a velocity servo as it is",
+            "record or bind it",
         )  # fmt: skip
+    if angle is None:
+        assert r.velocity is not None
+        angle = np.concatenate([[0.0], np.cumsum(0.5 * (r.velocity[1:] + r.velocity[:-1])) * r.dt])
     torque = None if np.isnan(r.torque).any() else r.torque[:, None]
     held = tuple((j, float(robot.model.qpos0[robot.leading(k)])) for k, j in enumerate(robot.joints) if j != name)
     return RobotRecording(
-        r.time, (name,), r.dt, r.angle[:, None], torque=torque, command=command[:, None],
+        r.time, (name,), r.dt, angle[:, None], torque=torque, command=command[:, None],
         velocity=None if r.velocity is None else r.velocity[:, None], source=r.source, sha256=r.sha256, hold=r.hold, held_at=held,
         notes=r.notes,
     )  # fmt: skip
@@ -87,4 +91,8 @@ def _servo(chain: Chain) -> str:
     limit = f", force at most {servo.limit:.4g}" if np.isfinite(servo.limit) else ""
     kp = "" if servo.kp == 0 else f"kp {servo.kp:.4g}, "
     name = f"actuator {chain.actuator!r}" if chain.actuator else "the actuator"
-    return f"{name} takes the {servo.target.value} of the joint: {kp}kv {servo.kv:.4g}{limit}."
+    takes = f"the {servo.target.value} of the joint"
+    if servo.back_emf:
+        takes = "a voltage, or another control value of a motor with a back-EMF"
+    gain = f"gain {servo.gain:.4g}, " if servo.back_emf else ""
+    return f"{name} takes {takes}: {gain}{kp}kv {servo.kv:.4g}{limit}."

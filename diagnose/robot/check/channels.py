@@ -15,16 +15,42 @@ from diagnose.check.types import Problem, Severity
 from diagnose.robot.servos.motion import resolution
 from mjsim.signals import Limit, limits
 
-__all__ = ["beyond_limits", "clipped", "clipped_torque", "coarse", "held_rows", "in_motion"]
+__all__ = ["beyond_limits", "clipped", "clipped_torque", "coarse", "held_rows", "in_motion", "refreshed"]
 
 SLOW = 0.05  # of the rms speed: below it a joint may be at rest
 WINDOW = 5  # samples before and after a row, in which a joint has to move the same way
+FEWEST_FRAMES = 10  # frames of a sensor that tell its period
+REGULAR = 0.9  # of the frames: last as long as their median, to a row
 MARKS = 20  # stretches that are marked at most
 
 
 def in_motion(v: np.ndarray) -> np.ndarray:
     """Samples (N,) bool at which a velocity (N,) is clear of rest."""
     return np.asarray(np.abs(v) > SLOW * math.sqrt(float(np.mean(v**2)) + 1e-300))
+
+
+def refreshed(channel: str, joint: str, x: np.ndarray, dt: float) -> tuple[np.ndarray, list[Problem]]:
+    """The values (M,) that a channel (N,) was given anew, and the problem of one that holds each for several rows.
+
+    The frames of such a sensor are of one length, and differ by more than a step: what rests on a step of a coarse sensor goes on
+    to the next one.
+    """
+    at = np.flatnonzero(np.diff(x) != 0.0) + 1
+    lengths, jumps = np.diff(at), np.abs(np.diff(x)[at - 1])
+    if len(lengths) < FEWEST_FRAMES:
+        return x, []
+    rows = int(np.median(lengths))
+    regular = float(np.mean(np.abs(lengths - rows) <= 1))
+    if rows < 3 or regular < REGULAR or float(np.median(jumps)) <= 1.5 * float(np.min(jumps)):
+        return x, []
+    return x[np.concatenate([[0], at])], [
+        Problem(
+            f"{joint}.{channel}", "sample_and_hold", rows * dt, "s",
+            f"The {channel} of {joint} has a new value every {rows} rows ({1e3 * rows * dt:.4g} ms) and is held between them: it "
+            f"is late by {1e3 * (rows - 1) * dt / 2:.4g} ms on average.",
+            f"log {joint}.{channel} at the rate of its sensor, or the log at that rate", Severity.LIMITS,
+        )
+    ]  # fmt: skip
 
 
 def clipped(channel: str, joint: str, x: np.ndarray, unit: str, time: np.ndarray) -> list[Problem]:

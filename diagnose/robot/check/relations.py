@@ -10,6 +10,7 @@ import numpy as np
 __all__ = ["Relation", "correlations", "relate"]
 
 WINDOW = 0.5  # [s]: largest delay that is tried; a servo's own lag is below it
+CONSTANT = 1e-9  # of its size: what rounding makes of a signal that does not vary
 SHARE = 0.1  # of the duration: the largest delay of a short log
 
 
@@ -37,7 +38,7 @@ def relate(x: np.ndarray, y: np.ndarray, dt: float, beside: np.ndarray | None = 
     inner = slice(most, n - most)
     target = y[inner] - np.mean(y[inner])
     total = float(target @ target)
-    if np.ptp(x) == 0 or total <= 1e-24 * n:
+    if np.ptp(x) <= CONSTANT * float(np.max(np.abs(x))) or total <= 1e-24 * n:
         return None
     other = np.ones((n, 1)) if beside is None else np.column_stack([np.ones(n), beside])
     Q = np.linalg.qr(other[inner])[0]

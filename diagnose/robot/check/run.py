@@ -21,7 +21,7 @@ from diagnose.check.faults.stamps import gaps, jitter
 from diagnose.check.machine import Machine
 from diagnose.check.thresholds import FOLLOWED, PARAMETER_FACTOR
 from diagnose.check.types import LogCheck, Problem, Severity
-from diagnose.robot.check.channels import beyond_limits, clipped, clipped_torque, coarse, held_rows
+from diagnose.robot.check.channels import beyond_limits, clipped, clipped_torque, coarse, held_rows, refreshed
 from diagnose.robot.check.faults import (
     ANGLES,
     LENGTHS,
@@ -196,7 +196,8 @@ def _by_themselves(log: Log, name: str) -> list[Problem]:
     for channel, unit in (("angle", length), ("second_angle", length), ("velocity", f"{length}/s"), ("current", "A")):
         x = log.channel(channel, name)
         if x is not None:
-            out += clipped(channel, name, x, unit, r.time)
+            fresh, held = refreshed(channel, name, x, r.dt)
+            out += held or clipped(channel, name, fresh, unit, r.time)
             out += coarse(channel, name, x, v, unit) if channel != "current" else []
     return out
 
@@ -213,12 +214,14 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
     r, robot, j, out = log.r, log.robot, log.robot.joints.index(name), []
     command = log.channel("command", name)
     if command is not None:
-        if np.ptp(command) == 0:
+        if np.ptp(command) == 0 and not np.any(command - (0.0 if velocity else log.angle(name)[0])):
             return [still(name, "command")]
-        found = relate(_target(log, name, command), log.dz[:, j] if velocity else log.angle(name), r.dt)
+        moved = log.dz[:, j] if velocity else log.angle(name)
+        found = relate(_target(log, name, command), moved, r.dt)
         if found is not None:
-            relations["angle over command"] = found
-            out += scaled("angle", name, found, RATES if velocity else units, f"the command of {name}")
+            relations["velocity over command" if velocity else "angle over command"] = found
+            faults = scaled("angle", name, found, RATES if velocity else units, f"the command of {name}")
+            out += faults if faults and not _as_the_model(log, name, found, velocity) else []
     torque = log.channel("torque", name)
     if torque is not None:
         if np.ptp(torque) == 0:
@@ -232,6 +235,23 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
             out += geared(name, found, float(log.robot.gear[j])) or scaled("torque", name, found, TORQUES, needs)
             out += clipped_torque(name, torque, needed, log.dz[:, j], "N" if log.slide(name) else "N m", r.time)
     return out
+
+
+def _as_the_model(log: Log, name: str, found: Relation, velocity: bool) -> bool:
+    """Whether the model itself follows the command by a like slope: a weight and friction keep a weak servo from its target.
+
+    Of a motor by its voltage no slope is a fault: what a volt does is a number of the motor.
+    """
+    robot, r = log.robot, log.r
+    j = robot.joints.index(name)
+    drive, command = joint_drives(robot)[j], log.channel("command", name)
+    if drive is None or command is None:
+        return False
+    z = closed_loop(robot, r).z[:, j]
+    own = relate(_target(log, name, command), np.gradient(z, r.dt) if velocity else z, r.dt) if np.isfinite(z).all() else None
+    if own is None or own.slope * found.slope <= 0.0:
+        return False
+    return drive.servo.back_emf or abs(math.log(found.slope / own.slope)) < math.log(PARAMETER_FACTOR)
 
 
 def _target(log: Log, name: str, command: np.ndarray) -> np.ndarray:
