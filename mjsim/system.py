@@ -143,6 +143,13 @@ def split_chain(chain: Chain, port: P.SplitInertia) -> Chain:
     return dataclasses.replace(chain, bodies=(*chain.bodies[:-1], near, far), couplings=(*chain.couplings, joint))
 
 
+def _hand_on(port: P.Port, body: int, far: int) -> P.Port:
+    """A port, on the far body where it is the load of a body that was split."""
+    if isinstance(port, P.BodyTorque) and port.load and port.body == body:
+        return dataclasses.replace(port, body=far)
+    return port
+
+
 def _slope(law: Law, p: tuple[float, ...], local: int, step: float, about: float = 0.0) -> float:
     """How fast a law's torque falls as one local quantity grows, all others at zero: the spring, or damper, that it is there."""
     torque = []
@@ -260,9 +267,10 @@ def assemble(axis: Axis) -> System:
     """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
     ports = [port for effect in axis.effects for port in effect.ports(axis.chain)]
     chain = axis.chain
-    for port in ports:
-        if isinstance(port, P.SplitInertia):
-            chain = split_chain(chain, port)
+    for split in [p for p in ports if isinstance(p, P.SplitInertia)]:
+        chain = split_chain(chain, split)
+        if split.loaded:
+            ports = [_hand_on(port, split.body, len(chain.bodies) - 1) for port in ports]
     f = _numbers_of(chain)
     elements = _Elements(chain.bodies)
     for element in sorted((p for p in ports if isinstance(p, _Element)), key=lambda p: _KIND[type(p)]):

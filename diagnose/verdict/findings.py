@@ -43,7 +43,7 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
         out.append(
             Finding(
                 effect=effect.name(),
-                form=effect.form_of and effect.id,
+                form="" if effect.id == effect.name() else effect.id,
                 place=effect.place,
                 element=element_of(search.fitter, effect),
                 sentence=effect.describe(search.fitter.nominal.chain.motion),

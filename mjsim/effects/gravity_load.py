@@ -52,7 +52,7 @@ class GravityLoad(Effect):
         """Where the law acts: a turning body; the weight of a slide is a constant, a torque offset."""
         if chain.motion is Motion.SLIDE:
             raise NotApplicableError("the weight of a slide does not depend on its position: use torque_offset")
-        return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm, self.phase_rad)),)
+        return (BodyTorque(need_body(chain, self.place), torque, (self.torque_Nm, self.phase_rad), load=True),)
 
     def native(self, chain: Chain) -> Native:
         """Values of MJCF's own elements that stand for it."""

@@ -22,6 +22,7 @@ __all__ = [
     "DryFriction",
     "GroundSpring",
     "JointRange",
+    "LooseLink",
     "Native",
     "SensorDelay",
     "Slack",
@@ -109,6 +110,17 @@ class SplitBody:
 
 
 @dataclass(frozen=True)
+class LooseLink:
+    """The link of a body whose joint has a gap of total ``width`` [rad | m]: inertia behind it, contact as of `SplitBody`."""
+
+    body: int
+    inertia: float
+    width: float
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
 class Weight:
     """Gravity on a body: torque -T sin(angle + phase), T [N m], phase [rad]."""
 
@@ -186,6 +198,7 @@ Value = (
     | Slack
     | CubicSpring
     | SplitBody
+    | LooseLink
     | Weight
     | Cogging
     | GroundSpring

@@ -68,7 +68,10 @@ class Friction:
 
 @dataclass(frozen=True)
 class BodyTorque:
-    """A torque on a body (positive drives it forward): ``out[0]`` [N m | N]; with an internal state, see the module's text."""
+    """A torque on a body (positive drives it forward): ``out[0]`` [N m | N]; with an internal state, see the module's text.
+
+    ``load``: whether it is that of the load, which a body that is split hands on to its far part (`SplitInertia`).
+    """
 
     body: int
     law: Law
@@ -76,6 +79,7 @@ class BodyTorque:
     state: bool = False
     spatial: float = 0.0
     timed: bool = False
+    load: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,12 +128,13 @@ class JointLimit:
 
 @dataclass(frozen=True)
 class SplitInertia:
-    """Part of a body's inertia hangs on a further spring-damper: one more degree of freedom."""
+    """Part of a body's inertia hangs on a further spring-damper: one more degree of freedom; ``loaded``: with the body's load."""
 
     body: int
     inertia: float
     stiffness: float
     damping: float
+    loaded: bool = False
 
 
 class StaticMap(enum.Enum):

@@ -90,6 +90,19 @@ class LinearWriter:
                 now = self.editor.node(kind, name).attributes.get("armature")
                 self.editor.set(kind, name, armature=number(rounded((float(now) if now else mass.value) * factor)))
 
+    def share(self, body: int, joint: str, link: float) -> None:
+        """Give the masses of a body an inertia ``link`` about its axis, and the armature of its joint what is left of the body's."""
+        masses = self.editor.found.masses[body]
+        present = sum(m.value * scale**2 for m, scale in masses if m.kind == "body")
+        for mass, _ in masses:
+            if mass.kind == "body":
+                self._change(mass).inertia = link / present
+                self._write_mass(mass)
+            elif (mass.kind, mass.name) != ("joint", joint):
+                name = self.editor.found.layout.drive.name if mass.kind == "actuator" else mass.name
+                self.editor.set(mass.kind, name, armature="0")
+        self.editor.set("joint", joint, armature=number(rounded(self.target.bodies[body].inertia - link)))
+
     def weigh(self, body: int, factor: float, turn: float) -> None:
         """Scale the weight of a body of a hinge chain and turn its centre by an angle [rad] about the axis; its inertia stays."""
         for mass, scale in self.editor.found.masses[body]:
