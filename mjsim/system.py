@@ -278,9 +278,10 @@ def assemble(axis: Axis) -> System:
     limit = next((p.limit for p in ports if isinstance(p, P.JointLimit)), chain.bodies[0].limit)
     if limit is not None:
         elements.bound(limit)
-    for port in ports:
-        if isinstance(port, P.Gap):
-            f[5, port.coupling] += 0.5 * port.width
+    gaps = [port for port in ports if isinstance(port, P.Gap)]
+    for gap in gaps:
+        f[5, gap.coupling] += 0.5 * gap.width
+    gap_law = next((gap.contact for gap in gaps if gap.contact is not None), axis.backlash_law)
     gain, servo = _drive(chain, ports)
     stiff, damping = elements.stiff, elements.damping
     stiff[0] += servo[0]
@@ -288,7 +289,7 @@ def assemble(axis: Axis) -> System:
     return System(
         chain=chain,
         f=f,
-        gap_law=axis.backlash_law.value,
+        gap_law=gap_law.value,
         elements=np.array(sorted(elements.rows, key=lambda row: row[0]), np.int64).reshape(-1, 6),
         parameters=np.array(elements.values or [0.0]),
         has_friction=elements.friction,
@@ -304,7 +305,7 @@ def assemble(axis: Axis) -> System:
         sliding=_fastest(f, stiff, damping),
         yields=elements.yields,
         spatial=elements.spatial,
-        affine=_affine(ports, axis.backlash_law) and not np.isfinite(servo[2:4]).all() and not elements.uneven,
+        affine=_affine(ports, gap_law) and not np.isfinite(servo[2:4]).all() and not elements.uneven,
         gain=gain,
         servo=servo,
     )

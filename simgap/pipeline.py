@@ -321,16 +321,18 @@ def _need_folder(out: Path) -> None:
 
 def _need_place(name: str, axis: Axis, model: Path) -> None:
     """Refuse an effect that was asked for and that this chain cannot have. Raises InputError."""
-    from mjsim.effects import NotApplicableError, effect_class
+    from mjsim.effects import NotApplicableError, effect_class, registered
 
-    cls = effect_class(name)
-    anything = {s.name: min(max(1.0, s.lower), s.upper) for s in cls.specs()}
-    for place in cls.places:
-        try:
-            cls(place=place, **anything).ports(axis.chain)
-            return
-        except NotApplicableError as error:
-            why = str(error)
+    called = [cls for cls in registered().values() if cls.called == name]
+    why = ""
+    for cls in (*called, effect_class(name)):
+        anything = {s.name: min(max(1.0, s.lower), s.upper) for s in cls.specs()}
+        for place in cls.places:
+            try:
+                cls(place=place, **anything).ports(axis.chain)
+                return
+            except NotApplicableError as error:
+                why = str(error)
     raise InputError(
         "--effects", f"{name!r} has no place in {model.name}: {why}", "effects that the axis can have", "leave it out"
     )

@@ -38,6 +38,8 @@ def candidates(fitter: Fitter, only: Sequence[str] = ()) -> tuple[Candidate, ...
     for name, cls in registered().items():
         if only and cls.name() not in only and name not in only:
             continue
+        if cls.rigid and fitter.nominal.chain.couplings:
+            continue
         for place in cls.places:
             if place == "actuator" and not fitter.nominal.chain.driven:
                 continue

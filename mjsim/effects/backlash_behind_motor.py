@@ -2,7 +2,7 @@
 
 J -> J - J_l at the motor, joined to the link J_l by a contact k, damping with a gap b; the weight hangs on the link
 
-T = 0 for |d| < b/2, else k (d -+ b/2) + damping d',  d = q_motor - q_link
+T = 0 for |d| < b/2, else k (d -+ b/2) + damping d',  d = q_motor - q_link, and 0 where that would pull
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from mjsim.effects.admissible import Range
-from mjsim.effects.base import Effect, NotApplicableError, Scales, parameter
+from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.extra_flexible_mode import ExtraFlexibleMode
 from mjsim.effects.native import LooseLink, Native
-from mjsim.effects.ports import Gap, Port, SplitInertia
+from mjsim.effects.ports import BacklashLaw, Gap, Port, SplitInertia
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
 
@@ -44,12 +44,12 @@ class BacklashBehindMotor(Effect):
         "stands behind it."
     )
     citation: ClassVar[str] = (
-        "M. Otter, Modelica.Mechanics.Rotational.ElastoBacklash (1999); Nordin, Gutman, Automatica 38 (2002) 1633"
+        "M. Otter, Modelica.Mechanics.Rotational.ElastoBacklash (2007); Nordin, Gutman, Automatica 38 (2002) 1633"
     )
     tolerance: ClassVar[float] = 1e-3
-    amplitudes: ClassVar[tuple[str, ...]] = ("gap_rad",)
     sizes: ClassVar[tuple[str, ...] | None] = ("gap_rad", "inertia_kgm2")
     rough: ClassVar[bool] = True
+    rigid: ClassVar[bool] = True
     family: ClassVar[str] = "structure"
     multistart: ClassVar[int] = 3
 
@@ -59,13 +59,16 @@ class BacklashBehindMotor(Effect):
     damping_Nms_rad: float = parameter(Quantity.DAMPING, "damping of the contact", lower=0.0)
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
-        """Where the law acts: the one body of a rigid chain."""
-        if chain.couplings:
-            raise NotApplicableError(f"this chain of {len(chain.bodies)} bodies has a coupling: its gap is backlash there")
-        return SplitInertia(0, self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad, loaded=True), Gap(0, self.gap_rad)
+        """Where the law acts."""
+        split = SplitInertia(
+            need_body(chain, self.place), self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad, loaded=True
+        )
+        return split, Gap(len(chain.couplings), self.gap_rad, BacklashLaw.NO_PULL)
 
     def native(self, chain: Chain) -> Native:
-        """Values of MJCF's own elements that stand for it."""
+        """Values of MJCF's own elements that stand for it: on a rigid chain, whose one joint is the motor's."""
+        if chain.couplings:
+            return super().native(chain)
         return Native((LooseLink(0, self.inertia_kgm2, self.gap_rad, self.stiffness_Nm_rad, self.damping_Nms_rad),))
 
     def limits(self) -> tuple[Effect, ...]:

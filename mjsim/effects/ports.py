@@ -113,10 +113,11 @@ class BodyInertia:
 
 @dataclass(frozen=True)
 class Gap:
-    """A dead zone of total width ``width`` [rad | m], on the coupling's own (link) side."""
+    """A dead zone of total width ``width`` [rad | m], on the coupling's own (link) side; ``contact``: the axis's when None."""
 
     coupling: int
     width: float
+    contact: BacklashLaw | None = None
 
 
 @dataclass(frozen=True)

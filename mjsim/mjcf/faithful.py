@@ -17,7 +17,7 @@ from pathlib import Path
 
 from mjsim.axis import Axis
 from mjsim.effects import BacklashLaw, Effect
-from mjsim.effects.native import JointRange, LooseLink, Slack
+from mjsim.effects.native import JointRange, Slack
 from mjsim.effects.ports import Friction, Gap
 from mjsim.mjcf.adjust import adjust, author_settings
 from mjsim.mjcf.compile import compile_file
@@ -134,7 +134,7 @@ def as_plain(axis: Axis, lacks: Container[str]) -> Axis:
             effects.append(e)
         elif native.lacks:
             effects += [effect_of(value, axis.chain, Path(e.key)) for value in native.values]
-        elif any(isinstance(value, Slack | LooseLink) for value in native.values):
+        elif any(isinstance(value, Slack) for value in native.values):
             law = BacklashLaw.UNGATED
             effects.append(e)
     return Axis(axis.chain, tuple(effects), law)

@@ -91,7 +91,7 @@ class LinearWriter:
                 self.editor.set(kind, name, armature=number(rounded((float(now) if now else mass.value) * factor)))
 
     def share(self, body: int, joint: str, link: float) -> None:
-        """Give the masses of a body an inertia ``link`` about its axis, and the armature of its joint what is left of the body's."""
+        """Set the inertia of a body's masses about its axis to ``link``, and the armature of its joint to the rest of it."""
         masses = self.editor.found.masses[body]
         present = sum(m.value * scale**2 for m, scale in masses if m.kind == "body")
         for mass, _ in masses:

@@ -11,24 +11,19 @@ import numpy as np
 
 from mjsim.effects import native as N  # noqa: N812
 from mjsim.effects.ports import BacklashLaw
-from mjsim.mjcf.editor import MjcfEditor, element, number, row, stiffest
+from mjsim.mjcf.editor import MjcfEditor, element, number, row
 from mjsim.mjcf.joint_limit import on_joint
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
 from mjsim.mjcf.servo import bias_of
+from mjsim.mjcf.slack_write import IMPEDANCE, NOT_ONE_JOINT, limit_slack, loosen_link
 from mjsim.quantity import Motion
 
 __all__ = ["FRICTION_STEP", "NativeWriter"]
 
 FRICTION_STEP = 1e-4  # largest timestep at which plain MuJoCo meets the law to about 1e-3 (measured, docs/decisions/mjcf.md)
-SLACK_STEP, DELAY_STEP = 5e-5, 1e-4
-SLACK_ARMATURE = 5e-4  # largest inertia of a free node [kg m^2 | kg], and its part of the lighter body's
-SLACK_SHARE = 2e-4
-CLOSED = 1e-9  # [rad | m], of a gap that is closed: MuJoCo wants a range that is not empty
+DELAY_STEP = 1e-4
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], MuJoCo's own
-IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
-NOT_ONE_JOINT = "its angle is not one joint's"
-GAP_DAMPER = "its gap is there, but its damper acts inside the gap too (law 'ungated')"
 
 
 class NativeWriter:
@@ -191,29 +186,8 @@ class NativeWriter:
         return ""
 
     def _loose_link(self, value: N.LooseLink) -> str:
-        """The joint's armature for the motor, and in the body a slack joint and the spring of the contact, which the link turns about."""
-        editor, joint = self.editor, self.editor.joint_of(value.body)
-        if joint is None:
-            return NOT_ONE_JOINT
-        if not any(mass.kind == "body" for mass, _ in editor.found.masses[value.body]):
-            return "no body hangs on its joint"
-        self.linear.share(value.body, joint, value.inertia)
-        index = editor.model.joint(joint).id
-        place, axis = (row(list(v[index])) for v in (editor.model.jnt_pos, editor.model.jnt_axis))
-        same = {"type": editor.chain.motion.value, "pos": place, "axis": axis}
-        slack, contact = (editor.fresh("joint", f"{joint}_{what}") for what in ("slack", "contact"))
-        body = editor.xml.find(lambda n: n.tag == "body" and any(c.attributes.get("name") == joint for c in n.children))
-        assert body is not None
-        editor.xml.append(body, [
-            element("joint", name=slack, **same),
-            element("joint", name=contact, **same, stiffness=number(value.stiffness), damping=number(value.damping)),
-        ])  # fmt: skip
-        for name in (slack, contact):
-            editor.added.append(("joint", name))
-            editor.ignored.append(name)
-        lighter = min(value.inertia, self.linear.target.bodies[value.body].inertia - value.inertia)
-        self._limit_slack(slack, value.width, lighter, value.damping)
-        return "" if self.law is BacklashLaw.UNGATED else GAP_DAMPER
+        """A slack joint and the spring of the contact, about which the link turns: it never pulls."""
+        return loosen_link(self.editor, self.linear, value)
 
     def _weight(self, value: N.Weight) -> str:
         """Mass and centre of the body, whose inertia stays, where the file has a weight there or has it without its gravity."""
@@ -254,22 +228,15 @@ class NativeWriter:
             chain, j = self.linear.target, value.coupling
             ends = [chain.total_ratio(i) for i in (j, j + 1)]
             lighter = min(b.inertia * (r / ends[1]) ** 2 for b, r in zip(chain.bodies[j : j + 2], ends, strict=True))
-            self._limit_slack(slack, value.width, lighter, chain.couplings[j].damping)
+            limit_slack(editor, slack, value.width, lighter, chain.couplings[j].damping)
             self._release(slack)
-        return "" if self.law is BacklashLaw.UNGATED else GAP_DAMPER
+        return self._gap_damper
 
-    def _limit_slack(self, slack: str, width: float, lighter: float, damping: float) -> None:
-        """Set the range of a slack joint, its stiff limits, and the inertia of the free node between it and a damper.
-
-        That is little beside the ``lighter`` body's, and enough for a step of the damper across it to be stable.
-        """
-        editor = self.editor
-        editor.step(SLACK_STEP)
-        half = 0.5 * max(width, CLOSED)
-        half = math.degrees(half) if editor.degrees() else half
-        armature = min(SLACK_ARMATURE, max(SLACK_SHARE * lighter, damping * editor.timestep))
-        editor.set("joint", slack, limited="true", range=row([-half, half]), armature=number(armature), solimplimit=IMPEDANCE)
-        editor.follow(lambda: editor.set("joint", slack, solreflimit=stiffest(editor.timestep)))
+    @property
+    def _gap_damper(self) -> str:
+        return (
+            "" if self.law is BacklashLaw.UNGATED else "its gap is there, but its damper acts inside the gap too (law 'ungated')"
+        )
 
     def _release(self, slack: str) -> None:
         """Switch off the equality that holds a slack joint."""
@@ -421,7 +388,8 @@ _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
     N.DryFriction: NativeWriter._dry_friction, N.ViscousDamping: NativeWriter._viscous_damping,
     N.SquareDrag: NativeWriter._square_drag, N.BodyBristle: NativeWriter._body_bristle,
     N.CouplingBristle: NativeWriter._coupling_bristle, N.Slack: NativeWriter._slack, N.CubicSpring: NativeWriter._cubic_spring,
-    N.SplitBody: NativeWriter._split_body, N.LooseLink: NativeWriter._loose_link, N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
+    N.SplitBody: NativeWriter._split_body, N.LooseLink: NativeWriter._loose_link,
+    N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
     N.JointRange: NativeWriter._joint_range, N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
     N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag, N.DriveDelay: NativeWriter._drive_delay,
     N.SensorDelay: NativeWriter._sensor_delay,
