@@ -87,6 +87,9 @@ SAME = _number(
     "search",
 )
 NEARLY_ALL = _number("NEARLY_ALL", LEVEL, 0.8, "of a squared error", "no sine of a few periods takes that by chance", "evidence")
+FAMILY = _number(
+    "FAMILY", LEVEL, 0.05, "p-value", "of any false name by the held-out data, over all hypotheses (Bonferroni)", "findings"
+)
 ALPHA = _number("ALPHA", LEVEL, 0.01, "p-value", "of a test, over all hypotheses that it was asked about", "force_orders")
 SIGMAS = _number("SIGMAS", LEVEL, 4.0, "standard errors", "6e-5 two-sided, over 16 bands 1e-3", "noise")
 LINE = _number(

@@ -1,19 +1,24 @@
-"""Only effects that the data show, and whose sizes they determine, are named.
+"""Only effects that the data show, also the held-out ones, and whose sizes they determine, are named.
 
 An effect whose size has an interval that contains zero, or with a number that the recording cannot show (`Effect.admissible`),
 gives way to a simpler form of it, to its limit, to a structure without it, or to nothing, whichever the criterion prefers. Where
-the criterion asks for it nevertheless, it stays out: what it explained is then left unexplained.
+the criterion asks for it nevertheless, it stays out: what it explained is then left unexplained. So does an effect by which the
+held-out error falls no more than it may by chance under the best of as many hypotheses as were tried (Bonferroni).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 from diagnose.evidence.admissible import Outside, out_of_range
 from diagnose.evidence.intervals import Open, open_sizes
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Status
 from diagnose.structure.search import Search
+from diagnose.thresholds import FAMILY
+from diagnose.verdict.decide import p_values
 from mjsim.effects import Effect
 
 __all__ = ["determined"]
@@ -23,8 +28,9 @@ def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
     """The best structure without undetermined effects, and a sentence for each that was left out or replaced."""
     said: list[str] = []
     for _ in range(len(best.effects) * 3):
-        found: list[Open | Outside] = [*out_of_range(best, search.fitter)] if best.ok else []
+        found: list[Open | Outside | Chance] = [*out_of_range(best, search.fitter)] if best.ok else []
         found += open_sizes(best, search.fitter.noise) if best.ok else ()
+        found += () if found else _by_chance(search, best)
         if not found:
             break
         first = found[0]
@@ -36,7 +42,29 @@ def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
     return best, tuple(said)
 
 
-def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | None:
+@dataclass(frozen=True)
+class Chance:
+    """An effect without which the held-out error may be as low by chance: its p-value over all hypotheses."""
+
+    effect: Effect
+    p_value: float
+    hypotheses: int
+
+
+def _by_chance(search: Search, best: Fitted) -> list[Chance]:
+    """The effects of a structure whose gain on held-out data may be chance, the likeliest first."""
+    if not best.ok or not best.effects:
+        return []
+    fewer = search.fitter.map([partial(search.pruning.without, best, effect) for effect in best.effects])
+    tried = max(1, search.tested)
+    found = [
+        Chance(effect, min(1.0, tried * p_values(search, poorer, best)[0]), tried)
+        for effect, poorer in zip(best.effects, fewer, strict=True)
+    ]
+    return sorted((c for c in found if c.p_value > FAMILY), key=lambda c: -c.p_value)
+
+
+def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance) -> Fitted | None:
     """The structure of the least criterion without the effect; None where none can be fitted.
 
     In place of one whose numbers the recording cannot show a rival of the search stands as well, if it is significant.
@@ -47,7 +75,7 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside) -> Fitted | Non
     rivals += [f for f in search.pruning.limits(best) if effect.key not in f.key]
     usable = [f for f in rivals if f.ok and effect.key not in f.key and search.state.admitted([e.id for e in f.effects])]
     least = min(usable, key=search.criterion, default=None)
-    if least is None or isinstance(found, Open):
+    if least is None or not isinstance(found, Outside):
         return least
     better = [f for f in _admissible(search, effect, least) if search.criterion(f) < search.criterion(least)]
     for f in sorted(better, key=search.criterion):
@@ -71,11 +99,13 @@ def _admissible(search: Search, effect: Effect, least: Fitted) -> list[Fitted]:
     return [f for f in fits if not out_of_range(f, search.fitter)]
 
 
-def _sentence(best: Fitted, poorer: Fitted, found: Open | Outside) -> str:
+def _sentence(best: Fitted, poorer: Fitted, found: Open | Outside | Chance) -> str:
     name = found.effect.name().replace("_", " ").capitalize()
     instead = [e.name().replace("_", " ") for e in poorer.effects if e.key not in best.key]
     place = f"{' and '.join(instead)} is fitted in its place" if instead else "it is left out"
-    if isinstance(found, Open):
+    if isinstance(found, Chance):
+        why = f"over {found.hypotheses} hypotheses its gain on held-out data has p = {found.p_value:.2g}, which is chance"
+    elif isinstance(found, Open):
         low, high = found.ci95
         why = f"the 95 % interval of its {found.name}, [{low:.3g}, {high:.3g}], contains zero"
     else:

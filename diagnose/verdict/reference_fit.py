@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,7 +20,9 @@ from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
 from diagnose.verdict.reference_runs import ROUNDS, run_files, run_surrogate, run_watched, work_of
 from mjsim.axis import Axis
 from mjsim.errors import InputError
+from mjsim.mjcf import load_model
 from mjsim.mjcf.faithful import Writer
+from mjsim.mjcf.write import UNFAITHFUL
 from mjsim.plant import MujocoPlant, Start
 
 __all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator", "uncertainties"]
@@ -49,10 +51,15 @@ class Refit:
     errors: Mapping[str, float] = field(default_factory=dict)
 
 
-def _free(axis: Axis) -> dict[str, float]:
-    """The numbers that are refitted: linear parameters and the amplitudes of effects, as far as they are not zero."""
+def _free(axis: Axis, held: Container[str] = ()) -> dict[str, float]:
+    """The numbers that are refitted: linear parameters and the amplitudes of effects, as far as they are not zero.
+
+    ``held``: keys of effects whose numbers stay.
+    """
     values = {p.name: p.value for p in axis.chain.linear_parameters() if p.value}
     for e in axis.effects:
+        if e.key in held:
+            continue
         values |= {f"{e.key}.{name}": e.values[name] for name in e.amplitudes if e.values[name]}
     return values
 
@@ -80,18 +87,26 @@ def _jacobian(
 
 
 def _refit(
-    axis: Axis, cases: Sequence[Case], run: Runner, engine: Runner, *, own_slopes: bool = False, metric: np.ndarray | None = None
+    axis: Axis,
+    cases: Sequence[Case],
+    run: Runner,
+    engine: Runner,
+    *,
+    own_slopes: bool = False,
+    metric: np.ndarray | None = None,
+    held: Container[str] = (),
 ) -> Refit | None:
     """Least squares from the numbers of an axis; None where its run diverges or cannot be had.
 
     The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself.
     metric (p,): least diagonal of the normal equations that damps a step: what a part of the data does not show, stays.
+    held: keys of effects whose numbers stay, since ``run`` does not respond to them.
     """
-    names, runs = list(_free(axis)), run(axis, math.inf)
+    names, runs = list(_free(axis, held)), run(axis, math.inf)
     e = _residual(cases, runs)
     if e is None or runs is None:
         return None
-    best = Refit(_free(axis), axis, runs, float(e @ e))
+    best = Refit(_free(axis, held), axis, runs, float(e @ e))
     slopes: list[Runner] = [engine, run] if own_slopes else [engine]
     errors: dict[str, float] = {}
     for _ in range(ROUNDS):
@@ -183,20 +198,30 @@ def refit_in_simulator(
             return None
         best: Refit | None = None
         whole, at = [c for c, _ in fitted], [s for _, s in fitted]
-        metric = _metric(axis, whole, at)
+        held = _left_out(axis, out)
+        metric = _metric(axis, held, whole, at)
         for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
             runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
-            own = work_needed * len(_free(axis)) <= MOST_WORK and part == HORIZONS[-1]  # a run for each slope
-            best = _refit(best.axis if best else axis, parts, runs, engine, own_slopes=own, metric=metric)
+            own = work_needed * len(_free(axis, held)) <= MOST_WORK and part == HORIZONS[-1]  # a run for each slope
+            best = _refit(best.axis if best else axis, parts, runs, engine, own_slopes=own, metric=metric, held=held)
             if best is None or beyond(whole, best.runs, goal):
                 return None
         return best
 
 
-def _metric(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> np.ndarray | None:
+def _left_out(axis: Axis, path: Path) -> frozenset[str]:
+    """Keys of the effects of an axis that MuJoCo does not step at all in a file written of it."""
+    carried = load_model(path, bound={}).carried
+    lacks = dict(carried.lacks) if carried else {}
+    return frozenset(
+        e.key for e in axis.effects if e.key in lacks and (UNFAITHFUL in lacks[e.key] or not e.native(axis.chain).values)
+    )
+
+
+def _metric(axis: Axis, held: Container[str], cases: Sequence[Case], starts: Sequence[Start]) -> np.ndarray | None:
     """Diagonal of the normal equations (p,) of all the data, by the engine; None where it diverges."""
-    J = _jacobian(axis, list(_free(axis)), cases, _in_engine(cases, starts, locked=False))
+    J = _jacobian(axis, list(_free(axis, held)), cases, _in_engine(cases, starts, locked=False))
     return None if J is None else np.asarray(np.sum(J**2, axis=0))
 
 

@@ -56,7 +56,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     shown = with_runs(result.traces, nominal.cases, nominal.runs, files.runs)
     out = dataclasses.replace(result, fit=fits, surrogate=engine, traces=shown)
     if files.stands or nominal_stands(result, nominal):
-        return _no_mismatch(out, notes)
+        return _no_mismatch(out, notes) if at_noise(nominal.cases, nominal.runs) else _as_it_was(out, notes)
     if missed and not files.lacks:
         notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
@@ -68,8 +68,10 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         out = _explained(out, files.form)
     # a file that follows the held-out recordings worse than the one as given explains nothing, whatever the equations say
     worse = fits["corrected"].held_out_rms > MISSES * fits["nominal"].held_out_rms and not at_noise(nominal.cases, files.runs)
-    if worse and not files.lacks and out.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
-        return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_worse(out))
+    if worse and not files.lacks:
+        if out.verdict in (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY):
+            return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_worse(out))
+        out = dataclasses.replace(out, notes=(_warning_worse(out), *out.notes))
     # an effect that the equations explain keeps its name; the warning says that the file does not step it
     told = files.lacks or files.sensitive or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
     if missed and not told and not at_noise(nominal.cases, files.runs):
@@ -100,16 +102,12 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
 
 
 def no_better(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]) -> bool:
-    """Whether changed numbers alone make the file no better than the one as given, which is at the noise.
+    """Whether changed numbers alone make the file no better than the one as given, on estimation and on held-out data.
 
-    Numbers that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings; what
-    these leave unexplained the file does not.
+    Numbers that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings. Where
+    the file as given is at the noise, it explains what these leave unexplained; where it is not, the mismatch is unexplained.
     """
-    if (
-        result.verdict not in (Verdict.PARAMETERS_ONLY, Verdict.UNEXPLAINED)
-        or result.findings
-        or not at_noise(nominal.cases, nominal.runs)
-    ):
+    if result.verdict not in (Verdict.PARAMETERS_ONLY, Verdict.UNEXPLAINED) or result.findings:
         return False
     parts = ("estimation", "held_out")
     return all(chi_square(nominal.cases, nominal.runs, p)[0] <= chi_square(nominal.cases, runs, p)[0] for p in parts)
@@ -148,6 +146,26 @@ def _no_mismatch(result: Diagnosis, notes: Sequence[str]) -> Diagnosis:
         "to within its noise.",
         notes=(*([more] if found else []), *kept, *(n for n in result.notes if "Structure remains" not in n)),
     )  # fmt: skip
+
+
+def _as_it_was(result: Diagnosis, notes: Sequence[str]) -> Diagnosis:
+    """No change of the numbers makes the file follow the recordings better in MuJoCo, and it does not follow them."""
+    given = result.fit["nominal"]
+    return dataclasses.replace(
+        result, verdict=Verdict.UNEXPLAINED, fit={**result.fit, "corrected": given}, gap_closed=math.nan,
+        summary=f"The mismatch is not explained: stepped by MuJoCo, the file as given misses held-out recordings by "
+        f"{_told(given.held_out_rms)} {result.unit}, and no change of its numbers does better: corrected.xml is the same.",
+        notes=(*(n for n in notes if not n.startswith("Plain MuJoCo lacks")), *result.notes),
+    )  # fmt: skip
+
+
+def _warning_worse(result: Diagnosis) -> str:
+    given, mended = result.fit["nominal"], result.fit["corrected"]
+    return (
+        f"Warning: in MuJoCo, corrected.xml follows the held-out recordings worse ({_told(mended.held_out_rms)} {result.unit}) "
+        f"than the file as given ({_told(given.held_out_rms)}); on the estimation data their errors are {_told(mended.rms)} and "
+        f"{_told(given.rms)}."
+    )
 
 
 def _numerics(result: Diagnosis, files: Files) -> Diagnosis:

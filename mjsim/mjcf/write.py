@@ -25,7 +25,7 @@ from mjsim.mjcf.native_write import FRICTION_STEP, NativeWriter
 from mjsim.mjcf.servo_write import write_servo
 from mjsim.mjcf.xmltext import XmlText
 
-__all__ = ["Written", "check_writable", "write_corrected"]
+__all__ = ["UNFAITHFUL", "Written", "check_writable", "write_corrected"]
 
 UNFAITHFUL = "MuJoCo does not step any form of it to within its tolerance with this file's options"
 

@@ -57,7 +57,10 @@ def search_of(robot, without=None, simpler=(), limits=(), admitted=lambda ids: T
 def open_in(monkeypatch):
     """Effects that count as undetermined, wherever they are."""
 
-    def these(*effects):
+    def these(*effects, chance=False):
+        if not chance:
+            monkeypatch.setattr(determined_module, "_by_chance", lambda search, best: [])
+
         def found(f, noise):
             return tuple(Open(e, e.amplitudes[0], 0.01, (-0.02, 0.04)) for e in f.effects if e in effects)
 
@@ -97,6 +100,21 @@ def test_what_keeps_the_effect_or_is_not_admitted_does_not_take_its_place(robot,
     assert determined(search, best)[0] is left
     nothing = search_of(robot, {STRIBECK.key: failed})
     assert determined(nothing, best) == (best, ()), "none can be fitted"
+
+
+@pytest.mark.parametrize(("tested", "kept"), [(2, True), (3, False)])
+def test_a_gain_that_the_best_of_many_hypotheses_has_by_chance_names_nothing(robot, open_in, tested, kept):
+    open_in(chance=True)
+    best, bare = structure(DELAY), structure()
+    search = search_of(robot, {DELAY.key: bare})
+    search.tested = tested  # the p-value of one is .02
+    found, said = determined(search, best)
+    assert found is (best if kept else bare)
+    if not kept:
+        assert said == (
+            "Time delay at the actuator is not named: over 3 hypotheses its gain on held-out data has p = 0.06, which is chance; "
+            "it is left out.",
+        )
 
 
 def test_each_undetermined_effect_is_taken_in_turn(robot, open_in):

@@ -355,7 +355,12 @@ def test_numbers_that_make_the_file_no_better_are_not_changed(judged):
     assert not no_better(result, dataclasses.replace(given, runs=worse), given.runs)
     assert no_better(dataclasses.replace(result, verdict=Verdict.UNEXPLAINED), given, worse)
     assert not no_better(dataclasses.replace(result, verdict=Verdict.MISSING_PHYSICS), given, worse)
-    far = [dataclasses.replace(r, velocity=r.velocity + SIGMA) for r in given.runs]
-    assert not no_better(result, dataclasses.replace(given, runs=far), far)
+    far = dataclasses.replace(given, runs=[dataclasses.replace(r, velocity=r.velocity + 3 * SIGMA) for r in given.runs])
+    assert no_better(result, far, far.runs), "far from the noise as well"
+    assert not no_better(result, far, given.runs)
+    kept = by_simulator(result, far, Files(far.runs, (), "as given", stands=True))
+    assert kept.verdict is Verdict.UNEXPLAINED
+    assert kept.fit["corrected"] == kept.fit["nominal"]
+    assert "corrected.xml is the same" in kept.summary
     out = by_simulator(result, given, Files(given.runs, (), "as given", stands=True))
     assert out.verdict is Verdict.NO_MISMATCH

@@ -86,14 +86,21 @@ class _Search:
 
     def __init__(self, ripple, rivals=()):
         self.fitter = SimpleNamespace(
-            scales=dict.fromkeys(("motor",), SCALES), scales_for=lambda cls, place: SCALES, refined=lambda f: f, noise=None
+            scales=dict.fromkeys(("motor",), SCALES),
+            scales_for=lambda cls, place: SCALES,
+            refined=lambda f: f,
+            noise=None,
+            map=lambda tasks: [t() for t in tasks],
         )
         bare = self.fitted(())
         self.pruning = SimpleNamespace(
             without=lambda best, effect: bare, simplified=lambda best, effect: [], limits=lambda best: []
         )
         self.options, self.nominal = SimpleNamespace(width=10), lambda: bare
-        self.context = SimpleNamespace(gain=lambda before, after: before.chi2 - after.chi2)
+        self.tested = 1
+        self.context = SimpleNamespace(
+            gain=lambda before, after: before.chi2 - after.chi2, compared=lambda *_: SimpleNamespace(p_value=0.001)
+        )
         self.state = SimpleNamespace(admitted=lambda ids: True)
         self.fits = {f.key: f for f in (self.fitted((ripple,), 10.0), *rivals)}
         self.significance = SimpleNamespace(significant=lambda before, after: after.chi2 < 40.0)
@@ -103,7 +110,7 @@ class _Search:
         hypothesis = SimpleNamespace(entries=(), bounds=(np.zeros(0), np.zeros(0)))
         fit = SimpleNamespace(x=np.zeros(0), status=Status.CONVERGED)
         return SimpleNamespace(
-            effects=effects, key=tuple(e.key for e in effects), chi2=chi2, ok=True, hypothesis=hypothesis, fit=fit,
+            effects=effects, key=tuple(e.key for e in effects), chi2=chi2, n=100, ok=True, hypothesis=hypothesis, fit=fit,
             standard_errors=lambda noise: np.zeros(0),
         )  # fmt: skip
 
