@@ -8,6 +8,7 @@ import numpy as np
 
 from diagnose.evidence.held_out import compare
 from diagnose.fit.fitted import HeldOut
+from diagnose.robot.linear import solved
 
 __all__ = ["predictable", "ridge"]
 
@@ -19,7 +20,7 @@ def ridge(columns: np.ndarray, residual: np.ndarray, weight: float = 1e-2) -> np
     """
     size = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
     unit = columns / size
-    return np.asarray(np.linalg.solve(unit.T @ unit + weight * np.eye(len(size)), unit.T @ residual) / size)
+    return np.asarray(solved(unit.T @ unit + weight * np.eye(len(size)), unit.T @ residual) / size)
 
 
 def predictable(before: HeldOut, left: np.ndarray) -> tuple[float, float]:

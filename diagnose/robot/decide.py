@@ -11,6 +11,7 @@ import numpy as np
 from diagnose.evidence.held_out import compare
 from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.laws import law_parameters
+from diagnose.robot.linear import inverse, solved
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.physical import consistent
 from diagnose.robot.problem import JOINT_PARAMETERS, Problem, Term
@@ -173,7 +174,7 @@ def changes(search: Selection) -> tuple[str, ...]:
     def cost(names: Sequence[str]) -> float:
         use = np.concatenate([*(groups[c] for c in names), rest]).astype(int)
         price = sum(search.price * _numbers(n.H, groups[c]) for c in names)
-        return price - (float(n.g[use] @ np.linalg.solve(n.H[np.ix_(use, use)], n.g[use])) if len(use) else 0.0)
+        return price - (float(n.g[use] @ solved(n.H[np.ix_(use, use)], n.g[use])) if len(use) else 0.0)
 
     chosen: list[str] = []
     for _ in range(2 * len(groups)):
@@ -191,9 +192,9 @@ def changes(search: Selection) -> tuple[str, ...]:
                 chosen = fewer
     use = np.concatenate([*(groups[c] for c in chosen), rest]).astype(int) if chosen else rest
     x = np.zeros(len(n.g))
-    x[use] = np.linalg.solve(n.H[np.ix_(use, use)], n.g[use])
+    x[use] = solved(n.H[np.ix_(use, use)], n.g[use])
     V = np.zeros_like(n.H)
-    V[np.ix_(use, use)] = np.linalg.inv(n.H[np.ix_(use, use)])
+    V[np.ix_(use, use)] = inverse(n.H[np.ix_(use, use)])
     if not consistent(p, p.nominal + p.scale * x[:P]):
         x[:P] = (s.theta - p.nominal) / p.scale
         V[:P, :P] = posterior(search)[0][:P, :P] / np.outer(p.scale, p.scale)

@@ -15,6 +15,7 @@ import numpy as np
 
 from diagnose.fit.fitted import HeldOut
 from diagnose.robot.laws import Row
+from diagnose.robot.linear import inverse, solved
 from diagnose.robot.problem import Problem, Term
 
 __all__ = ["Solution", "autocorrelation", "covariance", "held_out", "normal", "solve", "told_apart", "unpacked", "weigh", "worth"]
@@ -114,7 +115,7 @@ def solve(
     x = np.zeros(len(n.g))
     x[: len(n.fixed)] = n.fixed
     use = np.concatenate([n.free, np.ones(len(x) - len(n.fixed), bool)])
-    x[use] = np.linalg.solve(n.H[np.ix_(use, use)], (n.g - n.H @ x)[use])
+    x[use] = solved(n.H[np.ix_(use, use)], (n.g - n.H @ x)[use])
     return unpacked(problem, terms, n, x)
 
 
@@ -255,10 +256,10 @@ def covariance(
         H[np.ix_(index, index)] += w2 * (D.T @ D)
         S[np.ix_(index, index)] += w2**2 * _sandwich(problem, j, D, s.fitted[j])
         effective += len(D) * worth(problem, j, s.fitted[j], s.fitted[j])
-    inverse = np.linalg.inv(H)
-    used = float(np.trace(inverse @ (H - np.diag(np.concatenate([np.ones(P), np.zeros(at - P)])))))
+    inverted = inverse(H)
+    used = float(np.trace(inverted @ (H - np.diag(np.concatenate([np.ones(P), np.zeros(at - P)])))))
     inflate = effective / max(effective - used, 0.1 * effective)
-    V = inverse @ (S * inflate) @ inverse
+    V = inverted @ (S * inflate) @ inverted
     return V * np.outer(scale, scale), slices
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from diagnose.evidence.held_out import Comparison, compare
 from diagnose.robot.laws import Law, Row
+from diagnose.robot.linear import inverse_root, solved
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.physical import physical
 from diagnose.robot.problem import Problem, Term
@@ -201,8 +202,7 @@ def screen(s: Selection, now: Solution, joint: int) -> list[tuple[float, Term]]:
     own = [i for i, t in enumerate(now.terms) if t.joint == joint]
     w = s.weights[joint]
     A = np.hstack([part.A * p.scale, *(now.columns[i][0] for i in own)])
-    root = np.linalg.cholesky(_hessian(s, now, joint, A))
-    Q = np.linalg.solve(root, w * A.T)
+    Q = inverse_root(_hessian(s, now, joint, A)).T @ (w * A.T)
     left = w * w * float(e @ e)
     present = {t.law.key for t in now.terms if t.joint == joint}
     s.fill([Term(joint, law, shape) for law in p.laws[joint] for shape in law.grid])
@@ -215,7 +215,7 @@ def screen(s: Selection, now: Solution, joint: int) -> list[tuple[float, Term]]:
             C = w * s.columns(Term(joint, law, shape))[0]
             C = C / (np.sqrt(np.sum(C**2, axis=0)) + 1e-300)
             QC = Q @ C
-            c = np.linalg.solve(C.T @ C - QC.T @ QC + 1e-9 * np.eye(C.shape[1]), C.T @ (w * e))
+            c = solved(C.T @ C - QC.T @ QC + 1e-9 * np.eye(C.shape[1]), C.T @ (w * e))
             promised = float((C.T @ (w * e)) @ c)
             if best is None or promised > best[0]:
                 best = promised, shape, (C @ c - Q.T @ (QC @ c)) / w
@@ -239,4 +239,4 @@ def _hessian(s: Selection, now: Solution, joint: int, A: np.ndarray) -> np.ndarr
             H += s.weights[j] ** 2 * (A.T @ A)
         else:
             H[:P, :P] += s.weights[j] ** 2 * p.grams[j][1]
-    return H + 1e-11 * np.diag(np.diag(H))
+    return H

@@ -18,6 +18,7 @@ from diagnose.robot.physical import consistent, physical
 from diagnose.robot.pipeline import diagnose_robot
 from diagnose.robot.problem import Term, build
 from diagnose.robot.solve import covariance, held_out, solve, weigh
+from diagnose.robot.state import Selection, screen
 from lab.robot import cases
 from lab.robot.arm import three_axes
 from lab.robot.cases import Case, draw, write_log
@@ -201,6 +202,24 @@ def test_links_are_kept_physical(case):
         if consistent(p, step):
             cost.append(_cost(p, weights, step))
     assert min(cost) >= cost[0] - 0.2
+
+
+@pytest.mark.parametrize("strength", [1e12, 1e18, 1e24])
+def test_laws_are_screened_where_a_link_is_at_the_wall_of_the_barrier(case, strength):
+    """The barrier's curvature is of low rank and many orders above all else; dry friction still promises most."""
+    folder = case(friction(0.8, 1))
+    robot = load_robot(folder / "arm.xml")
+    r = load_robot_recording(folder / "a.csv", robot)
+    p = build(robot, [prepare(robot, r, r.joints, 15.0, split=True)], [0, 1, 2], LAWS)
+    rows = p.rows(p.nominal)
+    weights, free = weigh(p, (), rows)
+    normals = np.random.default_rng(3).standard_normal((2, 10))
+    stiffness = np.zeros((len(p.names), len(p.names)))
+    stiffness[:10, :10] = strength * normals.T @ normals
+    s = Selection(p, RobotOptions(), rows, weights, dataclasses.replace(free, stiffness=stiffness))
+    promised = screen(s, s.solution, 1)
+    assert np.all(np.isfinite([gain for gain, _ in promised]))
+    assert promised[0][1].law.id == "coulomb_friction"
 
 
 def _cost(p, weights, theta):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.robot.linear import inverse, solved
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.solve import autocorrelation
 from mjsim.robot.joint_kernel import SLOT
@@ -229,7 +230,7 @@ def fit(
         J = jacobian(part, numbers, x, base, own)
         H, g, before = J.T @ J, J.T @ r, best
         for _ in range(6):
-            step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9 * np.trace(H) + 1e-30), g)
+            step = -solved(H + damping * np.diag(np.diag(H) + 1e-9 * np.trace(H) + 1e-30), g)
             trial = _within(numbers, x + np.clip(step, -LONGEST, LONGEST), center)
             new = residual(trial)
             if float(new @ new) < best:
@@ -273,8 +274,8 @@ def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
     np.add.at(scores, where, J[:n] * r[:, None])
     few = len(scores) / max(len(scores) - len(found.x), 1)
     prior = J[n:].T @ J[n:]
-    inverse = np.linalg.inv(H)
-    robust = inverse @ (few * scores.T @ scores + prior) @ inverse
-    least = np.diag(inverse)
+    inverted = inverse(H)
+    robust = inverted @ (few * scores.T @ scores + prior) @ inverted
+    least = np.diag(inverted)
     larger = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-12 * least), 1.0))
     return np.asarray(robust * np.outer(larger, larger))
