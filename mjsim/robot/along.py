@@ -25,13 +25,15 @@ EPS = 1e-6  # step of the differences [rad | m], MuJoCo's own choice for mjd_tra
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """Series (N, m) at the samples of a motion: inertia M_jj, torque b_j, db_j/dq_j, db_j/dq'_j, and the whole torque tau_j."""
+    """Series (N, m) at the samples of a motion: inertia M_jj, torque b_j, db_j/dq_j, db_j/dq'_j, the whole torque tau_j, and of
+    it that of gravity alone, less what is compensated."""
 
     inertia: np.ndarray
     bias: np.ndarray
     by_position: np.ndarray
     by_velocity: np.ndarray
     torque: np.ndarray
+    weight: np.ndarray
 
 
 def along(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray, links: np.ndarray | None = None) -> Along:
@@ -43,16 +45,19 @@ def along(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray, links: n
     data = mujoco.MjData(model)
     nv, T = model.nv, robot.tie
     q, v, a = z @ T.T + robot.rest, dz @ T.T, ddz @ T.T
-    out = [np.empty_like(z) for _ in range(5)]
+    out = [np.empty_like(z) for _ in range(6)]
     Dq, Dv, Da = (np.empty((nv, nv)) for _ in range(3))
     for k in range(len(z)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], 0.0, 0.0
+        mujoco.mj_inverse(model, data)  # at rest, the bias is gravity
+        weight = (data.qfrc_bias - data.qfrc_gravcomp) @ T
         data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
         mujoco.mj_inverse(model, data)
         torque = data.qfrc_inverse @ T
         mujoco.mjd_inverseFD(model, data, EPS, 0, Dq, Dv, Da, None, None, None, None)
         # rows of the differences are the variable, columns the torque: the diagonal of T' D T
         M, by_q, by_v = (np.einsum("im,ij,jm->m", T, D, T) for D in (Da, Dq, Dv))
-        for array, value in zip(out, (M, torque - M * ddz[k], by_q, by_v, torque), strict=True):
+        for array, value in zip(out, (M, torque - M * ddz[k], by_q, by_v, torque, weight), strict=True):
             array[k] = value
     return Along(*out)
 

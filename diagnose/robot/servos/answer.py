@@ -17,6 +17,7 @@ from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.remains import black_box, tells
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, held_out
+from diagnose.robot.servos.weight import FACTOR, weight_factor, weight_line
 from diagnose.thresholds import MOST
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
@@ -97,13 +98,16 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     found = tuple(_finding(s, law, V) for law in s.now.laws if not law.number)
     remains = black_box(p, s.now.fit)
     verdict, why = _verdict(s, given, bool(found), remains)
-    errors = {"nominal": figures(s, given), "refitted": figures(s, s.refitted.fit), "corrected": figures(s, s.now.fit)}
+    errors = {"nominal": figures(s, given), "refitted": figures(s, _as_numbers(s)), "corrected": figures(s, s.now.fit)}
     refused = tuple(f"{k}: {v}" for k, v in s.refusals.items() if k not in {x.key for x in s.now.laws})
     motion = Motion.SLIDE if p.slide else Motion.HINGE
     own = {OWN[n.slot][0]: _estimate(p, n, float(x), float(V[i, i]), motion)
            for i, (n, x) in enumerate(zip(s.now.fit.numbers, s.now.fit.x, strict=True)) if n.slot in OWN}  # fmt: skip
     own |= _ratios(s, V, motion)
     nominal = {OWN[n.slot][0]: _file_value(s, n) for n in s.now.fit.numbers if n.slot in OWN}
+    factor = weight_factor(s, V)
+    if factor is not None:
+        own, nominal = own | {FACTOR: factor}, nominal | {FACTOR: 1.0}
     result = JointResult(
         p.name, "m" if p.slide else "rad", verdict, _sentence(why, errors[_shown(verdict)], remains, borrowed, p.slide), found,
         errors, own,
@@ -128,6 +132,11 @@ def _is_met(s: JointSearch, f: Fit) -> bool:
         return True
     share, p_value = black_box(s.problem, f)
     return share <= s.options.remains or (p_value >= 0.05 and tells(s.problem, f.error, f.weights))
+
+
+def _as_numbers(s: JointSearch) -> Fit:
+    """The fit in which only numbers of the robot differ: without laws, or with those that are numbers."""
+    return s.now.fit if s.now.laws and all(law.number for law in s.now.laws) else s.refitted.fit
 
 
 def _file_value(s: JointSearch, n: Number) -> float:
@@ -231,7 +240,7 @@ def _verdict(s: JointSearch, given: Fit, found: bool, remains: tuple[float, floa
             return Verdict.UNEXPLAINED, FEW
     if found:
         return Verdict.MISSING_PHYSICS, STARTS[Verdict.MISSING_PHYSICS]
-    best = s.refitted.fit
+    best = _as_numbers(s)
     test = compare(*(held_out(p, x.error, s.weights, given.error - best.error, best.error) for x in (given, best)))
     if test.relative_gain > s.options.material and test.p_value < s.options.p_enter:
         return Verdict.PARAMETERS_ONLY, STARTS[Verdict.PARAMETERS_ONLY]
@@ -263,7 +272,7 @@ def changed(s: JointSearch, result: JointResult, scale: Scale) -> tuple[str, ...
     """
     if result.verdict is Verdict.NO_MISMATCH:
         return ()
-    out = []
+    out = weight_line(result)
     for n in s.now.fit.numbers:
         name = OWN[n.slot][0] if n.slot in OWN else ""
         if name not in result.nominal_parameters or name not in result.linear_parameters:

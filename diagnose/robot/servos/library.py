@@ -16,12 +16,13 @@ from diagnose.robot.servos.motion import OWN, JointProblem
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["DELAY", "PAYLOAD", "PLAIN", "ServoLaw", "identifiers", "servo_laws"]
+__all__ = ["DELAY", "PAYLOAD", "PLAIN", "WEIGHT", "ServoLaw", "identifiers", "servo_laws"]
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
 PAYLOAD = "payload"
 DELAY = "time_delay"
+WEIGHT = "gravity_load"  # a number of the robot where the file has a weight about the joint
 LOGGED = "position_late"  # form of a delay that is of the log
 PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
@@ -112,12 +113,18 @@ def scales_of(problem: JointProblem, p: np.ndarray) -> Scales:
 def servo_laws(problem: JointProblem, p: np.ndarray, only: Sequence[str] = ()) -> tuple[ServoLaw, ...]:
     """All laws of a joint, their starts from the sizes of its motion under slots (K,) of a fit without effects."""
     s, motion = scales_of(problem, p), _motion(problem)
-    laws = [*_friction(s), *_drive(s, problem.drive.velocity), *_position(s, motion), *_links(problem), *_coupled(s, problem)]
+    laws = [
+        *_friction(s),
+        *_drive(s, problem.drive.velocity),
+        *_position(s, motion, problem.bears_weight),
+        *_links(problem),
+        *_coupled(s, problem),
+    ]
     if problem.nominal[SLOT["friction"]] > 0.0:  # the file has dry friction: its size is one of its own numbers
         laws = [law for law in laws if law.id != PLAIN]
     if problem.nominal[SLOT["delay"]] > 0.0:
         laws = [law for law in laws if not law.is_delay or law.is_logged]
-    return tuple(law for law in laws if not only or law.id in only or law.number)
+    return tuple(law for law in laws if not only or law.id in only or law.id == PAYLOAD)
 
 
 def _links(problem: JointProblem) -> list[ServoLaw]:
@@ -249,7 +256,8 @@ def _sine(a: float, b: float) -> tuple[float, float]:
     return math.hypot(a, b), math.atan2(b, a)
 
 
-def _position(s: Scales, motion: Motion) -> list[ServoLaw]:
+def _position(s: Scales, motion: Motion, heavy: bool = False) -> list[ServoLaw]:
+    """Torques of the angle; heavy: the file has a weight about the joint, so that another one is a number of it."""
     T, R = Quantity.TORQUE, Quantity.RATIO
     size = 0.1 * s.drive + 1e-12
     unit = abs(s.gear) if motion is Motion.HINGE else 1.0
@@ -268,10 +276,10 @@ def _position(s: Scales, motion: Motion) -> list[ServoLaw]:
     ]  # fmt: skip
     if motion is Motion.HINGE:
         laws.append(
-            ServoLaw("gravity_load", "motor", (Number("weight_sin", False, size), Number("weight_cos", False, size)),
+            ServoLaw(WEIGHT, "motor", (Number("weight_sin", False, size), Number("weight_cos", False, size)),
                      ({"weight_sin": 0.0, "weight_cos": 0.0},),
                      lambda x: dict(zip(("torque_Nm", "phase_rad"), zip(_sine(x["weight_sin"], x["weight_cos"]), (T, Quantity.PHASE), strict=True), strict=True)),
-                     "A weight about the axis, which the model does not have (a payload, a tilted base).", linear=("weight_sin", "weight_cos")))  # fmt: skip
+                     "A weight about the axis, which the model does not have (a payload, a tilted base).", linear=("weight_sin", "weight_cos"), number=heavy))  # fmt: skip
     orders = _orders(s, unit)
     if orders:
         laws += [

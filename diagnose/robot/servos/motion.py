@@ -35,6 +35,7 @@ STEP = 5e-3  # [s]: longest step of the kernel, a twentieth of the period of a s
 FEWEST_STEPS = 4  # per sample, of the kernel
 EDGE = 0.1  # [s]: before the end of a series that is moved in time, what its low-pass reaches; not counted
 RESTS = 0.01  # of the rms speed: the speed over which the sign of a motion turns
+WEIGHTLESS = 0.01  # of the torque of the links: the weight about an axis that is vertical to .01 rad
 WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what of each is not counted
 
 
@@ -143,7 +144,8 @@ class JointProblem:
     starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10 + 3 m):
     see `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,):
     the file's
-    slots; sources: file and role of each recording; rows (N,): index of each sample in the problem of all recordings; slide:
+    slots; weight (N,): torque of gravity about the joint by the file;
+    sources: file and role of each recording; rows (N,): index of each sample in the problem of all recordings; slide:
     whether it is no hinge; joints (m): of the robot.
     """
 
@@ -162,8 +164,15 @@ class JointProblem:
     noise: float
     sources: tuple[tuple[str, str], ...]
     rows: np.ndarray
+    weight: np.ndarray
     slide: bool = False
     joints: tuple[str, ...] = ()
+
+    @property
+    def bears_weight(self) -> bool:
+        """Whether gravity acts about the joint in the file (`WEIGHTLESS`)."""
+        own, links = (float(np.mean(x**2)) for x in (self.weight, self.series[:, 4]))
+        return own > WEIGHTLESS**2 * links
 
     @property
     def nominal(self) -> np.ndarray:
@@ -204,7 +213,7 @@ class JointProblem:
         return dataclasses.replace(
             self, starts=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), first=self.first[at], slope=self.slope[at],
             series=self.series[at], angle=self.angle[at], fitted=self.fitted[at], held=self.held[at],
-            sources=tuple(self.sources[k] for k in runs), rows=self.rows[at],
+            sources=tuple(self.sources[k] for k in runs), rows=self.rows[at], weight=self.weight[at],
         )  # fmt: skip
 
     def windows(self, most: int) -> JointProblem:
@@ -246,6 +255,7 @@ class JointProblem:
             whole, starts=starts, first=whole.first[at], slope=whole.slope[at], series=series, angle=whole.angle[at],
             fitted=fitted,
             held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), rows=whole.rows[at],
+            weight=whole.weight[at],
         )  # fmt: skip
 
     def blocks(self, seconds: float) -> np.ndarray:
@@ -306,5 +316,6 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         j, name, drive, dt, max(FEWEST_STEPS, math.ceil(dt / STEP)), np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         np.concatenate(firsts), np.concatenate(slopes), np.concatenate(series), q, np.concatenate(fitted), np.concatenate(held),
         float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(q)),
+        np.concatenate([m.series.weight[:, j] for m in motions]),
         robot.motions[j] is Kind.SLIDE, robot.joints,
     )  # fmt: skip

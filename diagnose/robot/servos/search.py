@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.servos.fit import Fit, Number, block_weights, covariance, fit
-from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
+from diagnose.robot.servos.library import PAYLOAD, PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.screening import screen, with_start
 from diagnose.robot.servos.starts import THIN, regressed
@@ -309,7 +309,7 @@ def refit_with(s: JointSearch, numbers: tuple[Number, ...]) -> None:
 
 def carry_payload(s: JointSearch, mass: float) -> None:
     """Fit the joint with a known payload [kg]; a payload of its own goes."""
-    laws = tuple(x for x in s.now.laws if not x.number)
+    laws = tuple(x for x in s.now.laws if x.id != PAYLOAD)
     found = []
     for numbers, base in ((free_numbers(s.numbers, laws), s.now.fit.slots), (s.numbers, s.refitted.fit.slots)):
         slots = base.copy()

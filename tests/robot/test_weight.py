@@ -1,0 +1,73 @@
+"""Another weight about a joint: a number where the file has one about it, missing physics where it has none."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.result import Verdict
+from diagnose.robot.options import RobotOptions
+from diagnose.robot.servos.library import WEIGHT, servo_laws
+from diagnose.robot.servos.motion import joint_problem, prepare
+from lab.robot.arm import three_axes
+from lab.robot.servo_plant import ServoJoint, ServoRobot, servo_mjcf, write_servo_log
+from mjsim.robot.along import along
+from mjsim.robot.model import robot_from
+from mjsim.robot.recording import load_robot_recording
+from mjsim.robot.rows import link_rows
+from simgap.robot import diagnose_robot_files
+
+NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("weight") / "a.csv"
+    write_servo_log(NOMINAL, path, 3, 6.0)
+    return path
+
+
+def robot(gravity="0 0 -9.81"):
+    spec = mujoco.MjSpec.from_string(servo_mjcf(NOMINAL))
+    spec.option.gravity = [float(x) for x in gravity.split()]
+    return robot_from(spec.compile())
+
+
+def test_the_weight_is_the_torque_of_the_links_at_rest():
+    r, z = robot(), np.random.default_rng(5).uniform(-1.0, 1.0, (4, 3))
+    still = np.zeros_like(z)
+    Y = link_rows(r, z, still, still)
+    expected = np.einsum("nmlk,lk->nm", Y, r.nominal)
+    weight = along(r, z, np.ones_like(z), np.ones_like(z)).weight
+    assert np.allclose(weight, expected, atol=1e-9)
+    assert np.allclose(along(robot("0 0 0"), z, still, still).weight, 0.0)
+
+
+@pytest.mark.parametrize(("gravity", "bears"), [("0 0 -9.81", [False, True, True]), ("0 0 0", [False, False, False])])
+def test_a_weight_is_a_number_where_the_file_has_one(log, gravity, bears):
+    r = robot(gravity)
+    motion = prepare(r, load_robot_recording(log, r), False)
+    problems = [joint_problem(r, [motion], name, True) for name in r.joints]
+    assert [p.bears_weight for p in problems] == bears
+    for p in problems:
+        (law,) = [x for x in servo_laws(p, p.nominal) if x.id == WEIGHT]
+        assert law.number is p.bears_weight
+
+
+def test_a_centre_that_lies_elsewhere_is_a_number(tmp_path):
+    """The upper arm's centre aside of its axis: a weight at joint2 alone, of another phase than the file's."""
+    x, y, z = NOMINAL.arm.links[1].centre
+    true = ServoRobot(NOMINAL.arm.with_link(1, centre=(x, y, z + 0.05)), NOMINAL.servos)
+    (tmp_path / "arm.xml").write_text(servo_mjcf(NOMINAL))
+    for seed, name in ((1, "a"), (2, "b")):
+        write_servo_log(true, tmp_path / f"{name}.csv", seed, 10.0)
+    options = RobotOptions(effects=("coulomb_friction", "gravity_load", "gravity_compensation_spring"))
+    d = diagnose_robot_files([tmp_path / "a.csv"], tmp_path / "arm.xml", tmp_path / "out", [tmp_path / "b.csv"], options)
+    assert not d.findings
+    assert d.verdict is Verdict.PARAMETERS_ONLY
+    (line,) = [x for x in d.changed if x.startswith("weight behind joint2: ")]
+    assert "mass or centre of a link or a payload; which link" in line
+    fit = d.joints["joint2"].fit
+    assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
+    assert fit["refitted"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
