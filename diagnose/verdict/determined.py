@@ -14,9 +14,11 @@ from functools import partial
 
 from diagnose.evidence.admissible import Outside, out_of_range
 from diagnose.evidence.intervals import Open, open_sizes
+from diagnose.evidence.outcome import Veto
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Status
 from diagnose.structure.search import Search
+from diagnose.structure.state import Refusal
 from diagnose.thresholds import FAMILY
 from diagnose.verdict.decide import p_values
 from mjsim.effects import Effect
@@ -38,6 +40,8 @@ def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
         if poorer is None:
             break
         said.append(_sentence(best, poorer, first))
+        if isinstance(first, Chance):
+            _refuse(search, poorer, first)
         best = search.fitter.refined(search.polish(poorer))
     return best, tuple(said)
 
@@ -62,6 +66,14 @@ def _by_chance(search: Search, best: Fitted) -> list[Chance]:
         for effect, poorer in zip(best.effects, fewer, strict=True)
     ]
     return sorted((c for c in found if c.p_value > FAMILY), key=lambda c: -c.p_value)
+
+
+def _refuse(search: Search, poorer: Fitted, found: Chance) -> None:
+    """Write down why structures with an effect are not the answer."""
+    veto = Veto("chance", {"p_value": found.p_value, "hypotheses": float(found.hypotheses), "largest_p_value": FAMILY})
+    for key in search.fits:
+        if found.effect.key in key:
+            search.state.refusals.setdefault(key, Refusal(key, poorer.key, veto))
 
 
 def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance) -> Fitted | None:

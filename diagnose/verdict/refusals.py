@@ -18,6 +18,7 @@ _TESTS = {
     "events": "it gains by the moment of an event (gain apart from that {gain:.3g}, needed {needed:.3g})",
     "few_periods": "a law of so few periods takes {share:.0%} of the squared error, {needed:.0%} is needed",
     "servo": "a servo's answer to unknown torques does as much ({share:.0%} of the squared error, {needed:.0%} is needed)",
+    "chance": "over {hypotheses:.0f} hypotheses its gain on held-out data has p = {p_value:.2g} (needed: {largest_p_value:.2g})",
     "held_out": (
         "it changes the held-out squared error by {change:+.1%} with p = {p_value:.2g} (needed: {least:+.2%}, p below "
         "{largest_p_value:.2g})"

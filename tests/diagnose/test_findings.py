@@ -47,7 +47,7 @@ def search_of(robot, without=None, simpler=(), limits=(), admitted=lambda ids: T
             hypothesis=lambda effects, linear=None, own=None: effects, fit=lambda effects, iterations: fits["next"],
         ),
         pruning=pruning, polish=lambda f: f, criterion=lambda f: f.criterion, asked=asked,
-        state=SimpleNamespace(admitted=admitted, candidates=()), fits=fits, tested=0,
+        state=SimpleNamespace(admitted=admitted, candidates=(), refusals={}), fits=fits, tested=0,
         keep=lambda f: fits.__setitem__(f.key, f), held_out=lambda f: SimpleNamespace(rms=f.chi2 / 1000),
         context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, 0.02)),
     )  # fmt: skip
@@ -108,6 +108,7 @@ def test_a_gain_that_the_best_of_many_hypotheses_has_by_chance_names_nothing(rob
     best, bare = structure(DELAY), structure()
     search = search_of(robot, {DELAY.key: bare})
     search.tested = tested  # the p-value of one is .02
+    search.keep(best)
     found, said = determined(search, best)
     assert found is (best if kept else bare)
     if not kept:
@@ -115,6 +116,7 @@ def test_a_gain_that_the_best_of_many_hypotheses_has_by_chance_names_nothing(rob
             "Time delay at the actuator is not named: over 3 hypotheses its gain on held-out data has p = 0.06, which is chance; "
             "it is left out.",
         )
+        assert search.state.refusals[best.key].veto.code == "chance"
 
 
 def test_each_undetermined_effect_is_taken_in_turn(robot, open_in):
