@@ -95,7 +95,9 @@ def test_the_noise_is_a_threshold(rubbing):
         e *= min(1.0, size * s.problem.noise / float(np.sqrt(np.mean(e[s.problem.fitted] ** 2)))) if expected else 1.0
         assert is_explained(s, e, (0.9, 0.0)) is expected
     assert is_explained(s, structure, (0.01, 0.0))
-    assert is_explained(s, structure, (0.9, 0.5))
+    white = np.random.default_rng(0).standard_normal(len(structure))
+    assert is_explained(s, white, (0.9, 0.5))
+    assert not is_explained(s, structure, (0.9, 0.5)), "held-out samples of a slow wave are too few independent ones to clear it"
 
 
 def test_the_integration_error_halves_with_the_timestep(rubbing):
