@@ -55,15 +55,21 @@ def test_a_weight_is_a_number_where_the_file_has_one(log, gravity, bears):
         assert law.number is p.bears_weight
 
 
-def test_a_centre_that_lies_elsewhere_is_a_number(tmp_path):
-    """The upper arm's centre aside of its axis: a weight at joint2 alone, of another phase than the file's."""
-    x, y, z = NOMINAL.arm.links[1].centre
-    true = ServoRobot(NOMINAL.arm.with_link(1, centre=(x, y, z + 0.05)), NOMINAL.servos)
-    (tmp_path / "arm.xml").write_text(servo_mjcf(NOMINAL))
+def diagnosed(folder, centre=0.0, mass=1.0):
+    """The diagnosis of an arm whose upper arm has its centre aside of its axis [m] and another mass (factor)."""
+    link = NOMINAL.arm.links[1]
+    x, y, z = link.centre
+    true = ServoRobot(NOMINAL.arm.with_link(1, centre=(x, y, z + centre), mass=mass * link.mass), NOMINAL.servos)
+    (folder / "arm.xml").write_text(servo_mjcf(NOMINAL))
     for seed, name in ((1, "a"), (2, "b")):
-        write_servo_log(true, tmp_path / f"{name}.csv", seed, 10.0)
+        write_servo_log(true, folder / f"{name}.csv", seed, 10.0)
     options = RobotOptions(effects=("coulomb_friction", "gravity_load", "gravity_compensation_spring"))
-    d = diagnose_robot_files([tmp_path / "a.csv"], tmp_path / "arm.xml", tmp_path / "out", [tmp_path / "b.csv"], options)
+    return diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "out", [folder / "b.csv"], options)
+
+
+def test_a_centre_that_lies_elsewhere_is_a_number(tmp_path):
+    """A weight at joint2 alone, of another phase than the file's."""
+    d = diagnosed(tmp_path, centre=0.05)
     assert not d.findings
     assert d.verdict is Verdict.PARAMETERS_ONLY
     (line,) = [x for x in d.changed if x.startswith("weight behind joint2: ")]
@@ -71,3 +77,17 @@ def test_a_centre_that_lies_elsewhere_is_a_number(tmp_path):
     fit = d.joints["joint2"].fit
     assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
     assert fit["refitted"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
+
+
+def test_gains_follow_a_mass_that_the_robot_carries(tmp_path):
+    """A heavier link before the last one is a lighter last link and softer servos as well; corrected.xml has both."""
+    d = diagnosed(tmp_path, centre=0.08, mass=1.2)
+    assert not d.findings
+    assert d.verdict is Verdict.PARAMETERS_ONLY
+    (line,) = [x for x in d.changed if x.startswith("payload or mass of forearm: -")]
+    assert "a factor common to masses and gains is not told" in line
+    softer = [d.joints[j].linear_parameters["kp"].value / NOMINAL.servos[i].kp for i, j in enumerate(d.joints)]
+    assert softer[1] == pytest.approx(softer[2], rel=0.05)
+    assert any(x.startswith("kp of joint3: ") for x in d.changed)
+    for joint in d.joints.values():
+        assert joint.fit["corrected"].held_out_rms < 1.5e-3

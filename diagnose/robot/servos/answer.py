@@ -117,6 +117,13 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
         # no number that can be told differs, and the file leaves noise, or nothing that a black-box model predicts
         told = _sentence(STARTS[Verdict.NO_MISMATCH], errors["nominal"], remains, borrowed, p.slide)
         return dataclasses.replace(result, verdict=Verdict.NO_MISMATCH, summary=told)
+    if verdict is Verdict.NO_MISMATCH and s.now.fit.slots[SLOT["payload"]] != 0.0:
+        # the joint alone tells no difference, but under the mass that the robot carries its numbers are others
+        other = dataclasses.replace(
+            result, verdict=Verdict.PARAMETERS_ONLY,
+            summary=_sentence(STARTS[Verdict.PARAMETERS_ONLY], errors["corrected"], remains, borrowed, p.slide),
+        )  # fmt: skip
+        return other if changed(s, other, scale) else result
     return result
 
 

@@ -40,6 +40,7 @@ from mjsim.robot.rows import check_rows
 __all__ = ["ServoOutcome", "diagnose_servos"]
 
 FEWEST = 200  # samples of a joint in motion, fitted and held out each
+COMMON = " (by the other masses of the file: a factor common to masses and gains is not told by command and position)"
 SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of one kind
 
 
@@ -260,7 +261,7 @@ def _told(
         name = f"{robot.link_names[-1]}.payload"
         links[name] = payload
         low, high = payload.ci95
-        lines = (f"payload or mass of {robot.link_names[-1]}: {payload.value:+.4g} kg [{low:+.4g}, {high:+.4g}]", *lines)
+        lines = (f"payload or mass of {robot.link_names[-1]}: {payload.value:+.4g} kg [{low:+.4g}, {high:+.4g}]{COMMON}", *lines)
     notes = list(dict.fromkeys(note for r in recordings for note in r.notes))
     notes += [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
     still = [n for n in recordings[0].joints if n not in joints]
