@@ -222,6 +222,23 @@ def test_laws_are_screened_where_a_link_is_at_the_wall_of_the_barrier(case, stre
     assert promised[0][1].law.id == "coulomb_friction"
 
 
+@pytest.mark.parametrize(("turned", "surer"), [(-5.0, 1.0), (-2.0, 30.0), (-0.5, 1e3), (-0.02, 1e3)])
+def test_torques_that_no_robot_gives_leave_bodies_and_finite_promises(case, turned, surer):
+    """Links are pushed to the wall of the barrier; surer: factor of the weights of all rows."""
+    folder = case()
+    robot = load_robot(folder / "arm.xml")
+    r = load_robot_recording(folder / "a.csv", robot)
+    other = dataclasses.replace(r, torque=turned * r.torque)
+    p = build(robot, [prepare(robot, other, r.joints, 15.0, split=True)], [0, 1, 2], LAWS)
+    rows = p.rows(p.nominal)
+    weights, free = weigh(p, (), rows)
+    weights = {j: surer * w for j, w in weights.items()}
+    held = physical(p, free, weights)
+    assert consistent(p, held.theta)
+    s = Selection(p, RobotOptions(), rows, weights, held)
+    assert np.all(np.isfinite([gain for j in p.joints for gain, _ in screen(s, held, j)]))
+
+
 def _cost(p, weights, theta):
     x = (theta - p.nominal) / p.scale
     return float(x @ x) + sum(weights[j] ** 2 * float(np.sum((p.fitted[j].y - p.grams[j][0] @ x) ** 2)) for j in p.joints)
