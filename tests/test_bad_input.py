@@ -235,8 +235,8 @@ def test_an_effect_that_this_chain_cannot_have(simgap):
     Path("log.csv").write_text(GOOD)
     columns = zip(("time", "torque", "velocity", "angle"), NAMES, strict=True)
     Path("log.toml").write_text("[recording]\n" + "".join(f'{role} = "{name}"\n' for role, name in columns))
-    outcome = simgap("diagnose", "log.csv", "--model", str(shipped_model("emps")), "--out", "report", "--effects", "backlash")
-    check(outcome, "--effects", "backlash")
+    outcome = simgap("diagnose", "log.csv", "--model", str(shipped_model("emps")), "--out", "report", "--effects", "hysteresis")
+    check(outcome, "--effects", "hysteresis")
 
 
 def test_an_unknown_scenario(simgap):

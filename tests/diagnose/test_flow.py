@@ -151,7 +151,9 @@ def test_candidates_are_what_the_chain_offers(with_coulomb, robot):
     offered = {c.key for c in candidates(fitter)}
     position_locked = {n for n, c in registered().items() if not c.starts(fitter.scales[c.places[0]])}
     of_servos = {n for n, c in registered().items() if c.family == "servo"}
-    assert offered == {f"{n}@{p}" for n, c in registered().items() for p in c.places if n not in position_locked | of_servos}
+    of_rigid = {n for n, c in registered().items() if c.rigid}
+    none = position_locked | of_servos | of_rigid
+    assert offered == {f"{n}@{p}" for n, c in registered().items() for p in c.places if n not in none}
     refined = next(c for c in candidates(fitter) if c.id == "stribeck_friction")
     assert conflicts(refined, (COULOMB,))
     assert not conflicts(refined, (BACKLASH,))

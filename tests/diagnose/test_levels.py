@@ -174,7 +174,7 @@ def test_an_undetermined_effect_gives_way_to_the_structure_of_the_least_criterio
 
 
 def test_a_rival_takes_the_place_of_what_the_recording_cannot_show(monkeypatch):
-    outside = SimpleNamespace(effect=STRIBECK)
+    outside = asked.Outside(STRIBECK, None)
     monkeypatch.setattr(asked, "out_of_range", lambda f, fitter: ("too fast",) if f.name == "outside" else ())
     best, least = structure("stribeck", STRIBECK), structure("nothing", cost=2.0)
     rival = structure("rival", SPRING, cost=1.0)
@@ -207,6 +207,7 @@ def test_one_effect_after_the_other_is_left_out(monkeypatch):
     both, one = structure("both", STRIBECK, SPRING), structure("spring", SPRING)
     monkeypatch.setattr(asked, "out_of_range", lambda f, fitter: ())
     monkeypatch.setattr(asked, "open_sizes", lambda f, noise: (OPEN,) if f.name == "both" else ())
+    monkeypatch.setattr(asked, "_by_chance", lambda search, best: [])
     s = search(one)
     s.polish = lambda f: f
     best, said = determined(s, both)

@@ -208,7 +208,7 @@ def test_a_watched_run_stops_where_it_is_of_no_use_and_is_else_the_whole_run(nom
     assert not too_far(cases, targets, 1.2)(runs)
     part, whole = run_watched(plant, cases, starts, 1, too_far(cases, targets, 0.5))
     assert not whole
-    assert [len(r.velocity) for r in part] == [625, 625]  # the first look at which a quarter of the squares is there: 5 / 16
+    assert [len(r.velocity) for r in part] == [800, 800]  # the first horizon at which a quarter of the squares is there
 
 
 def test_chi_square_to_come_is_that_of_noise():

@@ -43,12 +43,12 @@ def test_the_stretch_holds_the_largest_error(diagnosis: Diagnosis) -> None:
 
 def test_why_there_is_no_film_is_said(diagnosis: Diagnosis, tmp_path: Path) -> None:
     assert film_of(dataclasses.replace(diagnosis, traces=()), shipped_model("robot_axis1"), []) is None
-    assert film_of(diagnosis, shipped_model("robot_axis1"), []) == "axis_held_out.csv is no file"
-    broken = tmp_path / "axis_held_out.csv"
+    assert film_of(diagnosis, shipped_model("robot_axis1"), []) == "axis_held-out.csv is no file"
+    broken = tmp_path / "axis_held-out.csv"
     broken.write_text("no table", encoding="utf-8")
     why = film_of(diagnosis, shipped_model("robot_axis1"), [broken])
     assert isinstance(why, str)
-    assert "axis_held_out.csv" in why
+    assert "axis_held-out.csv" in why
     write_report(diagnosis, tmp_path / "report.html", film="a & b")
     assert "No film: a &amp; b." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
@@ -58,7 +58,7 @@ def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
     """A report with a film of forty frames."""
     frames = (np.full((48, 64, 3), 6 * k, np.uint8) for k in range(40))
     save(frames, tmp_path / "film.mp4", 12.5)
-    film = Film("axis_held_out.csv", 0.5, 3.2, (tmp_path / "film.mp4").read_bytes(), "A model <b> and a recording.")
+    film = Film("axis_held-out.csv", 0.5, 3.2, (tmp_path / "film.mp4").read_bytes(), "A model <b> and a recording.")
     write_report(diagnosis, tmp_path / "report.html", film=film)
     return tmp_path / "report.html"
 
