@@ -143,8 +143,8 @@ def split_chain(chain: Chain, port: P.SplitInertia) -> Chain:
     return dataclasses.replace(chain, bodies=(*chain.bodies[:-1], near, far), couplings=(*chain.couplings, joint))
 
 
-def _hand_on(port: P.Port, body: int, far: int) -> P.Port:
-    """A port, on the far body where it is the load of a body that was split."""
+def _on_far_body(port: P.Port, body: int, far: int) -> P.Port:
+    """A port, moved to the far body where it is the load of a body that was split."""
     if isinstance(port, P.BodyTorque) and port.load and port.body == body:
         return dataclasses.replace(port, body=far)
     return port
@@ -270,7 +270,7 @@ def assemble(axis: Axis) -> System:
     for split in [p for p in ports if isinstance(p, P.SplitInertia)]:
         chain = split_chain(chain, split)
         if split.loaded:
-            ports = [_hand_on(port, split.body, len(chain.bodies) - 1) for port in ports]
+            ports = [_on_far_body(port, split.body, len(chain.bodies) - 1) for port in ports]
     f = _numbers_of(chain)
     elements = _Elements(chain.bodies)
     for element in sorted((p for p in ports if isinstance(p, _Element)), key=lambda p: _KIND[type(p)]):

@@ -98,7 +98,7 @@ def told(stretches: Sequence[Stretches], friction: Mapping[str, Mapping[str, Est
 def trend_sentences(stretches: Sequence[Stretches], friction: Mapping[str, Mapping[str, Estimate]]) -> list[str]:
     """Which numbers of friction change over the time of each long recording, and which with the temperature.
 
-    Time and temperature of which each tells the other (a correlation above `ALIKE`) are told as such.
+    A note says so where time and temperature are too strongly correlated (above `ALIKE`) to be separated.
     """
     out = []
     for part in stretches:

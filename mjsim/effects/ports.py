@@ -70,7 +70,7 @@ class Friction:
 class BodyTorque:
     """A torque on a body (positive drives it forward): ``out[0]`` [N m | N]; with an internal state, see the module's text.
 
-    ``load``: whether it is that of the load, which a body that is split hands on to its far part (`SplitInertia`).
+    ``load``: whether it is that of the load, which acts on the far part of a body that is split (`SplitInertia`).
     """
 
     body: int

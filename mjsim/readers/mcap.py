@@ -21,7 +21,7 @@ __all__ = ["read_mcap"]
 def read_mcap(path: Path) -> Table:
     """As `mjsim.readers.topics.Topics` makes columns of it; a topic in another encoding is left out.
 
-    The type of a message in JSON or Protobuf is told by its fields. Raises InputError where no topic can be read.
+    The type of a message in JSON or Protobuf follows from its fields. Raises InputError where no topic can be read.
     """
     reader = need("mcap.reader", path)
     topics = Topics(path)

@@ -94,7 +94,7 @@ def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
     options = {
         "distributed.scheduler.allowed-failures": LOSSES, "distributed.logging.distributed": "error",
         "distributed.worker.daemon": False, "distributed.comm.timeouts.connect": "10s",
-        # entries of its own doings that a cluster keeps: they grow with each task, the monitor with time
+        # log entries that a cluster keeps of its own activity: they grow with each task, the monitor with time
         "distributed.admin.system-monitor.log-length": 60, "distributed.admin.log-length": 100,
         "distributed.admin.low-level-log-length": 100,
         "distributed.worker.profile.enabled": False,

@@ -159,7 +159,7 @@ PLAIN = Recording(DT * np.arange(9), np.arange(9.0), None, np.arange(9.0), DT)
 
 @pytest.mark.parametrize(("ok", "above", "follows"), [(True, False, True), (True, True, False), (False, False, False)])
 def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, follows):
-    """The fit is solved and not above `FAR`; the workers are let go in any case, and a fit that is refused follows nothing."""
+    """The fit is solved and not above `FAR`; the workers are released in any case, and a fit that is refused follows nothing."""
     closed, levels = [], []
 
     class Fitted:

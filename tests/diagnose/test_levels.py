@@ -311,12 +311,12 @@ class Told:
 def test_signals_are_shown_as_they_were_recorded():
     t = np.arange(N)
     shift = 0.25 * np.ones(N)
-    told = Told((Signals("log.csv", t, 1.0 * t, 2.0 * t), Signals("log.csv", t[:9], 1.0 * t[:9]), Signals("x.csv", t, 1.0 * t)))
+    result = Told((Signals("log.csv", t, 1.0 * t, 2.0 * t), Signals("log.csv", t[:9], 1.0 * t[:9]), Signals("x.csv", t, 1.0 * t)))
     given = SimpleNamespace(simulator=True, cases=(case(),), shifts=(shift,))
-    first, short, other = without_difference(told, given).traces
+    first, short, other = without_difference(result, given).traces
     assert np.array_equal(first.measured, t - shift)
     assert np.array_equal(first.nominal, 2.0 * t - shift)
     assert first.corrected is None
-    assert short is told.traces[1]
-    assert other is told.traces[2]
-    assert without_difference(told, SimpleNamespace(simulator=False)) is told
+    assert short is result.traces[1]
+    assert other is result.traces[2]
+    assert without_difference(result, SimpleNamespace(simulator=False)) is result
