@@ -18,7 +18,7 @@ from ident.polezero import Root, pole_zero
 from ident.quality import quality
 from ident.residuals import ResidualTests, residual_tests
 from ident.structure import Structure
-from mjsim.errors import InputError
+from mjsim.errors import InputError, writing
 
 __all__ = ["from_json", "load", "model_from_dict", "model_to_dict", "save", "to_dict", "write_atomic", "write_set"]
 
@@ -144,7 +144,8 @@ def write_atomic(path: Path, content: str | bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        with writing(path):
+            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -168,7 +169,8 @@ def write_set(contents: Mapping[Path, str | bytes]) -> None:
             made += reversed(missing)
             temporary = path.with_name(f".{path.name}.{tag}.part")
             staged.append((temporary, path))
-            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+            with writing(path):
+                temporary.write_bytes(content.encode() if isinstance(content, str) else content)
         for temporary, path in staged:
             if path.exists():
                 old = path.with_name(f".{path.name}.{tag}.old")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
-__all__ = ["CheckError", "InputError", "nearest"]
+__all__ = ["CheckError", "InputError", "nearest", "writing"]
 
 _WORD = re.compile(r"[a-z0-9]+")
 
@@ -25,6 +27,17 @@ def nearest(name: str, choices: Iterable[str], advice: str = "name one of them")
         alike = [c for c in known if difflib.get_close_matches(lower, {c.lower(), *_WORD.findall(c.lower())}, 1, 0.8)]
         close = alike if len(alike) == 1 else difflib.get_close_matches(lower, alike, 1, 0.0)
     return f"did you mean {close[0]!r}?" if close else advice
+
+
+@contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Name the file in an OSError that names none, as that of a write to a full disk; the error goes on."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = os.fspath(path)
+        raise
 
 
 class InputError(ValueError):

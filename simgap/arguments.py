@@ -28,6 +28,7 @@ __all__ = [
     "need_file",
     "need_folder",
     "spare_inputs",
+    "take_file",
     "take_folder",
 ]
 
@@ -180,14 +181,10 @@ def need_folder(out: Path, advice: str = ADVICE) -> None:
         raise InputError(out, f"the folder {str(there)!r} cannot be written", "a writable place", advice)
 
 
-def take_folder(out: Path) -> None:
+def take_folder(out: Path, advice: str = ADVICE) -> None:
     """`need_folder`, and hold the folder until the command of the click context ends. Raises InputError where it is held."""
-    from simgap.sole import sole
-
-    need_folder(out)
-    context = click.get_current_context(silent=True)
-    if context is not None:
-        context.with_resource(sole(out))
+    need_folder(out, advice)
+    _hold(out, "folder")
 
 
 def need_file(out: Path, advice: str = ADVICE) -> None:
@@ -197,6 +194,21 @@ def need_file(out: Path, advice: str = ADVICE) -> None:
     if out.is_dir():
         raise InputError(out, "it is a folder", "the name of a file", advice)
     need_folder(out.parent, advice)
+
+
+def take_file(out: Path, advice: str = ADVICE) -> None:
+    """`need_file`, and hold the file until the command of the click context ends. Raises InputError where it is held."""
+    need_file(out, advice)
+    _hold(out, "file")
+
+
+def _hold(out: Path, kind: str) -> None:
+    """Hold an output place until the command of the click context ends."""
+    from simgap.sole import sole
+
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.with_resource(sole(out, kind))
 
 
 def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None], option: str = "--out") -> None:

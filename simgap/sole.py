@@ -1,4 +1,4 @@
-"""One run at a time for an output folder: a second one is refused, since each would replace files of the other."""
+"""One run at a time for an output folder or file: a second one is refused, since each would replace files of the other."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ BUSY = -1
 
 
 @contextlib.contextmanager
-def sole(out: Path) -> Iterator[None]:
-    """Hold an output folder while the block runs. Raises InputError where another process of this machine holds it.
+def sole(out: Path, kind: str = "folder") -> Iterator[None]:
+    """Hold an output place while the block runs. Raises InputError where another process of this machine holds it.
+
+    ``kind``: "folder" or "file", for the message.
 
     The lock is one of the operating system on a file in the folder of temporary files: it ends with the process, however that
-    ends, and the output folder need not exist yet. Where no lock can be had (no such folder, another system) the block runs
+    ends, and the place need not exist yet. Where no lock can be had (no such folder, another system) the block runs
     without one.
     """
     from mjsim.errors import InputError
@@ -28,7 +30,7 @@ def sole(out: Path) -> Iterator[None]:
     with contextlib.suppress(OSError, ImportError):
         held = _held(out)
     if held == BUSY:
-        raise InputError(out, "another run writes into this folder", "one run at a time", "wait for it, or choose another --out")
+        raise InputError(out, f"another run writes to this {kind}", "one run at a time", "wait for it, or choose another place")
     try:
         yield
     finally:

@@ -1,9 +1,8 @@
-"""Faults around the command line: places that cannot be written, a full disk, inputs as outputs, closed pipes, odd names."""
+"""Faults around the command line: inputs as outputs, closed pipes, odd names."""
 
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -18,120 +17,7 @@ from mjsim.errors import InputError
 from mjsim.models import shipped_model
 from simgap import cli
 from simgap.sole import sole
-
-ROOT = Path(cli.__file__).resolve().parent.parent
-N = 600
-TIME = 5e-4 * np.arange(N)
-
-
-def recording(path: Path, velocity: str = "velocity_rad_s") -> Path:
-    rng = np.random.default_rng(0)
-    table = np.column_stack([TIME, np.sin(40 * TIME), 10 * np.sin(40 * TIME) + 0.01 * rng.standard_normal(N), -np.cos(40 * TIME)])
-    np.savetxt(path, table, delimiter=",", header=f"time_s,torque_Nm,{velocity},angle_rad", comments="", fmt="%.9g")
-    return path
-
-
-def command(*words: str, **more: object) -> subprocess.Popen[str]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])} | dict(more.pop("env", {}))  # type: ignore[call-overload]
-    return subprocess.Popen([sys.executable, "-m", "simgap", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                            env=environment, **more)  # type: ignore[call-overload, no-any-return]  # fmt: skip
-
-
-@pytest.fixture
-def simgap(monkeypatch, capfd, tmp_path):
-    """``simgap("run", ...)`` -> (exit code, standard output, standard error), in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["simgap", *words])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        said = capfd.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
-
-    return call
-
-
-def refused(outcome: tuple[int, str, str], *parts: str) -> None:
-    """Exit 2 and one line that holds the parts."""
-    code, _, err = outcome
-    assert code == 2, err
-    assert "Traceback" not in err
-    assert len(err.splitlines()) == 1
-    for part in parts:
-        assert part in err
-
-
-WRITERS = {
-    "run": ("run", "step", "--duration", "0.1", "--out"),
-    "demo": ("demo", "--out"),
-    "identify": ("identify", "log.csv", "--out"),
-    "crosscheck": ("crosscheck", "--out"),
-    "benchmark": ("benchmark", "--out"),
-    "study": ("study", "--quick", "--out"),
-    "proof": ("proof", "summary", "--out"),
-    "diagnose": ("diagnose", "log.csv", "--model", "robot_axis1", "--out"),
-}
-
-
-@pytest.mark.parametrize("name", list(WRITERS))
-def test_a_folder_that_is_a_file(simgap, name):
-    recording(Path("log.csv"))
-    Path("taken").write_text("kept")
-    refused(simgap(*WRITERS[name], "taken"), "taken", "is a file")
-    refused(simgap(*WRITERS[name], "taken/deeper"), "taken", "is a file")
-    assert Path("taken").read_text() == "kept"
-
-
-@pytest.mark.parametrize("words", [("render", "emps"), ("replay", "robot_axis1", "log.csv")])
-def test_a_file_that_is_a_folder(simgap, words):
-    recording(Path("log.csv"))
-    Path("taken.png").mkdir()
-    refused(simgap(*words, "--out", "taken.png"), "taken.png", "it is a folder")
-    Path("file").write_text("kept")
-    refused(simgap(*words, "--out", "file/film.png"), "'file' is a file")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-@pytest.mark.parametrize("name", list(WRITERS))
-def test_a_parent_that_is_read_only(simgap, name):
-    recording(Path("log.csv"))
-    Path("locked").mkdir()
-    Path("locked").chmod(0o500)
-    refused(simgap(*WRITERS[name], "locked/deeper"), "locked", "cannot be written")
-
-
-@pytest.mark.parametrize("name", ["run", "demo"])
-def test_a_place_that_the_system_refuses(simgap, name):
-    """No folder can be made in /proc, whoever asks: the system's own refusal is one line too."""
-    if not Path("/proc/self").is_dir():
-        pytest.skip("no /proc")
-    refused(simgap(*WRITERS[name], "/proc/nowhere"), "/proc")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("run", "step", "--duration", "2", "--out", "out"),
-        ("render", "step", "--out", "out/film.png"),
-        pytest.param(("demo", "--out", "out"), marks=pytest.mark.slow),  # a whole diagnosis, to a page and a model
-    ],
-)
-def test_a_full_disk(tmp_path, words):
-    """A limit on the size of a file fails a write half-way, as a full disk does: one line, no half file under a final name."""
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
-
-    cache = {"NUMBA_CACHE_DIR": ""} if not os.environ.get("NUMBA_CACHE_DIR") else {}
-    ended = command(*words, cwd=tmp_path, preexec_fn=limit, env=cache)
-    out, err = ended.communicate(timeout=300)
-    lines = [line for line in err.splitlines() if line.startswith("simgap:")]
-    assert "Traceback" not in err
-    assert ended.returncode == 2, err
-    assert len(lines) == 1, out + err
-    assert not [p for p in tmp_path.rglob("*") if p.is_file() and p.stat().st_size >= 8192]
+from tests.commands import ROOT, command, recording, refused
 
 
 def test_an_output_that_is_an_input(simgap):
@@ -218,24 +104,6 @@ def test_the_choice_of_a_renderer_is_kept_for_what_draws():
     assert environ["SIMGAP_GL"] == "osmesa"
     cli.defer_rendering(empty := {})
     assert empty == {}
-
-
-def test_two_runs_into_one_folder(simgap):
-    """The second is refused while the first holds the folder, also under another name of it, and not afterwards."""
-    with sole(Path("out")):
-        refused(simgap("run", "step", "--duration", "0.1", "--out", "./out"), "out", "another run writes")
-        assert not Path("out").exists()
-        Path("out").mkdir()
-        Path("link").symlink_to("out")
-        refused(simgap("run", "step", "--duration", "0.1", "--out", "link"), "link", "another run writes")
-        assert simgap("run", "step", "--duration", "0.1", "--out", "other")[0] == 0
-    assert simgap("run", "step", "--duration", "0.1", "--out", "out")[0] == 0
-
-
-@pytest.mark.parametrize("words", [("proof", "summary"), ("crosscheck", "emps")])
-def test_two_runs_of_a_proof_or_a_crosscheck(simgap, words):
-    with sole(Path("out")):
-        refused(simgap(*words, "--out", "out"), "out", "another run writes")
 
 
 def test_two_diagnoses_from_python_into_one_folder(tmp_path):

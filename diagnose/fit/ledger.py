@@ -23,6 +23,7 @@ import numpy as np
 
 from diagnose.fit.least_squares import Fit, Status
 from mjsim.axis import Axis
+from mjsim.errors import writing
 from mjsim.recording import Recording
 
 __all__ = ["Entry", "Ledger", "checksum", "fingerprint"]
@@ -87,9 +88,7 @@ class Ledger:
             except (KeyError, TypeError, ValueError):
                 continue
         if len(whole) < len(lines):
-            part = self.path.with_name(f".{self.path.name}.part")
-            part.write_text("".join(whole), encoding="utf-8")
-            os.replace(part, self.path)
+            self._replace("".join(whole))
         self._ready = True
 
     def recall(self, key: str) -> Entry | None:
@@ -103,7 +102,7 @@ class Ledger:
             "key": key, "x": [float(v).hex() for v in fit.x], "cost": float(fit.cost).hex(), "status": fit.status.name,
             "iterations": fit.iterations, "gain": float(fit.predicted_gain).hex(), "n": n, "work": work,
         }  # fmt: skip
-        with self._lock:
+        with self._lock, writing(self.path):
             if not self._open or key in self._known:
                 return
             self._known[key] = known
@@ -117,10 +116,17 @@ class Ledger:
         missing = [p for p in self.path.parents if not p.exists()]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._made = missing
-        part = self.path.with_name(f".{self.path.name}.part")
-        part.write_text(json.dumps({"format": FORMAT, "follows": self.follows}) + "\n", encoding="utf-8")
-        os.replace(part, self.path)
+        self._replace(json.dumps({"format": FORMAT, "follows": self.follows}) + "\n")
         self._ready = True
+
+    def _replace(self, text: str) -> None:
+        """Write the whole file, beside its name first."""
+        part = self.path.with_name(f".{self.path.name}.part")
+        try:
+            part.write_text(text, encoding="utf-8")
+            os.replace(part, self.path)
+        finally:
+            part.unlink(missing_ok=True)
 
     @property
     def size(self) -> int:

@@ -18,6 +18,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from mjsim.errors import writing
+
 __all__ = ["document", "theme", "write_page"]
 
 
@@ -89,7 +91,7 @@ def write_page(text: str, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as out:
+        with writing(path), os.fdopen(handle, "w", encoding="utf-8", newline="\n") as out:
             out.write(text)
         os.chmod(scratch, 0o644)
         os.replace(scratch, path)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mjsim.errors import InputError, nearest
+from mjsim.errors import InputError, nearest, writing
 
 __all__ = ["SUFFIXES", "need_suffix", "save"]
 
@@ -35,13 +35,14 @@ def save(frames: Iterator[np.ndarray], path: Path, fps: float) -> None:
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=kind, dir=path.parent)
     os.close(handle)
     try:
-        if kind == ".mp4":
-            _encode(frames, name, fps)
-        elif kind == ".png":
-            Image.fromarray(next(frames)).save(name)
-        else:
-            pictures = [Image.fromarray(frame).quantize(128) for frame in frames]
-            pictures[0].save(name, save_all=True, append_images=pictures[1:], duration=round(1000 / fps), loop=0)
+        with writing(path):
+            if kind == ".mp4":
+                _encode(frames, name, fps)
+            elif kind == ".png":
+                Image.fromarray(next(frames)).save(name)
+            else:
+                pictures = [Image.fromarray(frame).quantize(128) for frame in frames]
+                pictures[0].save(name, save_all=True, append_images=pictures[1:], duration=round(1000 / fps), loop=0)
         os.chmod(name, 0o644)
         os.replace(name, path)
     except BaseException:

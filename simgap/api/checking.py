@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 
@@ -15,6 +15,10 @@ from mjsim.recording import Recording
 from simgap.api.model import Model
 from simgap.api.recording import loaded
 from simgap.robot import is_robot
+from simgap.sole import sole_in_python
+
+if TYPE_CHECKING:
+    from mjsim.robot.recording import RobotRecording
 
 __all__ = ["check", "listed"]
 
@@ -60,9 +64,7 @@ def check(
     else:
         result = check_log(Machine.of(source), group)
     if out is not None:
-        from diagnose.check.page import write_check
-
-        write_check(result, group, subject.path.name, Path(out))
+        _write(result, group, subject, Path(out))
     return result
 
 
@@ -81,7 +83,13 @@ def _check_robot(given: Sequence[Any], subject: Model, out: str | Path | None) -
     logs = [r for r in group if isinstance(r, RobotRecording)]
     result = check_robot(robot, logs)
     if out is not None:
-        from diagnose.check.page import write_check
-
-        write_check(result, logs, subject.path.name, Path(out))
+        _write(result, logs, subject, Path(out))
     return result
+
+
+def _write(result: LogCheck, logs: Sequence[Recording | RobotRecording], subject: Model, out: Path) -> None:
+    """check.json and check.html. Raises InputError where another run writes to the folder."""
+    from diagnose.check.page import write_check
+
+    with sole_in_python(out):
+        write_check(result, logs, subject.path.name, out)

@@ -24,9 +24,9 @@ def command(folder: Path, port: int, browser: bool) -> None:
 
     The server answers on this machine only, to who has the address that is printed. Ctrl-C ends it; runs stay in the folder.
     """
-    from simgap.arguments import need_folder
+    from simgap.arguments import take_folder
 
-    need_folder(folder, "choose another --folder")
+    take_folder(folder, "choose another --folder")
     try:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, OutputFolder, take_folder
+from simgap.arguments import Choice, OutputFolder, take_file, take_folder
 
 if TYPE_CHECKING:
     from lab.benchmark.arms import Arm
@@ -64,7 +64,7 @@ Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, s
 )
 @click.option(
     "--calibration",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path),
     help="Write the false-alarm rate to this file; diagnoses print that of diagnose/verdict/calibration.json in a checkout.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print benchmark.json on standard output.")
@@ -106,6 +106,8 @@ def command(
     from lab.benchmark.seal import open_envelope
 
     take_folder(out)
+    if calibration is not None:
+        take_file(calibration, "choose another --calibration")
     counts, arms = parse_levels(levels, grade), parse_arms(arm_list)
     digest = seal(out, counts, seed, jobs or min(2, os.cpu_count() or 1))
     click.echo(f"Truth written before the first diagnosis: SHA-256 {digest}", err=as_json)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputFile, ModelFile, OutputFolder, model_root
+from simgap.arguments import InputFile, ModelFile, OutputFolder, model_root, spare_inputs, take_folder
 
 __all__ = ["command"]
 
@@ -31,6 +31,9 @@ def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json
     from diagnose.check import LogVerdict
     from simgap.api.checking import check
 
+    if out is not None:
+        take_folder(out)
+        spare_inputs((out / name for name in ("check.json", "check.html")), (model, *recordings))
     result = check(list(recordings), model, out=out)
     if as_json:
         click.echo(json.dumps({"model": model.name, **result.as_dict()}, indent=2))

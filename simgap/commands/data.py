@@ -13,6 +13,8 @@ from shlex import quote
 
 import click
 
+from simgap.arguments import need_folder
+
 __all__ = ["DATA_SETS", "DataSet", "PublicFile", "command", "fetch", "files_of", "locate"]
 
 
@@ -117,6 +119,7 @@ def locate(file: PublicFile, folder: Path) -> Path | None:
 
 def fetch(file: PublicFile, data_set: DataSet, folder: Path) -> Path:
     """Download a file to a folder; it stands there under its name only when its hash is right. Raises InputError."""
+    from ident.serial import write_atomic
     from mjsim.errors import InputError
 
     by_hand = f"download it by hand from {data_set.source}, then simgap data {data_set.name} --from DIR"
@@ -131,10 +134,7 @@ def fetch(file: PublicFile, data_set: DataSet, folder: Path) -> Path:
     if digest != file.sha256:
         raise InputError(file.url, f"SHA-256 {digest[:16]}...", f"{file.sha256[:16]}...", f"the source has changed; {by_hand}")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        part = folder / f".{file.name}.part"
-        part.write_bytes(content)
-        part.replace(folder / file.name)
+        write_atomic(folder / file.name, content)
     except OSError as error:
         raise InputError(folder, f"cannot be written ({error.strerror})", "a writable folder", "choose another --to") from None
     return folder / file.name
@@ -202,6 +202,8 @@ def command(name: str | None, source: Path | None, to: Path | None, listing: boo
     if name not in DATA_SETS:
         raise InputError(f"data set {name!r}", "not known", f"one of {', '.join(DATA_SETS)}", nearest(name, DATA_SETS))
     data_set = DATA_SETS[name]
+    if to is not None:
+        need_folder(to, "choose another --to")
     found = files_of(data_set, source, to)
     model = shipped_model(data_set.model)
     if as_json:

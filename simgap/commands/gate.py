@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, spare_inputs, take_file
 
 if TYPE_CHECKING:
     from simgap.gating.check import Check
@@ -102,16 +102,16 @@ def command(
     run together and each is compared: its position under its servo, or the torque that holds it to the recording. Exit 1 when
     an error exceeds that of the baseline by more than the tolerance.
     """
+    from ident.serial import write_atomic
     from mjsim.errors import CheckError
 
     if markdown is not None:
-        need_file(markdown, "choose another --markdown")
+        take_file(markdown, "choose another --markdown")
         spare_inputs([markdown], [model, *recordings, baseline], "--markdown")
     checks = judged(model, recordings, baseline, against, tolerance)
     worse = [c for c in checks if c.grew]
     if markdown is not None:
-        markdown.parent.mkdir(parents=True, exist_ok=True)
-        markdown.write_text(as_markdown(model, checks, tolerance), encoding="utf-8")
+        write_atomic(markdown, as_markdown(model, checks, tolerance))
     if as_json:
         rows = [{k: None if v in (math.inf, -math.inf) else v for k, v in asdict(c).items()} for c in checks]
         units = {c.unit for c in checks}

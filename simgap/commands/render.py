@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, NamedSource, OutputFile, model_root, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, NamedSource, OutputFile, model_root, spare_inputs, take_file
 from simgap.terminal import lines_wanted, printable
 
 if TYPE_CHECKING:
@@ -271,7 +271,7 @@ def command(
     from mjsim.render.writer import need_suffix
 
     need_suffix(out)
-    need_file(out)
+    take_file(out)
     progress = _bar if sys.stderr.isatty() else _told if lines_wanted() else None
     given = {"size": _size(size), "fps": fps, "speed": speed, "start": start, "duration": duration, "progress": progress}
     wanted = _Wanted(recording, simulation, camera, joint, style, magnify, given)

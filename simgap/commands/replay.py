@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, need_file, spare_inputs
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, spare_inputs, take_file
 from simgap.terminal import printable
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     from simgap.api.recording import loaded
     from simgap.api.simulating import simulate
 
-    need_file(out)
+    take_file(out)
     if out.suffix and out.suffix.lower() not in WRITERS:
         raise InputError("--out", f"{out.name!r}", f"a name that ends in {', '.join(WRITERS)}",
                          nearest(out.suffix.lower(), WRITERS, "correct it"))  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputFile, OutputFolder, take_folder
+from simgap.arguments import InputFile, OutputFolder, take_file, take_folder
 
 __all__ = ["command"]
 
@@ -34,11 +34,10 @@ def command(out: Path, jobs: int | None, recording: Path | None, quick: bool, do
 
     from lab.study.run import run_study
     from lab.study.show import progress, show, write_docs
-    from mjsim.errors import InputError
 
     take_folder(out)
-    if docs is not None and docs.is_dir():
-        raise InputError(docs, "it is a folder", "a Markdown file", f"name {docs / 'study.md'}")
+    if docs is not None:
+        take_file(docs, "choose another --docs")
     count = jobs or min(2, os.cpu_count() or 1)
     with progress() as say:
         study = run_study(out, jobs=count, recording=recording, quick=quick, say=say)

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from mjsim.errors import writing
+
 __all__ = ["COLUMNS", "read_records", "rows", "write_parquet"]
 
 COLUMNS = {
@@ -75,7 +77,8 @@ def write_parquet(path: Path, table: Iterable[Mapping[str, Any]]) -> int:
     columns = {name: [_cell(r[name], kind) for r in listed] for name, kind in COLUMNS.items()}
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        pyarrow.parquet.write_table(pyarrow.table(columns, schema=schema), part)
+        with writing(path):
+            pyarrow.parquet.write_table(pyarrow.table(columns, schema=schema), part)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mjsim.errors import InputError, writing
 from simgap.fleet.plan import Job
 
 __all__ = ["diagnose_one", "place", "record_of", "write_record"]
@@ -37,8 +38,6 @@ def diagnose_one(job: Job, out: str) -> str:
 
 def record_of(job: Job, out: Path) -> dict[str, Any]:
     """The record of one job: what it is, how long it took, and the diagnosis or why there is none."""
-    from mjsim.errors import InputError
-
     began = time.perf_counter()
     record: dict[str, Any] = {"job": job.as_dict()}
     try:
@@ -68,7 +67,8 @@ def write_record(target: Path, record: Mapping[str, Any]) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_suffix(f".{os.getpid()}.part")
     try:
-        part.write_text(json.dumps(record, sort_keys=True), encoding="utf-8")
+        with writing(target):
+            part.write_text(json.dumps(record, sort_keys=True), encoding="utf-8")
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
