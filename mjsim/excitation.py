@@ -122,7 +122,7 @@ def close_loop(axis: Axis, reference: np.ndarray, dt: float, cascade: Cascade, n
         status, _, _ = kernel.integrate(
             s.bodies, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, np.full(2, held),
             np.zeros(2), dt, 0, part,
-            before, s.input_lag, n_sub, 1, s.affine, x, states, np.zeros(2), False, k * dt, out,
+            before, s.input_lag, n_sub, 1, s.affine, x, states, np.zeros(2), False, 0.0, k * dt, out,
         )  # fmt: skip
         if status or not np.all(np.isfinite(out[1])):
             raise DivergedError(f"the velocity loop diverged at {k * dt:.4f} s; lower the gains of the controller")

@@ -639,8 +639,8 @@ def _cubic_root(g0: float, s0: float, g1: float, s1: float, h: float) -> tuple[f
 def integrate(
     bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     has_friction: np.ndarray, u: np.ndarray, growth: np.ndarray, dt: float, shift: int, split: float, before: float, tau: float,
-    n_sub: int, parts: int, affine: bool, x0: np.ndarray, states0: np.ndarray, angle: np.ndarray, locked: bool, t0: float,
-    out: np.ndarray
+    n_sub: int, parts: int, affine: bool, x0: np.ndarray, states0: np.ndarray, angle: np.ndarray, locked: bool, origin: float,
+    t0: float, out: np.ndarray
 ) -> tuple[int, int, int]:  # fmt: skip
     """Free run. u (N) input at the start of each sample, growth (N) its slope over it.
 
@@ -649,7 +649,7 @@ def integrate(
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
     torque ahead of the first sample; tau > 0 lags it. A sample has ``n_sub`` steps; one in which a bristle at a body may turn, or
     act as a spring, is cut into ``parts``. ``affine``: the equations are affine in every mode. angle (N): measured
-    angle of body 0, used when ``locked``: of laws with el[:, 5] == 0 all of it, of the others where it starts.
+    angle of body 0, used when ``locked``: laws with el[:, 5] == 0 see it, the others the run's own angle and ``origin``.
     Returns (status, sample, work): 0 done, 1 diverged at that
     sample; what it took, in products of a step: a step by RK4 is four.
     """
@@ -696,7 +696,7 @@ def integrate(
     any_event = any_event or limited or slack or stop
     if locked:
         for i in range(n):
-            w[14, i] = ratio[i] * (angle[0] - x[0, 0])
+            w[14, i] = ratio[i] * origin
             w[13, i] = w[14, i]
     if stop:
         mode[5, 0] = _beyond(el, p, x, w)

@@ -120,6 +120,7 @@ def simulate(
     initial: np.ndarray | None = None,
     states: np.ndarray | None = None,
     angle: np.ndarray | None = None,
+    origin: float | None = None,
     t0: float = 0.0,
     before: float = 0.0,
     substeps: int | None = None,
@@ -133,14 +134,15 @@ def simulate(
 
     ``initial`` (2, n): angles and velocities at the start, at rest when None; ``states``: internal states of the effects;
     ``angle`` (N,): measured angle of body 0, ahead of what the sensor path does to it; laws that repeat over the angle are
-    tied to it, a torque without a spatial frequency (gravity, a spring) acts at the model's own angle from where it starts;
+    tied to it, a torque without a spatial frequency (gravity, a spring) acts at the model's own angle and ``origin``, by which
+    the model starts at the first measured angle when it is None;
     ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
     accuracy rule of `System.substeps` by ``step``; a model that needs more than ``most_substeps`` is not run. Raises
     DivergedError.
     """
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, out = s.n, np.empty((len(torque), _width(s)))
-    _run(s, torque, dt, initial, states, angle, t0, before, substeps, most_substeps, step, out, hold)
+    _run(s, torque, dt, initial, states, angle, origin, t0, before, substeps, most_substeps, step, out, hold)
     time = _times(len(torque), dt, t0)
     velocity, measured = _sense(s, out[:, n], out[:, 0], dt)
     return Trajectory(
@@ -155,6 +157,7 @@ def sensed(
     *,
     initial: np.ndarray | None = None,
     angle: np.ndarray | None = None,
+    origin: float | None = None,
     before: float = 0.0,
     most_substeps: int = 64,
     step: float = STEP,
@@ -163,7 +166,7 @@ def sensed(
     """Velocity (N,) that the sensor shows of the free run of `simulate`, and nothing else of it: what a fit asks for."""
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     out = _workspace(len(torque), _width(s))
-    _run(s, torque, dt, initial, None, angle, 0.0, before, None, most_substeps, step, out, hold)
+    _run(s, torque, dt, initial, None, angle, origin, 0.0, before, None, most_substeps, step, out, hold)
     return _sense(s, out[:, s.n], out[:, 0], dt)[0].copy()
 
 
@@ -193,7 +196,8 @@ def _width(s: System) -> int:
 
 def _run(
     s: System, torque: np.ndarray, dt: float, initial: np.ndarray | None, states: np.ndarray | None, angle: np.ndarray | None,
-    t0: float, before: float, substeps: int | None, most_substeps: int, step: float, out: np.ndarray, hold: str = "held",
+    origin: float | None, t0: float, before: float, substeps: int | None, most_substeps: int,
+    step: float, out: np.ndarray, hold: str = "held",
 ) -> None:  # fmt: skip
     """Write the free run of `simulate` to ``out`` (N, `_width`)."""
     from mjsim import kernel
@@ -210,6 +214,7 @@ def _run(
     locked = angle is not None
     if angle is not None:
         angle = _ahead_of_sensor(s, np.asarray(angle, float), dt)
+        origin = float(angle[0] - x0[0, 0]) if origin is None else origin
     speed = 0.0
     if s.spatial > 0:
         speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
@@ -218,7 +223,8 @@ def _run(
         raise DivergedError(f"the model is too stiff: it needs {n_sub * parts} steps a sample, {most_substeps} are allowed")
     status, at, work = kernel.integrate(
         s.bodies, s.f, s.gap_law, s.gain, s.servo, s.elements, s.parameters, s.has_friction, u, slope, dt, shift, split,
-        float(before), s.input_lag, n_sub, parts, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked, t0, out,
+        float(before), s.input_lag, n_sub, parts, s.affine, x0, s0, _lent(angle) if angle is not None else u, locked,
+        origin or 0.0, t0, out,
     )  # fmt: skip
     count_work(work)
     if status:

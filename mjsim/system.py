@@ -90,7 +90,7 @@ class System:
         """Angles and velocities (2, n) at the start, zero where None is given; bodies that an effect added start undeflected."""
         x = np.zeros((2, self.n))
         if given is not None:
-            first = np.asarray(given, float)
+            first = np.asarray(given, float)[:, : self.n]
             x[:, : first.shape[1]] = first
             for i in range(first.shape[1], self.n):
                 x[:, i] = self.f[2, i - 1] * x[:, i - 1]

@@ -18,6 +18,7 @@ from mjsim.signals import limits
 __all__ = [
     "Experiment",
     "corrected",
+    "first_angle",
     "held_rows",
     "hold_out_blocks",
     "measured_angle",
@@ -26,7 +27,6 @@ __all__ = [
     "plain_step",
     "prepare",
     "smooth_velocity",
-    "start_angle",
     "whole_step",
 ]
 
@@ -36,8 +36,10 @@ class Experiment:
     """A recording and the part of it that a fit counts.
 
     counts (N) bool; sigma: noise rms of the judged output, at least sqrt(ROUNDING) of its spread (weights recordings against
-    each other); moving: the axis is not at rest at the first sample; before: torque held ahead of it; correction (N): added to
-    the measured velocity where motion is compared; kept: signals that views computed, by their arguments.
+    each other); moving: the axis is not at rest at the first sample; speed, angle: there, by the samples around it where it
+    moves; angle_error: standard deviation of that angle, angle_noise: of any, 0 where there is none; before: torque held ahead
+    of it; correction (N): added to the measured velocity where motion is compared; kept: signals that views computed, by their
+    arguments.
     """
 
     recording: Recording
@@ -46,6 +48,10 @@ class Experiment:
     moving: bool
     before: float
     correction: np.ndarray | None = None
+    speed: float = 0.0
+    angle: float = 0.0
+    angle_error: float = 0.0
+    angle_noise: float = 0.0
     kept: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
 
     def first(self, share: float) -> Experiment:
@@ -97,9 +103,25 @@ def middle(recording: Recording) -> float:
     return 0.0 if recording.angle is None else float(np.mean(recording.angle))
 
 
-def start_angle(recording: Recording) -> float:
-    """The angle [rad | m] at the first sample, 0 where there is no angle."""
-    return 0.0 if recording.angle is None else float(recording.angle[0])
+def first_angle(recording: Recording) -> tuple[float, float]:
+    """The angle [rad | m] at the first sample of a motion, and its standard deviation; 0, 0 where there is no angle.
+
+    By a parabola through the most samples, 1 + 2^k, that it fits to their noise.
+    """
+    q = recording.angle
+    if q is None:
+        return 0.0, 0.0
+    noise = max(angle_noise_level(q), channel_noise(recording, "angle"))
+    best, n = (float(q[0]), noise), 5
+    while noise > 0.0 and n < len(q) / 4:
+        basis = np.vander(np.arange(n) / n, 3, increasing=True)
+        fit = np.linalg.lstsq(basis, q[:n], rcond=None)[0]
+        left = math.sqrt(float(np.sum((q[:n] - basis @ fit) ** 2)) / (n - 3))
+        if left > noise * (1.0 + 1.0 / math.sqrt(2.0 * (n - 3))):  # a standard error above it: it bends otherwise
+            break
+        best = float(fit[0]), noise * math.sqrt(float(np.linalg.inv(basis.T @ basis)[0, 0]))
+        n = 2 * n - 1
+    return best
 
 
 def angle_noise_level(q: np.ndarray) -> float:
@@ -189,7 +211,8 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         q = recording.angle
         noise = max(channel_noise(recording, "angle"), plain_step(q) / np.sqrt(12.0)) / (np.sqrt(2.0) * recording.dt)
     _need_one_motion(recording)
-    moving = _starts_in_motion(v, noise, spread)
+    moving = _starts_in_motion(recording, v, noise, spread)
+    speed = float(smooth_velocity(recording)[0]) if moving else 0.0
     before = float(recording.input[0]) if moving or recording.command is not None else 0.0
     held = held_rows(recording)
     if recording.velocity is not None and recording.angle is not None and not held.any():
@@ -197,10 +220,20 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         angle_noise = max(channel_noise(recording, "angle"), plain_step(q) / np.sqrt(12.0))
         noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
     counts = ~held & (True if counts is None else counts)
+    of_angle = 0.0
+    if recording.angle is not None:
+        of_angle = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))
+    angle = 0.0 if recording.angle is None else float(recording.angle[0])
     if recording.command is not None and recording.angle is not None:
-        noise = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))
+        noise = of_angle
         spread = float(np.std(recording.angle))
-    return Experiment(recording, counts, max(noise, math.sqrt(ROUNDING) * spread), moving, before)
+    angle_error = of_angle
+    if moving:
+        angle, angle_error = first_angle(recording)
+    sigma = max(noise, math.sqrt(ROUNDING) * spread)
+    return Experiment(
+        recording, counts, sigma, moving, before, speed=speed, angle=angle, angle_error=angle_error, angle_noise=of_angle
+    )
 
 
 def _need_one_motion(recording: Recording, window: float = 0.02) -> None:
@@ -243,11 +276,22 @@ def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray,
     return ~held, held
 
 
-def _starts_in_motion(v: np.ndarray, noise: float, spread: float) -> bool:
-    """Whether the speed at the first sample, extrapolated by a parabola, exceeds its noise and is not negligible."""
+def _starts_in_motion(recording: Recording, v: np.ndarray, noise: float, spread: float) -> bool:
+    """Whether rest at the first sample cannot be taken for granted.
+
+    By a parabola through the first samples the speed there exceeds its noise and is not negligible; or a torque acts, and the
+    axis does not gain speed along it, as it does from rest: a hidden spring, a weight or friction bears it. Without a drive a
+    motion is not begun from rest either, except by chance.
+    """
+    if not recording.driven:
+        return True
     count = min(10, len(v) // 4)  # short: an excitation of 40 Hz turns within 20 samples at 2 kHz
     k = np.arange(count)
     basis = np.vander(k / count, 3, increasing=True)
-    start = np.linalg.lstsq(basis, v[:count], rcond=None)[0][0]
-    error = noise * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
-    return bool(abs(start) > 5 * error + 0.02 * spread)
+    start, gained = np.linalg.lstsq(basis, v[:count], rcond=None)[0][:2]
+    covariance = noise**2 * np.linalg.inv(basis.T @ basis)
+    if abs(start) > 5 * math.sqrt(covariance[0, 0]) + 0.02 * spread:
+        return True
+    u = recording.input
+    borne = recording.command is None and abs(u[0]) > SMALL * math.sqrt(float(np.mean(u**2)))
+    return bool(borne and not gained * np.sign(u[0]) > 5 * math.sqrt(covariance[1, 1]))

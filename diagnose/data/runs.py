@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment, start_angle
+from diagnose.data.experiment import Experiment
 from mjsim.axis import Axis
 from mjsim.known_torque import KnownTorque
 from mjsim.ode import Trajectory, simulate
@@ -22,12 +22,14 @@ def free_run(axis: Axis, experiment: Experiment, initial: np.ndarray | None = No
     r = experiment.recording
     axis = with_known(axis, experiment)
     chain = axis.chain
-    angle = r.angle
+    angle, origin = r.angle, None if initial is None or r.angle is None else experiment.angle
     if chain.servo is not None:
         initial = np.zeros((2, len(chain.bodies))) if initial is None else np.array(initial, float)
-        initial[0] += [start_angle(r) * chain.total_ratio(i) for i in range(len(chain.bodies))]
+        last = len(chain.bodies) - 1  # a body that an effect adds goes with it
+        initial[0] += [experiment.angle * chain.total_ratio(min(i, last)) for i in range(initial.shape[1])]
         angle = None  # under its own servo a model does not drift from the angle that laws are locked to
-    return simulate(axis, r.input, r.dt, initial=initial, angle=angle, before=experiment.before, hold=r.hold, **how)
+    how |= {"initial": initial, "angle": angle, "origin": origin, "before": experiment.before, "hold": r.hold}
+    return simulate(axis, r.input, r.dt, **how)
 
 
 def with_known(axis: Axis, experiment: Experiment) -> Axis:

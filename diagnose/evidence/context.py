@@ -2,7 +2,9 @@
 
 The criterion compares whitened chi-squares (residual autocorrelation is thereby counted) with a price per parameter:
 
-    C = n log(chi2 / n) + price * (free parameters)
+    C = n log(chi2 / n) + price * (free parameters) + (free numbers of starts)
+
+A number of a start is no part of a structure: it costs the unit of chi-square that it takes of noise.
 
 Nothing here changes what is fitted: what is computed is remembered.
 """
@@ -57,13 +59,17 @@ class Context:
     def criterion(self, f: Fitted) -> float:
         """C of a fitted structure; among places that nothing tells apart the first one of the effect's list stands."""
         n = f.n * self.effective
-        return n * math.log(max(f.chi2, 1e-300) / f.n) + self.prices.price * len(f.hypothesis.entries) + _rank_of_places(f)
+        return n * math.log(max(f.chi2, 1e-300) / f.n) + self._price(f) + _rank_of_places(f)
+
+    def _price(self, f: Fitted) -> float:
+        """Price of the free numbers of a structure, those of starts included."""
+        return self.prices.price * f.hypothesis.size + f.hypothesis.start_numbers
 
     def gain(self, poorer: Fitted, richer: Fitted) -> float:
         """How far C falls from one structure to the other, by the effective sample size that distinguishes the two."""
         if self.share_between is None:
             return self.criterion(poorer) - self.criterion(richer)
-        price = self.prices.price * (len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
+        price = self._price(richer) - self._price(poorer)
         n = richer.n * self.share_between(poorer, richer)
         ratio = math.log(max(poorer.chi2, 1e-300) / max(richer.chi2, 1e-300))
         return n * ratio - price + _rank_of_places(poorer) - _rank_of_places(richer)

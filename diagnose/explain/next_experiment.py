@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from diagnose.check.relation import TOP
-from diagnose.data.experiment import measured_angle, start_angle
+from diagnose.data.experiment import measured_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding
@@ -82,7 +82,7 @@ def _apart(r: Recording, axes: tuple[Axis, Axis], drive: np.ndarray, load: float
     start, before = None, 0.0
     if chain.servo is not None:
         start, before = np.zeros((2, len(chain.bodies))), float(r.input[0])
-        start[0] = [start_angle(r) * chain.total_ratio(i) for i in range(len(chain.bodies))]
+        start[0] = [float(measured_angle(r)[0]) * chain.total_ratio(i) for i in range(len(chain.bodies))]
     try:
         a, b = (simulate(_loaded(x, load), drive, r.dt, initial=start, before=before, hold=r.hold) for x in axes)
     except (DivergedError, ValueError):

@@ -12,6 +12,7 @@ import numpy as np
 from diagnose.fit.least_squares import Fit, Status
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
+from diagnose.problem.start_state import is_of_start
 from diagnose.thresholds import BLOCKS, ENGINE, UNEXPLAINED
 from mjsim.axis import Axis
 from mjsim.effects import Effect
@@ -65,7 +66,7 @@ class Fitted:
         """Fitted linear parameters, and as ``id@place.name`` those of the nominal axis's own effects."""
         values = self.hypothesis.values(self.fit.x)
         own = {e.key for e in self.hypothesis.carried}
-        linear = {n: v for (o, n, r), v in values.items() if o == "" and n != "initial_velocity" and r <= 0}
+        linear = {n: v for (o, n, r), v in values.items() if o == "" and not is_of_start(o, n) and r <= 0}
         return linear | {f"{o}.{n}": v for (o, n, r), v in values.items() if o in own and r < 0}
 
     @property

@@ -2,7 +2,7 @@
 
 The vector holds, in this order: the linear parameters (as ratios to nominal), the parameters of the effects (those that the
 nominal axis has, and those that are supposed) that are shared by all recordings, then for each recording its own: nuisance
-parameters (phases) and, when it does not start at rest, the speed at which it starts.
+parameters (phases) and what is free of the state in which it starts (`diagnose.problem.start_state`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnose.thresholds import MOST_SUBSTEPS
+from diagnose.problem import start_state
+from diagnose.problem.start_state import Begin
+from diagnose.thresholds import MOST_SUBSTEPS, TWICE
 from mjsim.axis import Axis
 from mjsim.effects import Effect, Scales, effect_class
 from mjsim.quantity import Quantity
@@ -59,6 +61,11 @@ class Entry:
         return self.si(x) if self.log else self.scale
 
     @property
+    def of_start(self) -> bool:
+        """Whether it is of the state in which a recording starts."""
+        return start_state.is_of_start(self.owner, self.name)
+
+    @property
     def label(self) -> str:
         """owner.name, with the recording's number for its own parameters."""
         tail = "" if self.recording < 0 else f"#{self.recording}"
@@ -84,7 +91,7 @@ class Hypothesis:
         effects: tuple[Effect, ...],
         scales: Mapping[str, Scales],
         n_recordings: int,
-        moving: tuple[bool, ...],
+        begins: tuple[Begin, ...],
         linear: Mapping[str, float] | None = None,
         own: Mapping[tuple[str, str, int], float] | None = None,
         varies: tuple[str, ...] = (),
@@ -129,10 +136,11 @@ class Hypothesis:
                         value = min(max((linear or {}).get(f"{effect.key}.{spec.name}", value), low), high)
                     entries.append(Entry(effect.key, *entry, value, -1, log))
         speed = scales["motor"].velocity
-        for r in range(n_recordings):
-            if moving[r]:
-                start = (own or {}).get(("", "initial_velocity", r), 0.0)
-                entries.append(Entry("", "initial_velocity", Quantity.VELOCITY, 0.1 * speed, -math.inf, math.inf, start, r))
+        for r, begin in enumerate(begins):
+            for free in start_state.free_numbers(nominal, (*carried, *effects), scales, begin):
+                start = (own or {}).get(("", free.name, r), free.value)
+                scale = TWICE * free.deviation or 0.1 * speed  # of a prior, so that its residual is that of the nominal numbers
+                entries.append(Entry("", free.name, free.quantity, scale, -math.inf, math.inf, start, r))
         entries.sort(key=lambda e: e.recording)
         return cls(nominal, effects, tuple(entries), n_recordings)
 
@@ -140,6 +148,16 @@ class Hypothesis:
     def start(self) -> np.ndarray:
         """The start as a scaled vector."""
         return np.array([e.scaled(e.start) for e in self.entries])
+
+    @cached_property
+    def start_numbers(self) -> int:
+        """How many numbers are of states in which recordings start."""
+        return sum(e.of_start for e in self.entries)
+
+    @property
+    def size(self) -> int:
+        """How many numbers describe the structure: all but those of starts."""
+        return len(self.entries) - self.start_numbers
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +180,9 @@ class Hypothesis:
 
     @cached_property
     def prior_terms(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-        """What the nominal axis says of numbers: of how many, whatever is supposed; then, of those that are in the vector, which.
+        """What is said of numbers beforehand, by the nominal axis or of a start.
+
+        Of how many, whatever is supposed; then, of those that are in the vector, which.
 
         Their rows among all of them (k,), where they stand in the vector (k,), and their nominal values, scaled (k,).
         """
@@ -180,6 +200,11 @@ class Hypothesis:
                 if i is not None:
                     rows.append((count, i, self.entries[i].scaled(value)))
                 count += 1
+        slots = start_state.slots(self.nominal.chain)
+        for i, e in enumerate(self.entries):
+            if e.of_start and e.name in slots:
+                rows.append((count + e.recording * len(slots) + slots[e.name], i, 0.0))
+        count += self.n_recordings * len(slots)
         columns = tuple(zip(*rows, strict=True)) if rows else ((), (), ())
         return count, np.array(columns[0], int), np.array(columns[1], int), np.array(columns[2], float)
 
@@ -209,9 +234,7 @@ class Hypothesis:
 
         def of(owner: str, recording: int) -> list[int]:
             own = (-1, recording)
-            return [
-                i for i, e in enumerate(self.entries) if e.owner == owner and e.recording in own and e.name != "initial_velocity"
-            ]
+            return [i for i, e in enumerate(self.entries) if e.owner == owner and e.recording in own and not e.of_start]
 
         effects = (*self.carried, *self.effects)
         return [(of("", r), [(e, of(e.key, r)) for e in effects]) for r in range(self.n_recordings)]
@@ -227,20 +250,14 @@ class Hypothesis:
         return Axis(chain, effects, self.nominal.backlash_law)
 
     @cached_property
-    def _begins(self) -> dict[int, int]:
-        """Where in the vector the speed is at which a recording starts, of those that start in motion."""
-        return {e.recording: i for i, e in enumerate(self.entries) if e.owner == "" and e.name == "initial_velocity"}
+    def _starts(self) -> list[list[int]]:
+        """Where in the vector the numbers of each recording's start are."""
+        return [[i for i, e in enumerate(self.entries) if e.of_start and e.recording == r] for r in range(self.n_recordings)]
 
     def initial(self, x: np.ndarray, recording: int) -> np.ndarray | None:
-        """Initial angles and velocities (2, n) when the recording starts in motion, else None."""
-        at = self._begins.get(recording)
-        if at is None:
-            return None
-        v = float(self.entries[at].si(x[at]))
-        chain = self.nominal.chain
-        out = np.zeros((2, len(chain.bodies)))
-        out[1] = [v * chain.total_ratio(i) for i in range(len(chain.bodies))]
-        return out
+        """Angles and velocities (2, n) relative to the first measured angle, where anything of them is free; else None."""
+        values = {self.entries[i].name: float(self.entries[i].si(x[i])) for i in self._starts[recording]}
+        return start_state.initial(self.nominal.chain, values)
 
 
 def _limits(

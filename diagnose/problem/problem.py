@@ -4,7 +4,8 @@ The residual of a hypothesis is, over all estimation recordings,
 
     r(x) = A (y - y_model(x)) / sigma        and        sqrt(w) (x - x_nominal) / PRIOR
 
-with A the whitening filter, sigma the noise rms of a recording and w the weight of the prior.
+with A the whitening filter, sigma the noise rms of a recording and w the weight of the prior. Of a motion without a drive the
+mean angle is compared as well: the rates do not have it, and it tells where the torques that bring the axis back vanish.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from diagnose.data.experiment import Experiment
 from diagnose.data.scales import scales_by_place
 from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import KnownNoise, ModelError, NoiseModel
+from diagnose.problem.start_state import Begin
 from diagnose.problem.view import MotionView, View
 from diagnose.thresholds import TWICE
 from mjsim.axis import Axis
@@ -32,13 +34,15 @@ from mjsim.system import STEP, assemble, restoring
 __all__ = ["Problem", "Residual", "bounded"]
 
 
+FINITE = 1e100  # beyond it a run has diverged, though its numbers are finite
+
 Residual = Callable[[np.ndarray], np.ndarray | None]
 """A residual vector (N,) of a scaled vector (p,); None where the model cannot be run."""
 
 
 def bounded(values: np.ndarray) -> np.ndarray:
     """Where values are numbers whose squares are: an axis that its fitted numbers make unstable swings up without end."""
-    return np.asarray(np.abs(values) < 1e100)
+    return np.asarray(np.abs(values) < FINITE)
 
 
 @final
@@ -164,10 +168,18 @@ class Problem:
     def hypothesis(self, effects: Sequence[Effect], linear: Mapping[str, float] | None = None,
                    own: Mapping[tuple[str, str, int], float] | None = None) -> Hypothesis:  # fmt: skip
         """Lay out a hypothesis on these recordings."""
-        moving = tuple(e.moving and self.view.channel != "torque" for e in self.experiments)
+        begins = tuple(self.begin(e) for e in self.experiments)
         return Hypothesis.build(
-            self.nominal, tuple(effects), self.scales, len(self.experiments), moving, linear, own, self.varies
+            self.nominal, tuple(effects), self.scales, len(self.experiments), begins, linear, own, self.varies
         )
+
+    def begin(self, experiment: Experiment) -> Begin:
+        """What is free of the state in which a recording starts; nothing where the model is moved as recorded.
+
+        From rest the first measured angle is taken as it is: a servo, or friction, holds it.
+        """
+        moving = experiment.moving and self.view.channel != "torque"
+        return Begin(moving, experiment.speed, experiment.angle_error) if moving else Begin(False)
 
     def error(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
         """Measured minus predicted at every compared sample, in the view's unit."""
@@ -179,7 +191,7 @@ class Problem:
 
     def weighted(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> np.ndarray | None:
         """The error whitened, weighted and cut to the samples that count."""
-        out = np.empty(len(self.counted(experiment)))
+        out = np.empty(len(self.counted(experiment)) + 1)
         count = self._weigh(axis, experiment, initial, out)
         return None if count is None else out[:count]
 
@@ -197,7 +209,12 @@ class Problem:
         predicted = s.predicted - s.rounding + rounding if held else s.predicted
         how = self.counted(experiment), self.whitening, self._counted_whitened(experiment)
         count = int(weigh_into(s.measured, predicted, self.sigma(experiment), *how, out))
-        return None if count < 0 else count
+        if count < 0:
+            return None
+        if experiment.recording.driven:
+            return count
+        out[count] = s.mean_angle
+        return count + 1 if abs(s.mean_angle) < FINITE else None
 
     def whitened(self, e: np.ndarray, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
         """Weighted, whitened error (M,) and which of it counts: not the samples that the filter reaches past a gap."""
@@ -224,7 +241,8 @@ class Problem:
         """
 
         def of(x: np.ndarray) -> np.ndarray | None:
-            out, at = np.empty(sum(len(self.counted(e)) for e in self.experiments) + h.prior_terms[0]), 0
+            out = np.empty(sum(len(self.counted(e)) + 1 for e in self.experiments) + h.prior_terms[0])
+            at = 0
             for r, experiment in enumerate(self.experiments):
                 try:
                     axis = h.axis(x, r)

@@ -1,11 +1,10 @@
 """How a model is judged against a recording: by its free-run motion, or by the force that the recorded motion needs.
 
 Motion (output error): the model runs on the recorded torque and its velocity is compared. Efficient and unbiased when the
-noise is
-in the sensor, also under feedback, since the torque that acted is recorded.
+noise is in the sensor, also under feedback, since the torque that acted is recorded.
 Force (inverse dynamics): the model is moved as recorded and the torque that this needs is compared. For recordings under a tight
 position loop, whose motion says nothing and whose free run drifts on any disturbance of the torque.
-Both are low-passed alike where they are filtered, so that a comparison is of like with like (docs/decisions/motion-and-force.md).
+Both are low-passed alike where they are filtered (docs/decisions/motion-and-force.md).
 """
 
 from __future__ import annotations
@@ -36,13 +35,15 @@ __all__ = ["ForceView", "MotionView", "Signals", "View", "highest_observer_gain"
 class Signals:
     """What is compared, on one time grid (M): time [s], measured and predicted in the view's unit.
 
-    rounding (M): the part of the predicted by which a sensor rounds it to steps; None without.
+    rounding (M): the part of the predicted by which a sensor rounds it to steps; None without. mean_angle: mean error of the
+    angle over its standard error, of a free run that starts at the first measured angle; 0 where it is not asked for.
     """
 
     time: np.ndarray
     measured: np.ndarray
     predicted: np.ndarray
     rounding: np.ndarray | None = None
+    mean_angle: float = 0.0
 
 
 def highest_observer_gain(axis: Axis) -> float:
@@ -122,10 +123,24 @@ def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.nd
     return mean(slice(None), DITHER[int(np.argmin(errors))])
 
 
-def _mean_speed(system: System, torque: np.ndarray, dt: float, **how: Any) -> np.ndarray:
-    """Velocity (N,) of a free run by its angle: averaged as the one that is measured by an encoder alone."""
-    velocity: np.ndarray = np.gradient(simulate(system, torque, dt, **how).angle, dt)
-    return velocity
+def _free_motion(
+    system: System, torque: np.ndarray, experiment: Experiment, *, asked: bool, **how: Any
+) -> tuple[np.ndarray, float]:
+    """Velocity (N,) of a free run, averaged as the measured one of an encoder alone; mean error of the angle, if ``asked``.
+
+    The latter over its standard error, of a run from the first angle; 0 where no angle was measured, or without noise.
+    """
+    r, start = experiment.recording, experiment.angle
+    how |= {"angle": r.angle, "origin": start, "before": experiment.before, "hold": r.hold}
+    asked = asked and r.angle is not None and experiment.angle_noise > 0.0 and bool(experiment.counts.any())
+    if r.velocity is not None and not asked:
+        return sensed(system, torque, r.dt, **how), 0.0
+    run = simulate(system, torque, r.dt, **how)
+    velocity = run.velocity if r.velocity is not None else np.gradient(run.angle, r.dt)
+    if not asked or r.angle is None:
+        return velocity, 0.0
+    off = (r.angle - run.angle - start)[experiment.counts]
+    return velocity, float(np.mean(off)) * math.sqrt(len(off)) / experiment.angle_noise
 
 
 @dataclass(frozen=True)
@@ -173,19 +188,17 @@ class MotionView:
             if rounding:
                 rest = tuple(m for m in system.output_maps if m.map is not StaticMap.ROUND)
                 system = dataclasses.replace(system, output_maps=rest)
-            predicted = (sensed if r.velocity is not None else _mean_speed)(
-                system, torque, r.dt, initial=initial, angle=r.angle, before=experiment.before,
-                most_substeps=self.most_substeps, step=self.step, hold=r.hold,
-            )  # fmt: skip
+            asked = not r.driven and not self.tied and self.observer_gain == 0.0
+            predicted, mean_angle = _free_motion(
+                system, torque, experiment, asked=asked, initial=initial, most_substeps=self.most_substeps, step=self.step
+            )
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
-        measured = measured_velocity(r)
-        if experiment.correction is not None:
-            measured = measured + experiment.correction
+        measured = measured_velocity(r) + (0.0 if experiment.correction is None else experiment.correction)
         smooth = predicted
         for step in rounding:
             predicted = _rounded(measured, predicted, step, experiment.counts)
-        return Signals(r.time, measured, predicted, predicted - smooth if rounding else None)
+        return Signals(r.time, measured, predicted, predicted - smooth if rounding else None, mean_angle)
 
     def _angles(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals:
         """Angle measured, and simulated under the model's own servo on the recorded command."""
@@ -242,10 +255,8 @@ class ForceView:
     """Inverse dynamics along the recorded motion, judged on torque.
 
     cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling
-    rate), then
-    decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of
-    friction is unknown
-    there), nor those around which the speed stays below ``rest`` times it for a fifth of a second (the axis stands).
+    rate), then decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of
+    friction is unknown there), nor where the speed stays below ``rest`` times it for a fifth of a second (the axis stands).
     """
 
     cutoff_hz: float | None = None

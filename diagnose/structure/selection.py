@@ -42,7 +42,7 @@ class Selection:
         larger = len(f.effects) > len(current.effects) or refines(f, current)
         if self.state.context.share_between is None:
             return larger
-        return larger or len(f.hypothesis.entries) > len(current.hypothesis.entries)
+        return larger or f.hypothesis.size > current.hypothesis.size
 
     def _wins(self, f: Fitted, current: Fitted, attempt: int, *, larger: bool) -> bool:
         if larger:

@@ -8,6 +8,7 @@ from diagnose.evidence.intervals import at_bounds, half_width
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
+from diagnose.problem.start_state import is_of_start
 from diagnose.result import Estimate, Verdict
 from diagnose.structure.search import Search
 from diagnose.thresholds import EQUIVALENT, ROUNDING
@@ -27,10 +28,11 @@ def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> 
     if best.effects:
         return Verdict.MISSING_PHYSICS
     fitter = search.fitter
-    as_is = fitter.residual(base.hypothesis)(fitter.hypothesis(()).start)
+    starts = {k: v for k, v in base.own.items() if is_of_start(k[0], k[1])}
+    as_is = fitter.residual(base.hypothesis)(fitter.hypothesis((), None, starts).start)
     if as_is is None:
         return Verdict.PARAMETERS_ONLY
-    count = len(base.hypothesis.entries)
+    count = base.hypothesis.size
     given = float(as_is @ as_is)
     if not given > base.chi2:  # also where nothing is left of either
         return Verdict.NO_MISMATCH
@@ -53,7 +55,7 @@ def estimates(fitted: Fitted, fitter: Fitter, owner: str) -> dict[str, Estimate]
     motion = fitter.nominal.chain.motion
     rows = zip(fitted.hypothesis.entries, fitted.fit.x, errors, *fitted.hypothesis.bounds, strict=True)
     for e, x, s, low, high in rows:
-        if e.owner != owner or e.recording > 0 or e.name == "initial_velocity":
+        if e.owner != owner or e.recording > 0 or is_of_start(e.owner, e.name):
             continue
         value = e.si(float(x))
         if e.name == "phase_rad":
@@ -70,7 +72,7 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
 
     held = search.context.compared(poorer, richer).p_value
     gain = richer.n * math.log(poorer.chi2 / richer.chi2)
-    extra = max(1, len(richer.hypothesis.entries) - len(poorer.hypothesis.entries))
+    extra = max(1, richer.hypothesis.size - poorer.hypothesis.size)
     return held, float(chdtrc(extra, max(gain, 0.0))), gain
 
 
@@ -92,7 +94,7 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQ
         rival = next(e for e in f.effects if e.key == key)
         if rival.name() == effect.name() and rival.place == effect.place:
             continue
-        if effect.id in type(rival).refines and len(f.hypothesis.entries) > len(best.hypothesis.entries):
+        if effect.id in type(rival).refines and f.hypothesis.size > best.hypothesis.size:
             continue
         out.append((search.criterion(f), rival.name() if rival.name() != effect.name() else rival.key))
     return tuple(dict.fromkeys(name for _, name in sorted(out)))

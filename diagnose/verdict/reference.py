@@ -1,8 +1,9 @@
 """The user's simulator as the judge: a model file, stepped by plain MuJoCo with its own options, beside the recordings.
 
 A free run starts where the recording does: at its first angle, corrected by what its noise allows, and at rest or at the speed
-that the first samples tell. Errors are those of the measured velocity (the rate of the angle where no velocity was recorded), or
-of the measured angle where a servo follows a command.
+that the first samples tell, corrected as the whole recording asks; a chain that starts in motion has deflections as well.
+Errors are those of the measured velocity (the rate of the angle where no velocity was recorded), or of the measured angle where
+a servo follows a command.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.data.derived import without_derived_velocity
-from diagnose.data.experiment import hold_out_blocks, measured_velocity, plain_step, prepare
+from diagnose.data.experiment import first_angle, hold_out_blocks, measured_velocity, plain_step, prepare, smooth_velocity
 from diagnose.data.noise import channel_noise
 from diagnose.result import FitFigures
 from diagnose.thresholds import SIGMAS, SMALL
@@ -56,20 +57,30 @@ class Case:
         """Where the recording starts, by its first samples."""
         r = self.recording
         angle = float(r.angle[0]) if r.angle is not None else 0.0
+        if self.moving and not self.servo:
+            angle, _ = first_angle(r)
         if self.servo:
             return Start(angle, 0.0, float(r.input[0]))
         before = float(r.input[0]) if self.moving or r.command is not None else 0.0
         if not self.moving:
             return Start(angle, 0.0, before)
+        if r.velocity is None:
+            return Start(angle, float(smooth_velocity(r)[0]), before)
         few = max(2, min(len(r), round(FIRST / r.dt)))
         speed = float(np.polynomial.Polynomial.fit(np.arange(few), self.measured[:few], 1)(0.0))
         return Start(angle, speed, before)
 
     def spread(self) -> tuple[float, float]:
-        """Standard deviations of the starting angle and velocity; 0 of one that is known."""
+        """Standard deviations of the starting angle and velocity; 0 of one that is known.
+
+        A measured velocity is late by its filter, so that the first one is known to the noise and to a small part of the speed.
+        """
         q = self.recording.angle
         angle = 0.0 if q is None else max(channel_noise(self.recording, "angle"), plain_step(q) / math.sqrt(12.0))
-        return angle, self.sigma if self.moving and not self.servo else 0.0
+        if self.moving and not self.servo:
+            _, angle = first_angle(self.recording)
+        speed = SMALL * float(np.sqrt(np.mean(self.measured**2)))
+        return angle, math.hypot(self.sigma, speed) if self.moving and not self.servo else 0.0
 
     def first(self, n: int) -> Case:
         """The first n samples."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -76,14 +76,28 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Start:
-    """State at the first sample: angle [rad | m] and velocity [rad/s | m/s] of the driven body, with no deflection behind it.
+    """State at the first sample: angle [rad | m] and velocity [rad/s | m/s] of the driven body.
 
-    input: input that acts ahead of the first sample, which a delay or lag still delivers.
+    input: input that acts ahead of the first sample, which a delay or lag still delivers. deflections, rates: of the couplings
+    behind the driven body, in their order, d_j = r_j q_j - q_{j+1}; zero of those that are not given.
     """
 
     angle: float = 0.0
     velocity: float = 0.0
     input: float = 0.0
+    deflections: tuple[float, ...] = ()
+    rates: tuple[float, ...] = ()
+
+    def of_bodies(self, ratios: Sequence[float]) -> np.ndarray:
+        """Angles and velocities (2, n) of the bodies of a chain, by the ratios (n - 1) of its couplings."""
+        out = np.zeros((2, len(ratios) + 1))
+        out[:, 0] = self.angle, self.velocity
+        for j, ratio in enumerate(ratios):
+            out[:, j + 1] = ratio * out[:, j]
+            for row, values in enumerate((self.deflections, self.rates)):
+                if j < len(values):
+                    out[row, j + 1] -= values[j]
+        return out
 
 
 @dataclass(frozen=True, eq=False)

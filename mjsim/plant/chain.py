@@ -66,9 +66,7 @@ class ChainPlant:
         return ChainPlant(self.axis.with_values(values))
 
     def _initial(self, start: Start) -> np.ndarray:
-        chain = self.axis.chain
-        ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
-        return np.array([start.angle * ratios, start.velocity * ratios])
+        return start.of_bodies(self._system.f[2, :-1].tolist())
 
     def run(self, u: np.ndarray, dt: float, *, start: Start | None = None, hold: Hold = Hold.HELD) -> np.ndarray:
         """Outputs (N, 2) of a free run on inputs (N, 1)."""
@@ -92,7 +90,7 @@ class ChainPlant:
         if s.n_states or s.input_lag or s.input_delay or s.output_lag or s.output_delay:
             raise ValueError("the axis has hidden states (bristles, delays, lags); leave those effects out to linearise it")
         rest = np.zeros((2, n))
-        rest[:, : len(self.axis.chain.bodies)] = self._initial(start)
+        rest[:] = self._initial(start)
 
         def after(state: np.ndarray, torque: float) -> np.ndarray:
             out = ode.simulate(s, np.full(2, torque), dt, initial=state)

@@ -28,6 +28,7 @@ from mjsim.ode import DivergedError
 from mjsim.plant.base import Hold, Linear, Parameter, Signal, Start, as_input, mean_input, signals_of
 from mjsim.plant.channels import Channels, find_channels
 from mjsim.plant.stepper import Stepper, transition
+from mjsim.system import assemble
 
 __all__ = ["MujocoPlant", "run_together"]
 
@@ -201,12 +202,15 @@ class MujocoPlant:
             yield out
 
     def _data(self, start: Start) -> mujoco.MjData:
-        """A state to start from: the driven joint as asked, nothing deflected, delays and filters at the input before."""
+        """A state to start from: the driven joint and the deflections as asked, delays and filters at the input before."""
         m, c = self.model, self.channels
         data = mujoco.MjData(m)
         along = self._along
         data.qpos[:] = m.qpos0 + along * (start.angle - m.qpos0[c.position])
         data.qvel[:] = along * start.velocity
+        for to, values in ((data.qpos, start.deflections), (data.qvel, start.rates)):
+            k = min(len(values), self._behind.shape[1])
+            to[:] += self._behind[:, :k] @ np.array(values[:k])
         a = c.actuator
         if a >= 0 and m.actuator_actnum[a] > 0:
             data.act[m.actuator_actadr[a]] = start.input
@@ -228,6 +232,25 @@ class MujocoPlant:
         found = self.source.found
         ratios = np.array([found.chain.total_ratio(i) for i in range(len(found.chain.bodies))])
         return np.asarray(found.base() @ ratios)
+
+    @cached_property
+    def _behind(self) -> np.ndarray:
+        """Change of every joint (nv, k) per unit of deflection of each coupling; zero of one that the file does not have."""
+        if self.source is None:
+            return np.zeros((self.model.nv, 0))
+        m, base = self.model, self.source.found.base()
+        ratios = [c.ratio for c in self.source.found.chain.couplings]
+        unit = [tuple(float(i == j) for i in range(j + 1)) for j in range(len(ratios))]
+        columns = [base @ Start(deflections=d).of_bodies(ratios)[0] for d in unit]
+        for body in assemble(self.source.axis).chain.bodies[len(ratios) + 1 :]:  # that an effect splits off the last one
+            column = np.zeros(m.nv)
+            joint = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, body.joint)
+            if joint >= 0:
+                above = int(m.body_jntadr[m.body_parentid[m.jnt_bodyid[joint]]])
+                along = base[m.jnt_dofadr[above], -1] if above >= 0 else 1.0
+                column[m.jnt_dofadr[joint]] = -1.0 if along >= 0 else 1.0
+            columns.append(column)
+        return np.column_stack(columns) if columns else np.zeros((m.nv, 0))
 
     def _check(self, states: np.ndarray, said: list[str], data: Sequence[mujoco.MjData]) -> None:
         """Raise DivergedError with time, element and remedy on a warning, a value that is not finite or a run that stopped."""

@@ -21,7 +21,7 @@ AT_ARM = effect_class("coulomb_friction")(place="arm", torque_Nm=0.1)
 def structure(*effects, chi2=1000.0, n=1000, numbers=0):
     return SimpleNamespace(
         effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=n, ok=True,
-        hypothesis=SimpleNamespace(entries=tuple(range(numbers))), fit=SimpleNamespace(x=None),
+        hypothesis=SimpleNamespace(size=numbers, start_numbers=0), fit=SimpleNamespace(x=None),
     )  # fmt: skip
 
 

@@ -40,15 +40,15 @@ class Entry(SimpleNamespace):
 def structure(*effects, chi2=1000.0, n=1000, numbers=0, criterion=0.0):
     entries = tuple(Entry(owner="", name=f"p{i}") for i in range(numbers))
     return SimpleNamespace(
-        effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=n, criterion=criterion,
-        hypothesis=SimpleNamespace(entries=entries, bounds=(np.full(len(entries), -99.0), np.full(len(entries), 99.0))),
+        effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=n, criterion=criterion, own={},
+        hypothesis=SimpleNamespace(entries=entries, size=numbers, bounds=(np.full(numbers, -99.0), np.full(numbers, 99.0))),
     )  # fmt: skip
 
 
 def search(*structures, residual=None, held=0.5):
     fitter = SimpleNamespace(
         residual=lambda hypothesis: lambda x: residual if x == "start" else None,
-        hypothesis=lambda effects: SimpleNamespace(start="start"),
+        hypothesis=lambda effects, linear, own: SimpleNamespace(start="start"),
         noise=KnownNoise(), nominal=SimpleNamespace(chain=SimpleNamespace(motion=Motion.HINGE)),
     )  # fmt: skip
     fits = {f.key: f for f in structures}
@@ -107,7 +107,7 @@ def test_intervals_of_one_owner_in_si_units():
     entries = [
         Entry(owner="", name="Jm"), Entry(owner="f", name="torque_Nm", scale=twice), Entry(owner="f", name="phase_rad"),
         Entry(owner="f", name="second", recording=1), Entry(owner="f", name="first", recording=0),
-        Entry(owner="f", name="initial_velocity"),
+        Entry(owner="", name="initial_velocity"),
     ]  # fmt: skip
     fitted = SimpleNamespace(
         hypothesis=SimpleNamespace(entries=entries, bounds=(np.full(6, -99.0), np.full(6, 99.0))),

@@ -28,7 +28,7 @@ def structure(*effects, chi2=1000.0, criterion=0.0, ok=True):
     return SimpleNamespace(
         effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=1000, criterion=criterion, ok=ok,
         linear={}, own={},
-        hypothesis=SimpleNamespace(entries=(), bounds=(np.zeros(0), np.zeros(0))), fit=SimpleNamespace(x=np.zeros(0)),
+        hypothesis=SimpleNamespace(entries=(), size=0, bounds=(np.zeros(0), np.zeros(0))), fit=SimpleNamespace(x=np.zeros(0)),
         standard_errors=lambda noise: np.zeros(0),
     )  # fmt: skip
 

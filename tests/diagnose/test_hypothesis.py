@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from diagnose.data.experiment import prepare
 from diagnose.data.scales import PLACES, scales_by_place
 from diagnose.problem.hypothesis import Entry, Hypothesis, make
+from diagnose.problem.start_state import Begin
 from mjsim.effects import NotApplicableError, registered
 from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
@@ -31,7 +32,9 @@ def lay_out(scales, chosen, recordings=1, moving=False, varies=()):
         make(n, p, registered()[n].starts(dataclasses.replace(scales[p], orders=(1.0,), stops=None))[0])
         for n, p in dict.fromkeys(chosen)
     )
-    return Hypothesis.build(AXIS, effects, scales, recordings, (moving,) * recordings, varies=varies)
+    return Hypothesis.build(
+        AXIS, effects, scales, recordings, (Begin(True, 0.3, 1e-4) if moving else Begin(False),) * recordings, varies=varies
+    )
 
 
 @settings(max_examples=80, deadline=None)
@@ -86,11 +89,38 @@ def test_phases_and_named_parameters_belong_to_each_recording(scales):
 
 def test_a_recording_in_motion_starts_with_the_whole_chain_in_motion(scales):
     h = lay_out(scales, (), moving=True)
-    x = h.start.copy()
-    x[-1] = 1.0
-    speeds = h.initial(x, 0)[1]
-    assert speeds[0] > 0
+    angles, speeds = h.initial(h.start, 0)
+    assert speeds[0] == pytest.approx(0.3)
     np.testing.assert_allclose(speeds, speeds[0] * np.array([1, 1 / 118, 1 / 118]))
+    assert not angles.any()
+
+
+def test_each_further_body_starts_with_a_deflection_and_a_rate_of_its_own(scales):
+    h = lay_out(scales, [("extra_flexible_mode", "arm")], moving=True)
+    labels = [e.label for e in h.entries]
+    x = h.start.copy()
+    for name, value in (("deflection2", 0.01), ("deflection_rate3", 0.2)):
+        i = labels.index(f"initial_{name}#0")
+        x[i] = h.entries[i].scaled(value)
+    angles, speeds = h.initial(x, 0)
+    np.testing.assert_allclose(angles, [0, 0, -0.01, -0.01])
+    np.testing.assert_allclose(speeds, [0.3, 0.3 / 118, 0.3 / 118, 0.3 / 118 - 0.2])
+
+
+def test_numbers_of_a_start_are_no_part_of_a_structure_and_have_a_prior(scales):
+    rest, moving = (lay_out(scales, [("extra_flexible_mode", "arm")], moving=m) for m in (False, True))
+    assert moving.size == rest.size == len(rest.entries)
+    assert moving.start_numbers == 7  # the speed, and two of each of three couplings
+    assert moving.prior_terms[0] == rest.prior_terms[0]  # residuals of all structures have one length
+    assert len(moving.prior_terms[1]) == len(rest.prior_terms[1]) + 6
+
+
+def test_the_start_angle_is_free_where_a_torque_depends_on_it(scales):
+    free = [
+        {e.name for e in lay_out(scales, chosen, moving=True).entries if e.of_start} for chosen in ([], [("gravity_load", "arm")])
+    ]
+    assert "initial_angle" not in free[0]
+    assert "initial_angle" in free[1]
 
 
 def test_effects_without_a_place_are_seen():
@@ -107,7 +137,7 @@ def test_start_values_are_clipped_into_their_bounds():
 
 def test_what_is_over_at_the_start_of_a_recording_is_no_drift(scales):
     drift = make("friction_drift", "motor", {"torque_Nm": 0.1, "relative_change": 0.5, "time_constant_s": 1e-3})
-    h = Hypothesis.build(AXIS, (drift,), scales, 1, (False,))
+    h = Hypothesis.build(AXIS, (drift,), scales, 1, (Begin(False),))
     entry = next(e for e in h.entries if e.name == "time_constant_s")
     assert entry.lower == entry.start == pytest.approx(0.02 * scales["motor"].duration)
 
