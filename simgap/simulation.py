@@ -11,9 +11,11 @@ from mjsim.mjcf import Model
 from mjsim.recording import Recording
 
 if TYPE_CHECKING:
+    from diagnose.verdict.reference import Case, Run
     from mjsim.ode import Trajectory
+    from mjsim.plant import Start
 
-__all__ = ["ENGINES", "STARTS", "at_first_sample", "run_servo", "run_torque"]
+__all__ = ["ENGINES", "STARTS", "at_first_sample", "fitted_start", "run_servo", "run_torque"]
 
 ENGINES = ("ode", "mujoco", "literal")
 """ode: the analytic equations; mujoco: MuJoCo with steps that end at events; literal: plain MuJoCo on the file as it is."""
@@ -27,7 +29,8 @@ def run_torque(source: Model, torque: np.ndarray, record: Recording, engine: str
     if engine == "literal":
         from mjsim.mujoco_run import run_signals
 
-        return run_signals(source, torque, record.dt, initial=initial)
+        bodies = len(source.found.chain.bodies)  # one that an effect splits off starts undeflected
+        return run_signals(source, torque, record.dt, initial=None if initial is None else initial[:, :bodies])
     if engine == "mujoco":
         from mjsim import accurate
 
@@ -35,7 +38,8 @@ def run_torque(source: Model, torque: np.ndarray, record: Recording, engine: str
     from mjsim import ode
 
     angle = None if record.angle is None else record.angle[: len(torque)]
-    return ode.simulate(source.axis, torque, record.dt, initial=initial, angle=angle)
+    origin = None if initial is None else 0.0  # it has the angle of the recording
+    return ode.simulate(source.axis, torque, record.dt, initial=initial, angle=angle, origin=origin)
 
 
 def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = False) -> Trajectory:
@@ -62,11 +66,39 @@ def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = Fal
     return free_run(axis, prepare(driven, minimum=2))
 
 
-def at_first_sample(source: Model, record: Recording, start: str) -> np.ndarray:
-    """Angles and velocities (2, n) of the undeflected chain at the first sample.
+def fitted_start(source: Model, record: Recording) -> Start | None:
+    """The start that suits a recording which starts in motion best: angle by its noise, speed, and deflections of the chain.
+
+    By the signal that is compared: the velocity, or the angle where it was not recorded. None for a recording that starts at
+    rest, is too short, or does not move.
+    """
+    from diagnose.verdict.reference import cases_of
+    from diagnose.verdict.start_fit import suited
+
+    try:
+        (case,) = cases_of([record], [])
+    except InputError:
+        return None
+    if not case.moving or case.servo:
+        return None
+    noise = case.spread()[0]
+
+    def of_angle(case: Case, run: Run) -> np.ndarray:
+        return np.asarray((record.column("angle") - run.angle) / noise)
+
+    start, shift = suited(source.axis, case, errors=of_angle if record.velocity is None and noise > 0 else None, locked=True)
+    return None if shift is None else start
+
+
+def at_first_sample(source: Model, record: Recording, start: str | Start) -> np.ndarray:
+    """Angles and velocities (2, n) of the chain at the first sample: of a given start, else undeflected.
 
     ``auto``: at rest or moving as recorded, whichever follows the recording better over its first half second.
     """
+    if not isinstance(start, str):
+        from mjsim.system import assemble
+
+        return start.of_bodies(assemble(source.axis).f[2, :-1].tolist())
     chain = source.axis.chain
     ratios = np.array([chain.total_ratio(i) for i in range(len(chain.bodies))])
     angle = float(record.angle[0]) if record.angle is not None else 0.0

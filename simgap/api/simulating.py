@@ -16,11 +16,12 @@ from mjsim.effects import Effect, NotApplicableError
 from mjsim.errors import InputError, nearest
 from mjsim.mjcf import load_model
 from mjsim.ode import DivergedError, Trajectory
+from mjsim.plant import Start
 from mjsim.quantity import Motion
 from mjsim.recording import Recording
 from simgap.api.model import Model
 from simgap.api.recording import loaded
-from simgap.simulation import ENGINES, STARTS, at_first_sample, run_servo, run_torque
+from simgap.simulation import ENGINES, STARTS, at_first_sample, fitted_start, run_servo, run_torque
 
 __all__ = ["simulate"]
 
@@ -38,7 +39,7 @@ def simulate(
     *,
     effects: Sequence[Effect] = (),
     engine: str = "ode",
-    start: str = "auto",
+    start: str | Start = "auto",
     joint: str | None = None,
 ) -> Recording:
     """Simulate a model of an axis on an input; the result is a `Recording` of the input and the motion.
@@ -47,8 +48,9 @@ def simulate(
     angle 0; or a recording (a file, columns by name, a `Recording`), on whose input the model runs and whose first sample it
     starts from. ``effects``: physics to add to the model, such as ``simgap.effects["backlash"](place="gearbox", gap_rad=1e-3)``.
     ``engine``: ``"ode"`` the analytic equations, ``"mujoco"`` MuJoCo with steps that end at events, ``"literal"`` plain MuJoCo on
-    the file as it is. ``start``: at the first sample of a recording, ``"rest"``, ``"recorded"`` or, by the smaller error,
-    ``"auto"``. Raises `InputError` for an effect that the model has no place for, and for a run that diverges.
+    the file as it is. ``start``: at the first sample of a recording, ``"rest"``, ``"recorded"``, a state, or ``"auto"``: where
+    the recording starts in motion the state that suits all of it best, else that of the first two with the smaller error.
+    Raises `InputError` for an effect that the model has no place for, and for a run that diverges.
 
     >>> import numpy as np
     >>> import simgap
@@ -61,7 +63,7 @@ def simulate(
     np.True_
     """
     for name, value, choices in (("engine", engine, ENGINES), ("start", start, STARTS)):
-        if value not in choices:
+        if isinstance(value, str) and value not in choices:
             raise InputError(name, repr(value), " or ".join(choices), nearest(str(value), choices, "correct it"))
     subject = Model(model)
     given = load_model(subject.path)
@@ -75,6 +77,8 @@ def simulate(
         if servo:
             run = run_servo(given, record, engine, rest=record.source == INPUT)
         else:
+            if start == "auto":
+                start = fitted_start(given, record) or start
             initial = at_first_sample(given, record, start) if record.velocity is not None or record.angle is not None else None
             run = run_torque(given, record.torque, record, engine, initial)
     except DivergedError as error:

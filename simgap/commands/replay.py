@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from mjsim.mjcf import Model
+    from mjsim.plant import Start
     from mjsim.recording import Recording
 
 __all__ = ["command"]
@@ -43,7 +45,8 @@ __all__ = ["command"]
     type=Choice(["auto", "rest", "recorded"]),
     default="auto",
     show_default=True,
-    help="Motion at the first sample: auto chooses rest or the recorded velocity by the error over the first half second.",
+    help="Motion at the first sample. auto: of a recording that starts in motion, the state that suits all of it best, which "
+    "is printed; else rest or the recorded velocity, by the error over the first half second.",
 )
 @click.option("--joint", default=None, help="The joint, of a log that holds several; default: the model's driven one.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -67,6 +70,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     from simgap.api.model import Model
     from simgap.api.recording import loaded
     from simgap.api.simulating import simulate
+    from simgap.simulation import fitted_start
 
     take_file(out)
     if out.suffix and out.suffix.lower() not in WRITERS:
@@ -82,14 +86,16 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     record = loaded(recording, subject, joint=joint)
     assert isinstance(record, Recording)
     servo = source.axis.chain.servo is not None
-    run = simulate(subject, record, engine=engine, start=start)
+    fitted = fitted_start(source, record) if start == "auto" and not servo else None
+    run = simulate(subject, record, engine=engine, start=start if fitted is None else fitted)
     channel = "velocity" if record.velocity is not None and (not servo or record.angle is None) else "angle"
     measured, predicted = record.column(channel), getattr(run, channel)
-    if channel == "angle" and not servo:
+    if channel == "angle" and not servo and fitted is None:
         predicted = predicted + (measured[0] - predicted[0])
     figures = _figures(measured, predicted, recording)
     run.save(out)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
+    result |= {"start": dataclasses.asdict(fitted)} if fitted else {}
     force = _force(source, record) if record.judge == "force" else None
     if force is not None:
         result["force"] = force
@@ -106,6 +112,8 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     click.echo(
         f"{channel}: rms error {figures['rms']:.6g} {unit}, nrmse {figures['nrmse']:.6g}, fit {figures['fit_percent']:.3f} %"
     )
+    for line in _told(fitted, source):
+        click.echo(f"  starts in motion, in the state fitted to the recording: {line}")
     for effect in source.axis.effects:
         click.echo(f"  with {effect.describe(source.axis.chain.motion)}")
     for line in lacks:
@@ -117,6 +125,16 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
             f"torque that the recorded motion needs: relative error {100 * force['relative']:.3f} %, nrmse {force['nrmse']:.6g}"
         )
     click.echo(printable(f"wrote {out}"))
+
+
+def _told(start: Start | None, source: Model) -> list[str]:
+    """A fitted state at the first sample in words; nothing where there is none."""
+    if start is None:
+        return []
+    angle, speed = ("m", "m/s") if source.axis.chain.motion.value == "slide" else ("rad", "rad/s")
+    parts = [f"angle {start.angle:.4g} {angle}", f"velocity {start.velocity:.4g} {speed}"]
+    parts += [f"deflection {d:.3g}" for d in start.deflections] + [f"its rate {v:.3g}" for v in start.rates]
+    return [", ".join(parts)]
 
 
 def _robot(model: Path, recording: Path, out: Path, *, as_json: bool) -> None:

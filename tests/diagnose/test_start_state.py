@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from diagnose.data.experiment import prepare
 from diagnose.data.split import split
@@ -19,6 +21,7 @@ from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis
 from mjsim.plant import ChainPlant, MujocoPlant, Start
 from mjsim.recording import Recording
+from simgap.cli import cli
 
 HUB, LINK, STIFFNESS, DAMPING, VISCOUS = 1.0e-3, 1.5e-3, 0.5, 1e-3, 0.02  # SI, a ruler on a motor
 DT, NOISE = 4e-3, 0.02
@@ -134,6 +137,23 @@ def test_the_phase_of_gravity_does_not_follow_the_noise_of_the_first_angle(tmp_p
         phases.append(f.carried[0].values["phase_rad"])
     assert abs(phases[1] - phases[0]) < 0.001
     assert abs(phases[0]) < SIGMAS * 2.0 * 3e-3 / math.sqrt(500)
+
+
+def test_a_replay_starts_in_the_state_that_suits_the_recording(tmp_path):
+    """It follows a swing to its noise, in the channel that was recorded, and tells where it started."""
+    model, path, r = tmp_path / "pendulum.xml", tmp_path / "swing.csv", swing(1)
+    model.write_text(PENDULUM, encoding="utf-8")
+    np.savetxt(path, np.column_stack([r.time, r.angle]), delimiter=",", header="time_s,angle_rad", comments="")
+    result = CliRunner().invoke(cli, ["replay", str(model), str(path), "--out", str(tmp_path / "out.csv"), "--json"])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.output)
+    assert told["channel"] == "angle"
+    assert told["rms"] <= 1.1 * 3e-3
+    assert told["start"]["velocity"] == pytest.approx(-5.0, abs=0.05)
+    recorded = CliRunner().invoke(
+        cli, ["replay", str(model), str(path), "--out", str(tmp_path / "out.csv"), "--start", "recorded", "--json"]
+    )
+    assert json.loads(recorded.output)["rms"] > 2.0 * told["rms"]
 
 
 TWO = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body>
