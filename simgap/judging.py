@@ -19,8 +19,8 @@ from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, f
 from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator, uncertainties
 from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
+from diagnose.verdict.reference_start import run_surrogate
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, no_better, nominal_stands
-from diagnose.verdict.start_fit import run_surrogate
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.errors import InputError

@@ -73,8 +73,10 @@ def fitted_start(source: Model, record: Recording) -> Start | None:
     rest, is too short, or does not move.
     """
     from diagnose.verdict.reference import cases_of
-    from diagnose.verdict.start_fit import suited
+    from diagnose.verdict.reference_start import suited
 
+    if record.velocity is None and record.angle is None:
+        return None
     try:
         (case,) = cases_of([record], [])
     except InputError:

@@ -34,15 +34,13 @@ from mjsim.system import STEP, assemble, restoring
 __all__ = ["Problem", "Residual", "bounded"]
 
 
-FINITE = 1e100  # beyond it a run has diverged, though its numbers are finite
-
 Residual = Callable[[np.ndarray], np.ndarray | None]
 """A residual vector (N,) of a scaled vector (p,); None where the model cannot be run."""
 
 
-def bounded(values: np.ndarray) -> np.ndarray:
+def bounded(values: np.ndarray | float) -> np.ndarray:
     """Where values are numbers whose squares are: an axis that its fitted numbers make unstable swings up without end."""
-    return np.asarray(np.abs(values) < FINITE)
+    return np.asarray(np.abs(values) < 1e100)
 
 
 @final
@@ -214,7 +212,7 @@ class Problem:
         if experiment.recording.driven:
             return count
         out[count] = s.mean_angle
-        return count + 1 if abs(s.mean_angle) < FINITE else None
+        return count + 1 if bounded(s.mean_angle) else None
 
     def whitened(self, e: np.ndarray, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
         """Weighted, whitened error (M,) and which of it counts: not the samples that the filter reaches past a gap."""

@@ -26,7 +26,6 @@ from mjsim.system import restoring, split_chain
 __all__ = ["ANGLE", "VELOCITY", "Begin", "Free", "free_numbers", "holds_an_angle", "initial", "is_of_start", "slots"]
 
 VELOCITY, ANGLE = "initial_velocity", "initial_angle"
-ANGLES = (0.0, 0.5, 1.0)  # rad | m: a torque whose slope vanishes at all of them does not depend on the angle
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,8 @@ def holds_an_angle(axis: Axis) -> bool:
         return True
     for effect in axis.effects:
         try:
-            if any(restoring(Axis(axis.chain, (effect,)), about).any() for about in ANGLES):
+            # a torque whose slope vanishes at three angles [rad | m] does not depend on the angle
+            if any(restoring(Axis(axis.chain, (effect,)), about).any() for about in (0.0, 0.5, 1.0)):
                 return True
         except (NotApplicableError, ValueError):  # it has no place on this chain, and cannot be run
             continue

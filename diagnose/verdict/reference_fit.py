@@ -18,7 +18,7 @@ import numpy as np
 from diagnose.thresholds import HORIZONS
 from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
 from diagnose.verdict.reference_runs import run_files, run_watched, work_of
-from diagnose.verdict.start_fit import ROUNDS, run_surrogate
+from diagnose.verdict.reference_start import ROUNDS, run_surrogate
 from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import load_model

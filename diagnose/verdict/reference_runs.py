@@ -16,7 +16,7 @@ import numpy as np
 
 from diagnose.thresholds import HORIZONS, SIGMAS
 from diagnose.verdict.reference import Case, Run, judged, noise_level
-from diagnose.verdict.start_fit import OWN_STEP, ROUNDS, Shift, errors_of, suited
+from diagnose.verdict.reference_start import OWN_STEP, ROUNDS, Shift, errors_of, suited
 from mjsim.axis import Axis
 from mjsim.mjcf.joint_limit import with_limit
 from mjsim.mjcf.softness import with_softness

@@ -27,7 +27,7 @@ from diagnose.thresholds import FAR, UNEXPLAINED
 from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files
-from diagnose.verdict.start_fit import run_surrogate
+from diagnose.verdict.reference_start import run_surrogate
 from mjsim.axis import Axis
 from mjsim.chain import Limit
 from mjsim.mjcf import load_model

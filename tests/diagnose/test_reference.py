@@ -330,7 +330,7 @@ def test_numbers_do_not_stand_in_for_what_a_file_lacks(nominal, tmp_path):
 
 def test_along_an_angle_gravity_follows_it_and_else_the_run(nominal):
     """What differs along the same angle is the numerics of a step, whatever a free run makes of the motion."""
-    from diagnose.verdict.start_fit import run_surrogate
+    from diagnose.verdict.reference_start import run_surrogate
 
     axis = load_axis(nominal)  # a pendulum
     (case,) = cases_of([log(text(), 1, 1.0)], [])
