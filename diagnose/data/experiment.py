@@ -279,9 +279,9 @@ def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray,
 def _starts_in_motion(recording: Recording, v: np.ndarray, noise: float, spread: float) -> bool:
     """Whether rest at the first sample cannot be taken for granted.
 
-    By a parabola through the first samples the speed there exceeds its noise and is not negligible; or a torque acts, and the
-    axis does not gain speed along it, as it does from rest: a hidden spring, a weight or friction bears it. Without a drive a
-    motion is not begun from rest either, except by chance.
+    By a parabola through the first samples the speed there exceeds its noise and is not negligible; or the axis gains speed
+    against the torque, as a hidden spring or a weight makes it. Without a drive a motion is not begun from rest either, except
+    by chance.
     """
     if not recording.driven:
         return True
@@ -293,5 +293,5 @@ def _starts_in_motion(recording: Recording, v: np.ndarray, noise: float, spread:
     if abs(start) > 5 * math.sqrt(covariance[0, 0]) + 0.02 * spread:
         return True
     u = recording.input
-    borne = recording.command is None and abs(u[0]) > SMALL * math.sqrt(float(np.mean(u**2)))
-    return bool(borne and not gained * np.sign(u[0]) > 5 * math.sqrt(covariance[1, 1]))
+    acts = recording.command is None and abs(u[0]) > SMALL * math.sqrt(float(np.mean(u**2)))
+    return bool(acts and -gained * np.sign(u[0]) > 5 * math.sqrt(covariance[1, 1]))
