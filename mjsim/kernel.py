@@ -81,7 +81,7 @@ _view: Any = _view_of
 @intrinsic
 def _bounded_of(typingctx: Any, bodies: Any) -> Any:  # pragma: no cover
     """Whether ``bodies`` are floats: a constant of the compiled code, so that axes without limits have none of theirs."""
-    value = isinstance(bodies[0], types.Float)
+    value = isinstance(bodies.dtype, types.Float)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return cgutils.true_bit if value else cgutils.false_bit

@@ -37,6 +37,7 @@ from mjsim.kernel import integrate
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
 from mjsim.mjcf.assets import bring_assets
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
+from mjsim.mjcf.xmltext import decoded
 from mjsim.notices import quiet
 from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
@@ -67,7 +68,7 @@ def mapped_axis(nominal: Axis, diagnosis: Diagnosis) -> Axis | None:
 
 def model_diff(model: Path, corrected: Path) -> str:
     """What the corrected file changes of the nominal one, as a unified diff."""
-    before, after = (p.read_text(encoding="utf-8").splitlines(keepends=True) for p in (model, corrected))
+    before, after = (decoded(p.read_bytes())[0].splitlines(keepends=True) for p in (model, corrected))
     return "".join(difflib.unified_diff(before, after, model.name, corrected.name, n=1))
 
 

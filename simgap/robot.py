@@ -30,7 +30,7 @@ from mjsim.robot.inertia import SIZE
 from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording, joints_in_table, joints_named, load_robot_recording
 from mjsim.robot.rows import mujoco_torque
-from mjsim.robot.write import write_robot
+from mjsim.robot.write import check_writable, write_robot
 
 if TYPE_CHECKING:
     from diagnose.robot.servos.pipeline import ServoOutcome
@@ -129,9 +129,11 @@ def diagnose_robot_recordings(
     there = next(p for p in (out, *out.resolve().parents) if p.exists())
     if not there.is_dir():
         raise InputError(out, f"{there.name!r} is a file", "a folder", "choose another --out")
+    servos = by_servo(robot, [*recordings, *held_out])
+    check_writable(model, robot, links=not servos)
     log = checked(robot, [*recordings, *held_out], accept_log)
     corrected = out / "corrected.xml"
-    if by_servo(robot, [*recordings, *held_out]):
+    if servos:
         from diagnose.robot.servos.pipeline import diagnose_servos
 
         found = diagnose_servos(robot, recordings, held_out, options, say)

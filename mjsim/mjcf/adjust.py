@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
-from mjsim.mjcf.compile import compile_file
+from mjsim.mjcf.compile import save_compiled
 from mjsim.mjcf.custom import Carried, Edit
 from mjsim.mjcf.xmltext import Node, XmlText
 
@@ -52,7 +50,7 @@ def adjust(path: Path, edits: Sequence[Edit], comment: str = "") -> None:
     Kinds: option, joint, tendon. ``comment`` is put before the carried text. The file is replaced once MuJoCo has loaded it.
     Raises InputError where an element is not there under its name.
     """
-    xml = XmlText(path.read_text(encoding="utf-8"))
+    xml = XmlText.read(path)
     node = _carrying(xml)
     if node is None:
         raise InputError(path, "carries no correction", "a file that `simgap diagnose` wrote", "write it first")
@@ -75,7 +73,7 @@ def adjust(path: Path, edits: Sequence[Edit], comment: str = "") -> None:
     xml.insert_before(before, [*([f"<!-- {comment} -->"] if comment else []), *lines])
     stale = [n for n in xml.root.walk() if n.tag == "text" and n.attributes.get("name") == custom.NAME][-1]
     xml.remove(stale)
-    _replace(path, xml.text)
+    save_compiled(xml.raw, path)
 
 
 def _carrying(xml: XmlText) -> Node | None:
@@ -101,14 +99,3 @@ def _element(xml: XmlText, path: Path, kind: str, name: str) -> Node:
     if found is None:
         raise InputError(path, f"{kind} {name!r} is not in this file", "elements with names, in one file", "name it")
     return found
-
-
-def _replace(path: Path, text: str) -> None:
-    part = path.with_name(f".{path.name}.part.xml")
-    try:
-        part.write_text(text, encoding="utf-8")
-        compile_file(part)
-        os.replace(part, path)
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)

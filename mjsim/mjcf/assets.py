@@ -35,7 +35,7 @@ def bring_assets(path: Path) -> None:
     The model then loads wherever its folder is moved, and reads nothing outside. Files of the same name keep it, each in a folder
     of its own. Raises InputError where the model does not load afterwards, OSError where a copy cannot be written.
     """
-    xml, home = XmlText.read(path.read_bytes()), path.resolve().parent
+    xml, home = XmlText.read(path), path.resolve().parent
     files = {(i, key): _place(xml, node, key, home) for i, node in enumerate(xml.root.walk()) for key in _names(node)}
     if all(f is None or f.is_relative_to(home) for f in files.values()):
         return

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -53,7 +52,7 @@ class MjcfEditor:
     def __init__(self, path: Path, found: Found) -> None:
         self.path = path
         self.found = found
-        self.xml = _parsed(path)
+        self.xml = XmlText.read(path)
         self.added: list[tuple[str, str]] = []
         self.ignored: list[str] = []
         self.undo: list[tuple[str, str, str, str | None]] = []
@@ -221,15 +220,6 @@ class MjcfEditor:
     def relocate(self, out: Path) -> None:
         """Keep file references valid when the copy stands in another directory."""
         relocate(self.xml, self.path, out)
-
-
-def _parsed(path: Path) -> XmlText:
-    try:
-        return XmlText.read(path.read_bytes())
-    except expat.ExpatError as error:
-        raise InputError(
-            path, f"not well-formed XML ({error})", "XML whose special characters are escaped", "write & as &amp;, < as &lt;"
-        ) from None
 
 
 def _same(a: str, b: str) -> bool:

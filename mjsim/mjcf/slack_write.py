@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from mjsim.effects.native import LooseLink
 from mjsim.mjcf.editor import MjcfEditor, element, number, row, stiffest
 from mjsim.mjcf.linear import LinearWriter
@@ -15,6 +17,7 @@ SLACK_ARMATURE = 5e-4  # largest inertia of a free node [kg m^2 | kg], and its p
 SLACK_SHARE = 2e-4
 CLOSED = 1e-9  # [rad | m], of a gap that is closed: MuJoCo wants a range that is not empty
 IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
+TILT = 1e-9  # [rad], of the added slides: see `_tilted`
 NOT_ONE_JOINT = "its angle is not one joint's"
 
 
@@ -45,7 +48,9 @@ def loosen_link(editor: MjcfEditor, linear: LinearWriter, value: LooseLink) -> s
         return "no body hangs on its joint"
     linear.share(value.body, joint, value.inertia)
     index = editor.model.joint(joint).id
-    place, axis = (row(list(v[index])) for v in (editor.model.jnt_pos, editor.model.jnt_axis))
+    turns = editor.chain.motion.value == "hinge"
+    direction = editor.model.jnt_axis[index] if turns else _tilted(editor.model.jnt_axis[index])
+    place, axis = row(list(editor.model.jnt_pos[index])), row(list(direction))
     same = {"type": editor.chain.motion.value, "pos": place, "axis": axis}
     slack, contact = (editor.fresh("joint", f"{joint}_{what}") for what in ("slack", "contact"))
     spring = {"stiffness": number(value.stiffness), "damping": number(value.damping)}
@@ -59,3 +64,14 @@ def loosen_link(editor: MjcfEditor, linear: LinearWriter, value: LooseLink) -> s
     lighter = min(value.inertia, linear.target.bodies[value.body].inertia - value.inertia)
     limit_slack(editor, slack, value.width, lighter, value.damping)
     return ""
+
+
+def _tilted(axis: np.ndarray) -> np.ndarray:
+    """An axis (3,) turned by `TILT`, so that it lies on no axis of its body.
+
+    MuJoCo takes a body of slides along axes of its frame for a "simple" one, whose inertia matrix is diagonal; of two slides
+    along one axis it is not.
+    """
+    aside = np.zeros(3)
+    aside[int(np.argmin(np.abs(axis)))] = TILT
+    return axis + aside

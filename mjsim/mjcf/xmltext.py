@@ -7,12 +7,14 @@ import re
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+from mjsim.errors import InputError
 from mjsim.mjcf.tags import with_plain_comments
 
-__all__ = ["Node", "XmlText"]
+__all__ = ["Node", "XmlText", "decoded"]
 
 
 @dataclass
@@ -47,6 +49,20 @@ class Node:
         return next((c for c in self.children if c.tag == tag), None)
 
 
+def decoded(raw: bytes) -> tuple[str, str]:
+    """The text of an XML file and its encoding: UTF-8, else the encoding that it declares, else Latin-1."""
+    declared = re.match(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.-]+)["']""", raw)
+    names = ["utf-8-sig" if raw.startswith(codecs.BOM_UTF8) else "utf-8", "latin-1"]
+    if declared:
+        names.insert(1, declared[1].decode())
+    for name in names:
+        try:
+            return raw.decode(name), name
+        except (UnicodeDecodeError, LookupError):
+            continue
+    raise AssertionError("Latin-1 decodes any bytes")
+
+
 class XmlText:
     """A well-formed XML text, but for ``--`` in its comments, and its elements, parsed anew after each edit."""
 
@@ -56,18 +72,14 @@ class XmlText:
         self.root = self._parse()
 
     @classmethod
-    def read(cls, raw: bytes) -> XmlText:
-        """The text of a file: UTF-8, else the encoding that it declares, else Latin-1. Raises ExpatError."""
-        declared = re.match(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.-]+)["']""", raw)
-        names = ["utf-8-sig" if raw.startswith(codecs.BOM_UTF8) else "utf-8", "latin-1"]
-        if declared:
-            names.insert(1, declared[1].decode())
-        for name in names:
-            try:
-                return cls(raw.decode(name), name)
-            except (UnicodeDecodeError, LookupError):
-                continue
-        raise AssertionError("Latin-1 decodes any bytes")
+    def read(cls, path: Path) -> XmlText:
+        """The text of a file, decoded as `decoded` says. Raises InputError where it is not well-formed."""
+        try:
+            return cls(*decoded(path.read_bytes()))
+        except expat.ExpatError as error:
+            raise InputError(
+                path, f"not well-formed XML ({error})", "XML whose special characters are escaped", "write & as &amp;, < as &lt;"
+            ) from None
 
     @property
     def raw(self) -> bytes:

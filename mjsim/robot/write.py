@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,7 +26,7 @@ from mjsim.robot.inertia import to_body
 from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.write_servo import NewServo, write_servos
 
-__all__ = ["CUSTOM", "carried_effects", "write_robot"]
+__all__ = ["CUSTOM", "carried_effects", "check_writable", "write_robot"]
 
 CUSTOM = "simgap_robot"
 STEP_RATE = 1.0  # over the timestep: how fast a stiff frictionloss acts on velocity
@@ -49,7 +50,7 @@ def write_robot(
     `carried_effects`; servos: actuators to change. Raises InputError where the file cannot be written, or holds a link or
     joint in an included file.
     """
-    xml = XmlText(source.read_text(encoding="utf-8"))
+    xml = XmlText.read(source)
     model = robot.model
     for at, body in enumerate(robot.links):
         if not np.allclose(links[at], robot.nominal[at] - robot.fixed[at], rtol=1e-12, atol=1e-300):
@@ -67,7 +68,19 @@ def write_robot(
     if effects:
         xml.append(xml.root, _custom(effects))
     relocate(xml, source, out)
-    save_compiled(xml.text.encode(), out, load_robot)
+    save_compiled(xml.raw, out, load_robot)
+
+
+def check_writable(source: Path, robot: Robot, *, links: bool) -> None:
+    """Dry run of `write_robot` into a temporary folder: every joint, and with ``links`` every link that has a mass of its own.
+
+    Raises InputError, which says what cannot be written and why.
+    """
+    own = robot.nominal - robot.fixed
+    heavy = own[:, :1] > 0.0 if links else np.zeros((len(own), 1), bool)
+    joints = {name: {"armature": 0.01, "damping": 0.01, "frictionloss": 0.01} for name in robot.joints}
+    with tempfile.TemporaryDirectory() as work:
+        write_robot(source, robot, Path(work) / source.name, np.where(heavy, 1.01 * own, own), joints, [])
 
 
 def carried_effects(path: Path) -> list[dict[str, Any]]:
