@@ -7,8 +7,8 @@ in the parameters. Laws are called by address (`mjsim.effects.law`), so that one
 Where the axis is affine between events (``affine``), a whole step is one product with the matrix exponential of the mode, kept
 for each mode that occurs; the matrices are read off the same rates, and RK4 only lands on events.
 
-``bodies``: a tuple of n zeros, floats where body 0 has limits, else integers; length and kind are constants of the compiled
-code, so that every loop over bodies unrolls.
+``bodies``: n zeros, floats where body 0 has limits, else integers; kind, and of a tuple the length, are constants of the compiled
+code, so that every loop over bodies unrolls; an array of any length has one code (`mjsim.system.UNROLLED`).
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward

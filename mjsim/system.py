@@ -15,11 +15,12 @@ from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, RATE, STATE, Law
 from mjsim.servo import Target
 
-__all__ = ["LIMIT", "MOST_STEPS", "SLIDES", "STEP", "TURNS", "System", "assemble", "restoring", "split_chain"]
+__all__ = ["LIMIT", "MOST_STEPS", "SLIDES", "STEP", "TURNS", "UNROLLED", "System", "assemble", "restoring", "split_chain"]
 
 STEP = 0.12  # angle [rad] by which the fastest motion of a model with events may turn in a step
 SLIDES = 4.0  # times a bristle settles within a step, past which it only slides: the spring that it is at rest is not there
 TURNS = 2.0  # times the change of a velocity in a step, below which the velocity may pass zero in it
+UNROLLED = 3  # bodies up to which each length has code of its own; longer chains share one (docs/decisions/kernel.md)
 MOST_STEPS = 64  # of the accuracy rule in a sample
 
 _Element = P.Twist | P.CouplingTorque | P.BodyTorque | P.BodyInertia | P.Friction
@@ -68,9 +69,10 @@ class System:
         return bool((self.elements[:, 0] == _SOFT).any())
 
     @property
-    def bodies(self) -> tuple[float, ...]:
-        """What stands for the bodies in `mjsim.kernel`: zeros (n,), floats where body 0 has limits."""
-        return (0.0,) * self.n if len(self.elements) and self.elements[-1, 0] == LIMIT else (0,) * self.n
+    def bodies(self) -> tuple[float, ...] | np.ndarray:
+        """Zeros (n,) that stand for the bodies in `mjsim.kernel`: floats where body 0 has limits; up to `UNROLLED` a tuple."""
+        zero = 0.0 if len(self.elements) and self.elements[-1, 0] == LIMIT else 0
+        return (zero,) * self.n if self.n <= UNROLLED else np.full(self.n, zero)
 
     @property
     def limit(self) -> Limit | None:

@@ -137,6 +137,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; bad input is one line on standard error and exit 2, no traceback."""
+    open_closed_streams()
     gc.set_threshold(*COLLECT)
     atexit.register(gc.freeze)  # without it the interpreter scans every object once more as it ends, which takes half a second
     defer_rendering(os.environ)
@@ -172,10 +173,23 @@ def _ended() -> int:
     """The exit code of the command, also where SIGTERM made it exit by itself."""
     try:
         return _outcome()
-    except SystemExit:
-        if not _Termination.asked:
-            raise
-        return _tell("terminated", TERMINATED)
+    except SystemExit as ended:
+        if _Termination.asked:
+            return _tell("terminated", TERMINATED)
+        if isinstance(ended.__context__, BrokenPipeError):  # by which rich ends the process with code 1
+            return CLOSED
+        raise
+
+
+def open_closed_streams() -> None:
+    """Open the null device in place of standard streams that are closed (``>&-``): the next file would take their descriptors."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(descriptor, "r" if name == "stdin" else "w", encoding="utf-8", closefd=False))  # noqa: SIM115 -- open to the end
 
 
 def defer_rendering(environ: MutableMapping[str, str]) -> None:

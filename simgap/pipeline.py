@@ -41,6 +41,7 @@ from mjsim.mjcf.xmltext import decoded
 from mjsim.notices import quiet
 from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
+from mjsim.system import UNROLLED
 from simgap.either_numerics import by_either_numerics
 from simgap.either_view import by_motion_too
 from simgap.following import following
@@ -282,11 +283,14 @@ _COMPILE = f"import sys; sys.path[:] = sys.argv[2:]; from {load_kernel.__module_
 
 
 def _load_kernels(bodies: int) -> None:
-    """Load the simulation of an axis; where it must be compiled, that of one with a further mode is, by a process beside it."""
+    """Load the simulation of an axis; where it must be compiled, that of one with a further mode is, by a process beside it.
+
+    Chains of more than `UNROLLED` bodies share their code with those of a further mode.
+    """
     beside: list[subprocess.Popen[bytes]] = []
 
     def begin() -> None:
-        if sys.executable and not getattr(sys, "frozen", False) and kept_at(integrate) is not None:
+        if bodies <= UNROLLED and sys.executable and not getattr(sys, "frozen", False) and kept_at(integrate) is not None:
             with contextlib.suppress(OSError):  # no process can be had
                 beside.append(
                     subprocess.Popen([sys.executable, "-c", _COMPILE, str(bodies + 1), *sys.path], stderr=subprocess.DEVNULL)

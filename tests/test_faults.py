@@ -43,16 +43,29 @@ def test_a_scenario_of_the_same_name_as_its_log(simgap):
     refused(simgap("run", "step.toml", "--out", "."), "would overwrite", "step.toml")
 
 
-@pytest.mark.parametrize("words", [("run", "--list"), ("effects", "--json")])
-def test_a_reader_that_goes_away(words):
+@pytest.mark.parametrize("words", [("run", "--list"), ("effects", "--json"), ("check", "log.csv", "--model", "robot_axis1")])
+def test_a_reader_that_goes_away(tmp_path, words):
     """A pipe without a reader ends the command as SIGPIPE would, and quietly."""
-    with command(*words) as process:
+    recording(tmp_path / "log.csv")
+    with command(*words, cwd=tmp_path) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
         err = process.stderr.read()
         assert process.wait(60) == cli.CLOSED
     assert err == ""
+
+
+@pytest.mark.parametrize("closed", [(1,), (0, 1, 2)], ids=["output", "all"])
+def test_standard_streams_that_are_closed(tmp_path, closed):
+    """Results go to their files; no file takes the descriptor of a stream."""
+    recording(tmp_path / "log.csv")
+    words = ("replay", "robot_axis1", "log.csv", "--out", "p.csv")
+    with command(*words, cwd=tmp_path, preexec_fn=lambda: [os.close(number) for number in closed]) as process:
+        _, err = process.communicate(timeout=300)
+    assert process.returncode == 0
+    assert all("compiling" in line for line in err.splitlines()), err
+    assert (tmp_path / "p.csv").read_text().startswith("time_s,")
 
 
 def test_control_characters_do_not_reach_the_terminal(simgap):

@@ -122,7 +122,7 @@ def _compiled() -> dict[str, Any]:
 
 
 def compile_all() -> None:
-    """Compile the simulation of axes of one to four bodies, and keep it on disk; tells each on standard error."""
+    """Compile the simulation of axes of one to four bodies, and of more, and keep it on disk; tells each on standard error."""
     import time
 
     from mjsim.ode import load_kernel
