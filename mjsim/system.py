@@ -71,7 +71,7 @@ class System:
     @property
     def bodies(self) -> tuple[float, ...] | np.ndarray:
         """Zeros (n,) that stand for the bodies in `mjsim.kernel`: floats where body 0 has limits; up to `UNROLLED` a tuple."""
-        zero = 0.0 if len(self.elements) and self.elements[-1, 0] == LIMIT else 0
+        zero = 0 if self.limit is None else 0.0
         return (zero,) * self.n if self.n <= UNROLLED else np.full(self.n, zero)
 
     @property
@@ -110,9 +110,9 @@ class System:
 
     def steps(self, dt: float, max_speed: float, target: float = STEP) -> tuple[int, int]:
         """Steps per sample while the bristles at bodies slide, and into how many parts one is cut while they hold."""
-        if self.sliding == self.omega:
-            return self.substeps(dt, max_speed, target), 1
         most = self.substeps(dt, max_speed, target)
+        if self.sliding == self.omega:
+            return most, 1
         n = dataclasses.replace(self, omega=self.sliding).substeps(dt, max_speed, target)
         return n, math.ceil(most / n)
 
@@ -267,8 +267,7 @@ def _numbers_of(chain: Chain) -> np.ndarray:
 
 def assemble(axis: Axis) -> System:
     """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
-    ports = [port for effect in axis.effects for port in effect.ports(axis.chain)]
-    chain = axis.chain
+    chain, ports = axis.chain, [port for effect in axis.effects for port in effect.ports(axis.chain)]
     for split in [p for p in ports if isinstance(p, P.SplitInertia)]:
         chain = split_chain(chain, split)
         if split.loaded:
@@ -341,7 +340,7 @@ def constant(law: Law, p: tuple[float, ...], direction: float) -> tuple[float, f
     """What the law writes when it is the same for all local quantities but the direction of slip, else None."""
     seen = None
     for values in _PROBES:
-        z, out = list(values), [0.0, 0.0, 0.0]
+        z, out = [*values], [0.0, 0.0, 0.0]
         z[DIRECTION] = direction
         law(z, p, out)
         if seen is not None and seen != (out[0], out[1]):
