@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from diagnose.evidence.conditioning import conditioning_of
 from diagnose.evidence.held_out import compare
-from diagnose.result import Estimate, FitFigures, Verdict
+from diagnose.result import Conditioning, Estimate, FitFigures, Verdict
 from diagnose.robot.laws import law_parameters
 from diagnose.robot.linear import inverse, solved
 from diagnose.robot.options import RobotOptions
@@ -22,7 +23,18 @@ from diagnose.thresholds import EQUIVALENT
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.inertia import NAMES, SIZE
 
-__all__ = ["base_parameters", "changes", "estimates", "figures", "findings", "nominal_solution", "posterior", "refit", "verdict"]
+__all__ = [
+    "base_parameters",
+    "changes",
+    "determined",
+    "estimates",
+    "figures",
+    "findings",
+    "nominal_solution",
+    "posterior",
+    "refit",
+    "verdict",
+]
 
 UNITS = dict(zip(NAMES, ("kg", *["kg m"] * 3, *["kg m^2"] * 6), strict=True))
 KINDS = dict(zip(JOINT_PARAMETERS, (Quantity.INERTIA, Quantity.DAMPING, Quantity.TORQUE, Quantity.STIFFNESS), strict=True))
@@ -131,9 +143,7 @@ def base_parameters(problem: Problem, s: Solution, V: np.ndarray, most: int = 40
     """
     from scipy.linalg import qr
 
-    rows = [problem.grams[j][0] / (float(np.std(problem.fitted[j].measured)) + 1e-300) for j in problem.joints]
-    R0 = np.linalg.qr(np.concatenate(rows), mode="r")
-    _, R, pivot = qr(R0, pivoting=True, mode="economic")
+    _, R, pivot = qr(_regressor(problem), pivoting=True, mode="economic")
     diagonal = np.abs(np.diag(R))
     rank = int(np.sum(diagonal > 1e-6 * diagonal[0]))
     beta = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])
@@ -153,6 +163,17 @@ def base_parameters(problem: Problem, s: Solution, V: np.ndarray, most: int = 40
         unit = UNITS.get(kind) or KINDS[kind].unit(Motion.HINGE)
         out.append(BaseParameter(words, _interval(float(row @ s.theta), error, unit), float(row @ problem.nominal)))
     return tuple(out)
+
+
+def determined(problem: Problem) -> Conditioning:
+    """How many of the robot's own parameters the motion tells apart."""
+    return conditioning_of(_regressor(problem), problem.names)
+
+
+def _regressor(problem: Problem) -> np.ndarray:
+    """The triangular factor (P, P) of the regressor of all joints, each over the spread of its torque."""
+    rows = [problem.grams[j][0] / (float(np.std(problem.fitted[j].measured)) + 1e-300) for j in problem.joints]
+    return np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))
 
 
 def changes(search: Selection) -> tuple[str, ...]:

@@ -226,10 +226,15 @@ def _links(d: RobotDiagnosis) -> str:
     head = ["file", "fitted", "95 % interval", "unit"]
     return (
         '<section id="links"><h2>Inertial parameters</h2><p>What the motion determines are combinations of the links\' parameters; of a single one '
-        "an interval as wide as the prior says that it is not told apart.</p>"
+        f"an interval as wide as the prior says that it is not told apart.{_rank(d)}</p>"
         + f"<details><summary>{len(base)} combinations that are determined</summary>" + _table(["Combination", *head], base, (1, 2, 3)) + "</details>"
         + "<details><summary>Every link</summary>" + _table(["Parameter", *head], rows, (1, 2, 3)) + "</details></section>"
     )  # fmt: skip
+
+
+def _rank(d: RobotDiagnosis) -> str:
+    c = d.conditioning
+    return f" The data tell {c.rank} of {c.numbers} numbers apart." if c is not None else ""
 
 
 def _notes(d: RobotDiagnosis) -> str:

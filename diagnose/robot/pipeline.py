@@ -149,6 +149,7 @@ def _told(
         ),
         search.options.seed, time.perf_counter() - begun,
         {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
+        conditioning=decide.determined(p),
     )  # fmt: skip
 
 

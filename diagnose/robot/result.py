@@ -11,7 +11,7 @@ import numpy as np
 
 from diagnose.check.types import LogCheck
 from diagnose.json_file import write_json
-from diagnose.result import Estimate, FitFigures, Verdict
+from diagnose.result import Conditioning, Estimate, FitFigures, Verdict
 
 __all__ = ["BaseParameter", "JointResult", "RobotDiagnosis", "RobotFinding", "Trace"]
 
@@ -72,7 +72,8 @@ class Trace:
 class JointResult:
     """One joint: verdict and why, findings, errors of the models by force, its own parameters, refusals, traces.
 
-    remains: part of the held-out squared error that a black-box model predicts, and its p-value.
+    remains: part of the held-out squared error that a black-box model predicts, and its p-value. conditioning: of the numbers
+    of a joint that is fitted by itself.
     """
 
     joint: str
@@ -86,6 +87,7 @@ class JointResult:
     remains: tuple[float, float]
     refusals: tuple[str, ...]
     traces: tuple[Trace, ...] = ()
+    conditioning: Conditioning | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """As in the contract."""
@@ -95,6 +97,7 @@ class JointResult:
             "linear_parameters": {k: v.as_dict() for k, v in self.linear_parameters.items()},
             "nominal_parameters": dict(self.nominal_parameters),
             "remains": {"share": self.remains[0], "p_value": self.remains[1]}, "refusals": list(self.refusals),
+            "conditioning": self.conditioning.as_dict() if self.conditioning is not None else None,
         }  # fmt: skip
 
 
@@ -103,7 +106,7 @@ class RobotDiagnosis:
     """The outcome for a robot; see the contract. changed: in words, what of its own parameters differs from the file.
 
     closed_loop: errors of all joints together in MuJoCo, by joint and recording; picture: HTML of the robot, for the page;
-    log: what the check of the log found.
+    log: what the check of the log found; conditioning: of the robot's own numbers where all joints are fitted together.
     """
 
     verdict: Verdict
@@ -125,6 +128,7 @@ class RobotDiagnosis:
     closed_loop: Mapping[str, Any] | None = None
     picture: str = ""
     log: LogCheck | None = None
+    conditioning: Conditioning | None = None
 
     @property
     def findings(self) -> tuple[RobotFinding, ...]:
@@ -143,6 +147,7 @@ class RobotDiagnosis:
             "linear_parameters": {**own, **{k: v.as_dict() for k, v in self.links.items()}},
             "nominal_parameters": dict(self.nominal_links),
             "base_parameters": [{"combination": b.combination, "nominal": b.nominal, **b.estimate.as_dict()} for b in self.base],
+            "conditioning": self.conditioning.as_dict() if self.conditioning is not None else None,
             "changed": list(self.changed),
             "fit": {**{k: v.as_dict() for k, v in self.fit.items()}, "noise_floor": {"rms": None}},
             "judged_on": {**self.judged_on, "cutoff_hz": self.cutoff_hz},

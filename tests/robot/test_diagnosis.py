@@ -132,6 +132,10 @@ def test_the_folder_holds_what_the_contract_says(rubbing):
     for joint in told["joints"].values():
         assert {"verdict", "findings", "fit", "linear_parameters"} <= set(joint)
         assert {"nominal", "refitted", "corrected", "surrogate"} == set(joint["fit"])
+    conditioning = told["conditioning"]
+    assert conditioning["numbers"] == len(told["nominal_parameters"])
+    assert len(told["base_parameters"]) <= conditioning["rank"] < conditioning["numbers"]
+    assert len(conditioning["undetermined"]) == conditioning["numbers"] - conditioning["rank"]
     assert [r["role"] for r in told["recordings"]] == ["estimation", "held-out"]
     page = (folder / "out" / "report.html").read_text()
     assert "Coulomb friction" in page

@@ -74,6 +74,10 @@ def test_dry_friction_is_named_at_its_joint_and_a_gain_is_a_number(rubbing):
     ]  # fmt: skip
     assert d.joints["joint3"].linear_parameters["kp"].value == pytest.approx(35.0, rel=0.02)
     assert any(line.startswith("kp of joint3: 50 -> 3") for line in d.changed)
+    for joint in d.joints.values():
+        assert joint.conditioning is not None
+        assert joint.conditioning.rank == joint.conditioning.numbers
+        assert 1.0 < joint.conditioning.condition < 1e6
 
 
 def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):

@@ -12,7 +12,7 @@ import numpy as np
 from diagnose.evidence.held_out import compare
 from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotFinding, Trace
-from diagnose.robot.servos.fit import Fit, Number, covariance, fit, slots_of
+from diagnose.robot.servos.fit import Fit, Number, covariance, determined, fit, slots_of
 from diagnose.robot.servos.library import ServoLaw
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.remains import black_box, tells
@@ -111,7 +111,7 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
     result = JointResult(
         p.name, "m" if p.slide else "rad", verdict, _sentence(why, errors[_shown(verdict)], remains, borrowed, p.slide), found,
         errors, own,
-        {**nominal}, remains, refused, tuple(_traces(s, given)),
+        {**nominal}, remains, refused, tuple(_traces(s, given)), determined(p, s.now.fit),
     )  # fmt: skip
     if verdict is Verdict.PARAMETERS_ONLY and _is_met(s, given) and not changed(s, result, scale):
         # no number that can be told differs, and the file leaves noise, or nothing that a black-box model predicts

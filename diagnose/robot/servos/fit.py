@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.evidence.conditioning import conditioning_of
+from diagnose.result import Conditioning
 from diagnose.robot.linear import inverse, solved
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.solve import autocorrelation
@@ -29,6 +31,7 @@ __all__ = [
     "block_weights",
     "counted",
     "covariance",
+    "determined",
     "fit",
     "independent",
     "jacobian",
@@ -254,6 +257,13 @@ def counted(problem: JointProblem, found: Fit, weights: np.ndarray) -> Fit:
     """The fit counted in other weights, its numbers kept."""
     r = np.concatenate([_weighted(problem, found.error, weights), _prior(found.numbers, found.x)])
     return dataclasses.replace(found, weights=weights, sse=float(r @ r))
+
+
+def determined(problem: JointProblem, found: Fit) -> Conditioning:
+    """How many of the fitted numbers the data of the joint tell apart."""
+    part = problem.with_fitted()
+    J = jacobian(part, found.numbers, found.x, found.slots, found.weights[part.rows])
+    return conditioning_of(J[: int(part.fitted.sum())], [n.slot for n in found.numbers])
 
 
 def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
