@@ -36,7 +36,7 @@ from mjsim.mjcf.faithful import (
     write_faithful,
 )
 from mjsim.plant import ChainPlant, MujocoPlant, Start
-from mjsim.plant.settings import mended
+from mjsim.plant.settings import altered, mended
 from mjsim.recording import Recording
 from simgap.found import effect_found
 from simgap.plain_friction import plainer_friction, refit_to_noise
@@ -328,12 +328,14 @@ def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, S
     trial = out.with_name(f".{out.stem}.mended.part.xml")
     try:
         other, better = _write(bench, trial)
-        change = mended(MujocoPlant.load(trial).model, cause.setting.id)
+        model = MujocoPlant.load(trial).model
+        changed = altered(MujocoPlant.load(out).model, model, cause.setting.id)
         gain, p = numerics.gain_of(nominal.cases, runs, better)
-        if change is not None and gain > 0 and p < ALPHA:  # with the setting as it was, at a finer timestep
+        if not changed and gain > 0 and p < ALPHA:  # another setting does
             trial.replace(out)
             return other, better, ()
-        if change is not None:
+        change = mended(model, cause.setting.id)
+        if change is not None and (not changed or _misses(result, nominal.cases, better, MISSES)):
             adjust(trial, change[1])
             better = bench.run(trial)
         gain, p = numerics.gain_of(nominal.cases, runs, better)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjsim.mjcf.custom import Edit
 
-__all__ = ["SETTINGS", "Setting", "mended"]
+__all__ = ["SETTINGS", "Setting", "altered", "mended"]
 
 FRICTION_STEP = 1e-4  # largest timestep at which stiff friction meets the law to 1e-3 (docs/decisions/mjcf.md)
 LIMIT_STEP = 5e-5  # the same for stiff limits
@@ -64,6 +64,21 @@ def mended(model: mujoco.MjModel, setting: str) -> tuple[mujoco.MjModel, list[Ed
     if m.opt.timestep != model.opt.timestep:
         edits.append(("option", "", "timestep", f"{float(f'{m.opt.timestep:.12g}')!r}"))
     return m, edits
+
+
+def altered(model: mujoco.MjModel, other: mujoco.MjModel, setting: str) -> bool:
+    """Whether two models of the same elements differ in a setting: in the impedances of friction or limits, or in how they step.
+
+    The stiffness of a limit may be a number of the model, and is not compared.
+    """
+    match setting:
+        case "soft_friction":
+            names = ("dof_solimp", "tendon_solimp_fri")
+        case "soft_limit":
+            names = ("jnt_solimp",)
+        case _:
+            return bool(model.opt.timestep != other.opt.timestep or model.opt.integrator != other.opt.integrator)
+    return not all(np.array_equal(getattr(model, name), getattr(other, name)) for name in names)
 
 
 def _finer(m: mujoco.MjModel, largest: float) -> None:

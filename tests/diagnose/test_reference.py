@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from functools import partial
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -25,9 +26,9 @@ from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mjcf.adjust import adjust
 from mjsim.mjcf.faithful import Faithful, write_as_author, write_faithful
 from mjsim.plant import MujocoPlant
-from mjsim.plant.settings import mended
+from mjsim.plant.settings import altered, mended
 from mjsim.recording import Recording
-from simgap.judging import _Bench, _soft_or_not
+from simgap.judging import _author_or_mended, _Bench, _soft_or_not
 from simgap.pipeline import diagnose_files
 
 DT, SIGMA = 2e-3, 0.02
@@ -166,6 +167,11 @@ def test_settings_are_mended_in_model_and_file_alike(nominal, tmp_path):
     assert again.opt.timestep == model.opt.timestep == 1e-4
     assert np.allclose(again.dof_solref, model.dof_solref)
     assert np.allclose(again.dof_solimp, model.dof_solimp)
+    as_given = MujocoPlant.load(nominal).model
+    assert altered(as_given, model, "soft_friction")
+    assert altered(as_given, model, "coarse_timestep")
+    assert not altered(as_given, model, "soft_limit")
+    assert not altered(model, again, "soft_friction")
     assert mended(model, "soft_limit") is None
     with pytest.raises(KeyError, match="soft_friction"):
         mended(model, "no_such")
@@ -290,6 +296,30 @@ def test_the_verdict_follows_the_figures(judged):
     assert figures(given.cases, given.engine).held_out_rms > 1.1 * n.held_out_rms
     assert sensitive.verdict is Verdict.UNEXPLAINED
     assert "as given by" in sensitive.summary
+
+
+@pytest.mark.parametrize(("write", "names"), [(write_corrected, ["soft_friction"]), (write_as_author, [])])
+def test_a_setting_is_named_where_a_form_changes_it(nominal, monkeypatch, write, names):
+    """By which form the file follows the recording: with stiff friction, at any timestep, or with the friction that it had."""
+    axis, stiff = load_axis(nominal), text(solver=STIFF)
+    given = compare_nominal(nominal, axis, [log(stiff, 1, 2.0)], [log(stiff, 2, 2.0)], 1)
+    cause = numerics.cause_of(given, 1)
+    result = SimpleNamespace(fit={"corrected": FitFigures(SIGMA, 0.1, SIGMA, 0.1)})
+    axis = axis.with_values({"coulomb_friction@motor.torque_Nm": 0.3501})  # as written, else it is left as it is
+    bench = _Bench(nominal, axis, axis, result, given, nominal.with_name("corrected.xml"), 1)
+
+    def written(bench, out):
+        write_corrected(nominal, axis, out)
+        runs = bench.run(out)
+        write(nominal, axis, out)
+        return Faithful("a form", 0.0, (), write_as_author), runs
+
+    monkeypatch.setattr("simgap.judging._write", written)
+    monkeypatch.setattr("simgap.judging._polished", lambda bench, form, runs: (form, runs))
+    form, runs, found = _author_or_mended(bench, cause)
+    assert form.form == "a form"
+    assert figures(given.cases, runs).held_out_rms == pytest.approx(SIGMA, rel=0.05)
+    assert [f.effect for f in found] == names
 
 
 @pytest.mark.slow
