@@ -23,6 +23,7 @@ from simgap.pipeline import diagnose_files
 
 OUT = Path("out/examples/stiction")
 LEVEL, PEAK = 0.12, 2.0  # [N m], breakaway over sliding
+NOISE = Measurement().velocity_noise  # rms [rad/s]
 
 
 def log(path: Path, seed: int, hz: float) -> None:
@@ -48,7 +49,7 @@ def main(out: Path = OUT) -> tuple[Diagnosis, Diagnosis]:
     files = [first], shipped_model("robot_axis1")
     level = diagnose_files(*files, out / "frictionloss", [second], Options(effects=("coulomb_friction",)), progress=False)
     left = level.fit["corrected"].held_out_rms
-    print(f"Machine: slides at {LEVEL} N m, breaks loose at {PEAK:g} times that. Noise 0.05 rad/s.", flush=True)
+    print(f"Machine: slides at {LEVEL} N m, breaks loose at {PEAK:g} times that. Noise {NOISE:g} rad/s.", flush=True)
     print(f"What frictionloss can do: held-out error {left:.3g} rad/s, {level.verdict.value}.", flush=True)
     result = diagnose_files(*files, out / "report", [second], Options(), progress=False)
     print(f"{result.verdict.value}. {result.summary}")

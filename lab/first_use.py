@@ -98,8 +98,9 @@ def install(folder: Path) -> dict[str, str]:
     subprocess.run(words, check=True)
     (wheel,) = folder.glob("simgap-*.whl")
     venv.create(folder / "env", with_pip=True)
-    subprocess.run([folder / "env/bin/python", "-m", "pip", "install", "-q", f"{wheel}[formats]"], check=True)
-    return shell(folder, folder / "env/bin")
+    environment = shell(folder, folder / "env/bin")  # without PYTHONPATH, by which pip finds what another environment has
+    subprocess.run([folder / "env/bin/python", "-m", "pip", "install", "-q", f"{wheel}[formats]"], env=environment, check=True)
+    return environment
 
 
 def shell(folder: Path, *first: Path) -> dict[str, str]:

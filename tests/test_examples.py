@@ -46,7 +46,9 @@ def test_stiction(tmp_path):
     values = {n: e.value for n, e in result.findings[0].parameters.items()}
     assert values["torque_Nm"] == pytest.approx(module.LEVEL, rel=0.02)
     assert values["peak"] == pytest.approx(module.PEAK, rel=0.05)
-    assert level.fit["corrected"].held_out_rms > 2 * result.fit["corrected"].held_out_rms
+    # simgap's replay has the peak, which plain MuJoCo lacks in corrected.xml
+    assert level.surrogate["corrected"].held_out_rms > 2 * result.surrogate["corrected"].held_out_rms
+    assert result.surrogate["corrected"].held_out_rms == pytest.approx(module.NOISE, rel=0.05)
 
 
 def test_servo_backlash(tmp_path):
