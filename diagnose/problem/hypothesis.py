@@ -104,7 +104,7 @@ class Hypothesis:
         entries = []
         for p in nominal.chain.linear_parameters():
             start = (linear or {}).get(p.name, p.value)
-            scale = abs(p.value) or abs(start) or _fallback_scale(nominal, p.kind, scales)
+            scale = abs(p.value) or abs(start) or _fallback_scale(p.kind, scales)
             gain = p.kind in ("stiffness of the servo", "gain of the servo")
             positive = gain or p.kind in ("inertia", "stiffness", "limit of the servo")
             low, high = (0.1 * scale, 10 * scale) if positive else (-20 * scale, 20 * scale)
@@ -299,7 +299,7 @@ def _scale(quantity: Quantity, value: float, s: Scales) -> float:
     }.get(quantity, 1.0)
 
 
-def _fallback_scale(nominal: Axis, kind: str, scales: Mapping[str, Scales]) -> float:
+def _fallback_scale(kind: str, scales: Mapping[str, Scales]) -> float:
     """Scale of a linear parameter whose nominal value is zero."""
     s = scales["motor"]
     if kind == "zero of the servo":

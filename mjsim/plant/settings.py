@@ -73,12 +73,12 @@ def altered(model: mujoco.MjModel, other: mujoco.MjModel, setting: str) -> bool:
     """
     match setting:
         case "soft_friction":
-            names = ("dof_solimp", "tendon_solimp_fri")
+            pairs = [(model.dof_solimp, other.dof_solimp), (model.tendon_solimp_fri, other.tendon_solimp_fri)]
         case "soft_limit":
-            names = ("jnt_solimp",)
+            pairs = [(model.jnt_solimp, other.jnt_solimp)]
         case _:
             return bool(model.opt.timestep != other.opt.timestep or model.opt.integrator != other.opt.integrator)
-    return not all(np.array_equal(getattr(model, name), getattr(other, name)) for name in names)
+    return not all(np.array_equal(a, b) for a, b in pairs)
 
 
 def _finer(m: mujoco.MjModel, largest: float) -> None:
