@@ -9,6 +9,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -127,7 +128,7 @@ def diagnose_recordings(
 
     ``stretches``: of which long recordings those are parts.
     """
-    options = options or Options()
+    began, options = time.monotonic(), options or Options()
     options = dataclasses.replace(options, by_recording=bool(stretches))
     said = [part.sentence() for part in stretches]
     if not is_whole(model):
@@ -150,8 +151,30 @@ def diagnose_recordings(
     recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
     said += [*alike, *derived, *slower]
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
+    with following(progress, ledger.recalled) as say:
+        nominal, given, result = _searched(model, nominal, recordings, held_out, options, say, ledger)
+        result = dataclasses.replace(
+            result,
+            log=log,
+            notes=(*said, *trend_sentences(stretches, result.friction), *result.notes),
+            stretches=told(stretches, result.friction),
+        )
+        say(Step("write", "corrected.xml stepped by plain MuJoCo, report"))
+        result = _written(result, nominal, model, out, truth, page, given, options.jobs, began)
+    ledger.discard()
+    return result
+
+
+def _searched(
+    model: Path, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
+    say: Callable[[Step], None], ledger: Ledger,
+) -> tuple[Axis, Nominal | None, Diagnosis]:  # fmt: skip
+    """The nominal axis and its file in plain MuJoCo, both as the search compared with them, and what it found.
+
+    Raises InputError for a nominal model whose simulation diverges.
+    """
     try:
-        with following(progress, ledger.recalled) as say, _compiling_told(say):
+        with _compiling_told(say):
             by_motion = recordings[0].velocity is not None or recordings[0].command is not None
             if "force" not in (options.judge, recordings[0].judge) and by_motion and options.jobs > 1:
                 _load_kernels(len(nominal.chain.bodies))
@@ -159,9 +182,8 @@ def diagnose_recordings(
             given = before_search(model, nominal, recordings, held_out, options)
             if given is None:
                 result = diagnose(nominal, recordings, held_out, options, say, ledger)
-                nominal, given, result = by_motion_too(model, nominal, result, recordings, held_out, options, say)
-            else:
-                nominal, given, result = by_either_numerics(given, recordings, held_out, options, say, ledger)
+                return by_motion_too(model, nominal, result, recordings, held_out, options, say)
+            return by_either_numerics(given, recordings, held_out, options, say, ledger)
     except InputError:
         ledger.discard()
         raise
@@ -170,15 +192,6 @@ def diagnose_recordings(
         raise InputError(model, f"its simulation diverges: {error}", "finite numbers", "check inertias and stiffnesses") from None
     finally:
         ledger.close()
-    result = dataclasses.replace(
-        result,
-        log=log,
-        notes=(*said, *trend_sentences(stretches, result.friction), *result.notes),
-        stretches=told(stretches, result.friction),
-    )
-    result = _written(result, nominal, model, out, truth, page, given, options.jobs)
-    ledger.discard()
-    return result
 
 
 def _checked(
@@ -225,9 +238,12 @@ def _usable(
 
 def _written(
     result: Diagnosis, nominal: Axis, model: Path, out: Path, truth: Mapping[str, Any] | None, page: bool,
-    given: Nominal | None = None, threads: int = 1,
+    given: Nominal | None = None, threads: int = 1, began: float | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """Write the folder of a diagnosis, judged by plain MuJoCo where ``given`` says what the nominal file does there."""
+    """Write the folder of a diagnosis, judged by plain MuJoCo where ``given`` says what the nominal file does there.
+
+    ``began``: when the diagnosis did, by the monotonic clock; its seconds are those up to the page.
+    """
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
     result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, corrected, threads)
@@ -238,6 +254,8 @@ def _written(
         write_corrected(model, with_map, mapped, MAP_COMMENT)
         bring_assets(mapped)
     bring_assets(corrected)
+    if began is not None:
+        result = dataclasses.replace(result, seconds=time.monotonic() - began)
     if page:
         from diagnose.report import write_report
 

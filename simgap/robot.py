@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -122,6 +123,7 @@ def diagnose_robot_recordings(
 
     The log is checked first; ``accept_log``: search even where a channel is in another unit or direction.
     """
+    began = time.monotonic()
     if not is_whole(model):
         model = write_whole(model, out / WRITTEN)
         bring_assets(model)
@@ -148,7 +150,7 @@ def diagnose_robot_recordings(
         say("all joints together in MuJoCo")
         result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
     bring_assets(corrected)
-    result = dataclasses.replace(result, log=log, notes=(*_told(log), *result.notes))
+    result = dataclasses.replace(result, log=log, notes=(*_told(log), *result.notes), seconds=time.monotonic() - began)
     if page:
         from diagnose.robot.page import write_page
         from diagnose.robot.picture import picture

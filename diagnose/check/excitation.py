@@ -99,7 +99,7 @@ def excitation(contexts: Sequence[Context], machine: Machine) -> list[Excitation
         out.append(
             Excitation(
                 "position-locked effects", turns >= _PERIODS,
-                f"the angle ranges over {travel:.4g} {unit}, {turns:.3g} turns: laws of {_PERIODS / turns:.3g} cycles a turn up"
+                f"the angle ranges over {travel:.4g} {unit}, {turns:.3g} turns: laws from {_PERIODS / turns:.3g} cycles a turn on"
                 if turns > 0 else "the angle does not move",
             )
         )  # fmt: skip

@@ -31,6 +31,7 @@ def k_step(
 ) -> tuple[tuple[float, float], ...]:
     """(horizon [s], rms error that far ahead on the held-out samples in the view's unit), by the model's own noise model.
 
+    A horizon is a whole number of samples, one at least: of those that are the same number, the first stands for all.
     ``most``: lags of the autoregressive model at most; white noise hides a slow error from a short one.
     """
     every = fitter.view.decimate
@@ -50,14 +51,17 @@ def k_step(
     bic = n * np.log(np.maximum(variance, 1e-300)) + np.log(n) * np.arange(order + 1)
     a, _ = levinson(total / n, int(np.argmin(bic)))
     errors = {id(r.experiment.recording): r.e for r in runs}
-    out = []
+    out: dict[float, float] = {}
     for horizon in horizons:
+        seconds = horizon
         squares, count = 0.0, 0
         for experiment in fitter.held_out:
             error = errors.get(id(experiment.recording))
             if error is None:
                 return ()
-            k = max(1, round(horizon / (experiment.recording.dt * every)))
+            step = experiment.recording.dt * every
+            k = max(1, round(horizon / step))
+            seconds = k * step
             ahead = lfilter([1.0], a, np.concatenate([[1.0], np.zeros(k - 1)]))
             w = lfilter(ahead, [1.0], lfilter(a, [1.0], error))
             keep = fitter.counted(experiment).copy()
@@ -65,5 +69,5 @@ def k_step(
             squares += float(np.sum(w[keep] ** 2))
             count += int(keep.sum())
         if count:
-            out.append((horizon, float(np.sqrt(squares / count))))
-    return tuple(out)
+            out.setdefault(float(f"{seconds:.6g}"), float(np.sqrt(squares / count)))
+    return tuple(out.items())

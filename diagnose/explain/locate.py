@@ -295,5 +295,6 @@ def _state_shares(
         return Place(name, element, float(np.sqrt(np.mean(y**2))), unit, shares[by], by if shares[by] > 0 else "nothing")
 
     places = [place(p, chain.element(p), needed[body], unit) for p, body in table]
-    places.append(place("sensor", chain.velocity_sensor, on.e[counted], "as the channel"))
+    sensor = chain.angle_sensor if fitter.view.channel == "angle" else chain.velocity_sensor
+    places.append(place("sensor", sensor, on.e[counted], "as the channel"))
     return tuple(sorted(out, key=lambda s: -s.share)), tuple(sorted(places, key=lambda p: -p.explained))

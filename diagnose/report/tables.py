@@ -144,7 +144,7 @@ def error_table(d: Diagnosis) -> Markup:
     ahead = list(dict.fromkeys(s for f in d.fit.values() for s, _ in f.ahead))
     columns = [
         Column("Model"), Column(f"Error, estimation [{u}]", numeric=True), Column(f"Error, held out [{u}]", numeric=True),
-        Column("of the spread, held out", numeric=True), *(Column(f"held out, {s} s ahead", numeric=True) for s in ahead),
+        Column("of the spread, held out", numeric=True), *(Column(f"held out, {s:.3g} s ahead", numeric=True) for s in ahead),
         *([Column("× noise floor", numeric=True)] if known else []), Column("Held out, log scale"),
     ]  # fmt: skip
     engine = {f"{k} by the equations": d.surrogate[k] for k in _FILES if k in d.surrogate}

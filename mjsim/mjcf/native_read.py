@@ -205,7 +205,8 @@ def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
     if weight > small:
         if found.chain.motion is not Motion.HINGE:
             raise outside(path, "gravity varies along a slide", "keep the slide straight")
-        yield N.Weight(n - 1, weight, math.atan2(-float(cosine[-1]), -float(sine[-1])))
+        across, along = (0.0 - float(x) if abs(x) > 1e-9 * weight else 0.0 for x in (cosine[-1], sine[-1]))  # else rounding
+        yield N.Weight(n - 1, weight, math.atan2(across, along))
 
 
 def weight_under(found: Found, path: Path, gravity: tuple[float, float, float]) -> N.Weight | None:

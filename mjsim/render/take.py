@@ -132,7 +132,7 @@ def _curves(rig: Rig, torque: np.ndarray, angle: np.ndarray | None, velocity: np
     angle_unit, velocity_unit, torque_unit = rig.unit(rig.joint or 0)
     hinge = angle_unit == "rad"
     return (
-        Curve("torque" if hinge else "force", torque_unit, torque),
+        Curve("torque" if hinge else "force", torque_unit, None if np.isnan(torque).all() else torque),
         Curve("angle" if hinge else "position", angle_unit, angle),
         Curve("velocity", velocity_unit, velocity),
     )

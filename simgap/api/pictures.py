@@ -48,7 +48,7 @@ def of_axis(result: Diagnosis) -> Figure:
     above.set(ylabel=f"{result.channel} [{result.unit}]", title=result.summary)
     above.title.set_wrap(True)
     below.set(xlabel="time [s]", ylabel=f"error [{result.unit}]")
-    above.legend(loc="upper right")
+    figure.legend(*above.get_legend_handles_labels(), loc="outside lower right", ncols=3, frameon=False)
     return figure
 
 
@@ -62,6 +62,6 @@ def of_robot(result: RobotDiagnosis) -> Figure:
         place.plot(trace.time, trace.nominal, color=NOMINAL, label="as given", linewidth=1)
         place.plot(trace.time, trace.corrected, color=CORRECTED, label="corrected", linewidth=1)
         place.set(ylabel=f"{name} [{joint.unit}]", title=joint.verdict.value)
-    axes[0].legend(loc="upper right")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
     axes[-1].set(xlabel="time [s]")
     return figure

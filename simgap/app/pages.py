@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
 from diagnose.report.components import theme_button
 from diagnose.report.document import theme
@@ -69,7 +70,14 @@ def _environment() -> jinja2.Environment:
                                      lstrip_blocks=True)  # fmt: skip
     environment.globals |= {"theme_button": theme_button, "Kind": Kind, "kinds": KINDS, "archive": ARCHIVE, "beside": BESIDE,
                             "most": f"{MOST_UPLOAD >> 20} MiB"}  # fmt: skip
+    environment.filters["code"] = _code
     return environment
+
+
+def _code(text: str) -> Markup:
+    """Text whose parts between backquotes are code."""
+    parts = text.split("`")
+    return Markup("").join(Markup("<code>{}</code>").format(p) if k % 2 else p for k, p in enumerate(parts))
 
 
 @cache

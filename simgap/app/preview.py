@@ -29,7 +29,9 @@ PATIENCE = 30.0  # seconds after which a picture is given up
 PAUSE = 0.2  # seconds between two looks at whether the server ends
 MOST_JOINTS = 8  # of a robot that are drawn
 MOST_KEPT = 64  # pictures in memory: some 50 kB each
-_CHANNELS = (("torque", "corrected"), ("velocity", "refitted"), ("angle", "nominal"))
+_COLOURS = {"torque": "corrected", "velocity": "refitted", "angle": "nominal"}
+_OF_SLIDE = {"torque": ("force", "N"), "velocity": ("velocity", "m/s"), "angle": ("position", "m")}
+_OF_HINGE = {"torque": ("torque", "N m"), "velocity": ("velocity", "rad/s"), "angle": ("angle", "rad")}
 
 
 class Previews:
@@ -146,12 +148,16 @@ def signals_chart(recording: Recording) -> Chart:
     from diagnose.report.figures import unit
     from diagnose.report.plots import Axis, Line, Panel
 
-    panels = []
-    for channel, colour in _CHANNELS:
+    panels, units = [], recording.units
+    slide = units.get("angle") == "m" or units.get("velocity") == "m/s"
+    for channel, (name, known) in (_OF_SLIDE if slide else _OF_HINGE).items():
         values = getattr(recording, channel)
         if values is not None:
-            line = Line("", recording.time, values, colour, 1.1)
-            panels.append(Panel(Axis("time", "s"), Axis(channel, unit(recording.units.get(channel, ""))), (line,)))
+            line = Line("", recording.time, values, _COLOURS[channel], 1.1)
+            in_si = (
+                known if units.get("angle") or units.get("velocity") else ""
+            )  # a torque by a gain has the SI unit of its motion
+            panels.append(Panel(Axis("time", "s"), Axis(name, unit(units.get(channel) or in_si)), (line,)))
     return _chart(recording.source, panels)
 
 

@@ -51,3 +51,13 @@ def test_missing_physics_shows_less_the_nearer_one_looks(pair, robot):
     assert far == pytest.approx(held.rms, rel=0.2)
     right = fitter.fit(fitter.hypothesis((effect("coulomb_friction", torque_Nm=0.05),)))
     assert [e for _, e in k_step(fitter, right)] == pytest.approx([NOISE] * 3, rel=0.06)
+
+
+def test_a_horizon_is_a_whole_number_of_samples(pair, robot):
+    """Of a slow log: the horizons are those that its samples have, each once."""
+    slow = [
+        dataclasses.replace(r, time=r.time[::40], torque=r.torque[::40], velocity=r.velocity[::40], angle=r.angle[::40], dt=0.02)
+        for r in pair(seconds=8.0)
+    ]
+    fitter = fitter_of(robot, *slow)
+    assert [h for h, _ in k_step(fitter, fitter.fit(fitter.hypothesis(())), (0.005, 0.02, 0.05, 0.25))] == [0.02, 0.04, 0.24]

@@ -28,8 +28,9 @@ def low_pass(recording: Recording, machine: Machine, context: Context) -> list[P
             found.append(
                 Problem(
                     name, "low_pass", end, "Hz",
-                    f"The {name} holds nothing above {end:.4g} Hz, {100 * end / nyquist:.0f} % of half the sampling rate: it was "
-                    "filtered, interpolated or simulated without noise, and its noise floor cannot be told by differences.",
+                    f"Above {end:.4g} Hz, {100 * end / nyquist:.0f} % of half the sampling rate, the {name} falls off as behind "
+                    "a filter: it was filtered, interpolated or simulated without noise, or impacts cover its noise. Its noise "
+                    "level is uncertain.",
                     "log the raw channel, or decimate the log to the rate that its content needs", Severity.LIMITS,
                 )
             )  # fmt: skip
