@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+import numpy as np
+
 from ident.bode import Bode, bode, default_frequencies
 from ident.checks import check_clipping, check_moving, check_recording, held_stretch
 from ident.compare import Comparison, compare
@@ -38,6 +40,7 @@ __all__ = ["Identification", "identify"]
 
 BODE_POINTS = 1200
 LEAST_SPECTRUM = 64  # samples of which a spectrum is estimated
+LONGEST = 60_000  # samples that are fitted: standard errors fall by 1/sqrt(N), and the time of a fit grows with N
 
 
 @final
@@ -215,7 +218,9 @@ def identify(
     fraction of Nyquist, None for none; ``phase``: ``"causal"`` or ``"zero-phase"``; ``detrend``: ``"none"``, ``"mean"`` or
     ``"linear"``. ``input``, ``output``: channels, by default torque, and velocity or else angle. ``validate``: a recording that
     the model is simulated on as well; ``level``: the same excitation at another amplitude, which tells whether the response is
-    linear; ``scan``: orders N,N,N,N,nk to choose from by BIC. ``model``: whose TOML file names the columns. Raises `InputError`.
+    linear; ``scan``: orders N,N,N,N,nk to choose from by BIC. ``model``: whose TOML file names the columns. Of more than
+    60,000 decimated samples the contiguous stretch of that length in which the output varies most is fitted, and the model is
+    simulated on all of them. Raises `InputError`.
 
     >>> import numpy as np
     >>> import simgap
@@ -248,7 +253,8 @@ def identify(
 
     raw = read(recording)
     check_recording(raw, structure, decimation.factor, clipping=not accept_clipping)
-    data = prepared(raw)
+    whole = prepared(raw)
+    data, first = _stretch(whole)
     held_out = None if validate is None else prepared(read(validate))
     other = None if level is None else prepared(read(level))
     selection = None
@@ -263,12 +269,30 @@ def identify(
         quiet, loud = sorted((data, other), key=lambda d: float(d.u.std()))
         nonlinear = amplitude_test(quiet, loud)
     band = excited_band(estimate)
+    steps = (*_steps(data, decimate, cutoff, phase, detrend), *_chosen(whole, data, first))
     return Identification(
         estimate, tests, figures, _judged(estimate, tests, figures, raw, nonlinear, other),
         bode(estimate.model, default_frequencies(data.dt, BODE_POINTS, band[0])), band,
-        compare(held_out or data, {str(estimate.model.structure): estimate.model}),
-        _steps(data, decimate, cutoff, phase, detrend), held_out, selection, nonlinear, "" if other is None else other.source,
+        compare(held_out or whole, {str(estimate.model.structure): estimate.model}),
+        steps, held_out, selection, nonlinear, "" if other is None else other.source,
     )  # fmt: skip
+
+
+def _stretch(data: IOData) -> tuple[IOData, int]:
+    """The stretch that is fitted and its first sample: that of the largest output variance."""
+    if len(data) <= LONGEST:
+        return data, 0
+    starts = range(0, len(data) - LONGEST + 1, LONGEST // 2)
+    first = max(starts, key=lambda k: float(np.var(data.y[k : k + LONGEST])))
+    return data.part(first, first + LONGEST), first
+
+
+def _chosen(whole: IOData, data: IOData, first: int) -> tuple[str, ...]:
+    """Which samples are fitted, in words; nothing where all are."""
+    if len(data) == len(whole):
+        return ()
+    begin, end = float(whole.time[first]), float(whole.time[first + len(data) - 1])
+    return (f"fitted to {begin:.6g} to {end:.6g} s, {len(data)} of {len(whole)} samples: there the output varies most",)
 
 
 def _recording(source: Any, model: str | Path | None) -> Recording:

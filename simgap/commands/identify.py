@@ -109,7 +109,8 @@ def command(
     """Fit a Box-Jenkins model to RECORDING and judge its quality.
 
     Decimates both channels with an anti-alias filter, applies the same low-pass of order 8 to both, and fits
-    y = B/F u + C/D e. Writes identification.json, bode.png, residuals.png and identification.html, all or none.
+    y = B/F u + C/D e. Of more than 60,000 decimated samples the stretch of that length in which the output varies most is
+    fitted. Writes identification.json, bode.png, residuals.png and identification.html, all or none.
 
     Example: simgap identify log.csv --out identified/
     """

@@ -174,3 +174,22 @@ def test_lost_samples_are_told(tmp_path, bj_truth):
     np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
     result = run(path, "--out", tmp_path / "out", "--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
     assert "velocity keeps one value for 40 samples from sample 501 on" in " ".join(result.output.split())
+
+
+def test_a_long_recording_is_fitted_where_its_output_varies_most(tmp_path, bj_truth, monkeypatch):
+    """Of 1200 samples the 400 of a louder input; the simulation is of all of them."""
+    import simgap.api.identifying as identifying
+
+    monkeypatch.setattr(identifying, "LONGEST", 400)
+    data = bj_truth.record(1200, 1)
+    quiet = np.where((np.arange(1200) >= 600) & (np.arange(1200) < 1000), 1.0, 0.05)
+    log = {"time_s": data.time, "torque_Nm": quiet * data.u, "velocity_rad_s": quiet * data.y}
+    fitted = identifying.identify(log, orders=(2, 2, 2, 2, 1), decimate=1, cutoff=None)
+    np.testing.assert_array_equal(fitted.estimate.data.y, log["velocity_rad_s"][600:1000])
+    assert len(fitted.comparison.data) == 1200
+    assert fitted.preprocessing[-1].startswith(f"fitted to {data.time[600]:.6g} to {data.time[999]:.6g} s, 400 of 1200 samples")
+    assert "400 of 1200 samples" in fitted.text()
+    monkeypatch.setattr(identifying, "LONGEST", 1200)
+    everything = identifying.identify(log, orders=(2, 2, 2, 2, 1), decimate=1, cutoff=None)
+    assert len(everything.estimate.data) == 1200
+    assert not any("fitted to" in step for step in everything.preprocessing)
