@@ -280,8 +280,8 @@ def _starts_in_motion(recording: Recording, v: np.ndarray, noise: float, spread:
     """Whether rest at the first sample cannot be taken for granted.
 
     By a parabola through the first samples the speed there exceeds its noise and is not negligible; or the axis gains speed
-    against the torque, as a hidden spring or a weight makes it. Without a drive a motion is not begun from rest either, except
-    by chance.
+    against the torque, as an elastic deflection or gravity makes it. Without a drive a motion does not start from rest, except by
+    chance.
     """
     if not recording.driven:
         return True
