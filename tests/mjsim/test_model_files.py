@@ -192,7 +192,7 @@ def test_dashes_in_a_comment(place):
     write_corrected(path, load_axis(path).with_linear({"fm": 2.0}), out)
     assert text in out.read_text()
     load_model(out)
-    assert XmlText.read(path.read_bytes()).text == path.read_text()
+    assert XmlText.read(path).text == path.read_text()
     (place / "model" / "more.xml").write_text(f"<mujocoinclude>{text}<site/></mujocoinclude>")
     whole = write_whole(written(place / "model", world='<include file="more.xml"/>'), place / "model" / "nominal.xml")
     assert "<!-- ====== links ====== -->" in whole.read_text()

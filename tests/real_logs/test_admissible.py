@@ -107,7 +107,7 @@ class _Search:
 
     @staticmethod
     def fitted(effects, chi2=100.0):
-        hypothesis = SimpleNamespace(entries=(), bounds=(np.zeros(0), np.zeros(0)))
+        hypothesis = SimpleNamespace(entries=(), size=0, bounds=(np.zeros(0), np.zeros(0)))
         fit = SimpleNamespace(x=np.zeros(0), status=Status.CONVERGED)
         return SimpleNamespace(
             effects=effects, key=tuple(e.key for e in effects), chi2=chi2, n=100, ok=True, hypothesis=hypothesis, fit=fit,
