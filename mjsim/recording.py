@@ -287,7 +287,7 @@ def _no_response(path: Path, table: Table) -> InputError:
     todo = " (integrate the acceleration to a velocity)" if found else ""
     return InputError(
         path, f"neither velocity nor angle{found}", f"one of {DEFAULT_COLUMNS['velocity']}, {DEFAULT_COLUMNS['angle']}",
-        f"add a column or bind one {_in_binding(path)}{todo}",
+        table.hint or f"add a column or bind one {_in_binding(path)}{todo}",
     )  # fmt: skip
 
 
@@ -334,7 +334,7 @@ def _values(path: Path, table: Table, role: str, channel: Channel, binding: Bind
         off = f"; {DRIVE_OFF}" if role in INPUTS else ""
         raise InputError(
             path, f"no column {channel.column!r} for {role}", f"one of the columns {', '.join(table) or '(none)'}",
-            nearest(channel.column, table, f"rename it, or bind it {_in_binding(path)}{off}"),
+            table.hint or nearest(channel.column, table, f"rename it, or bind it {_in_binding(path)}{off}"),
         )  # fmt: skip
     array = table[channel.column]
     if channel.row is not None:

@@ -6,6 +6,7 @@ A type says what a path is for: a recording or another file that is read, a fold
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -24,6 +25,7 @@ __all__ = [
     "NamedSource",
     "OutputFile",
     "OutputFolder",
+    "complete_effects",
     "model_root",
     "need_file",
     "need_folder",
@@ -51,10 +53,43 @@ class Choice(click.Choice):
             raise click.BadParameter(said, ctx, param) from None
 
 
-def _completed(kind: str, incomplete: str) -> list[CompletionItem]:
+def _completed(kind: str, incomplete: str, names: Iterable[str] = (), *endings: str) -> list[CompletionItem]:
+    """The shell's own completion of files where a path begins so, else the names that do; ``kind``: file or dir.
+
+    Of nothing typed yet: the names, and the files of these endings that stand here.
+    """
     from click.shell_completion import CompletionItem
 
-    return [CompletionItem(incomplete, type=kind)]
+    folder, start = os.path.split(incomplete)
+    fit = [n for n in names if n.startswith(incomplete)]
+    with contextlib.suppress(OSError):
+        there = sorted(n for n in os.listdir(folder or ".") if n.startswith(start))
+        fit = [] if start and there else [n for n in there if fit and n.endswith(endings)] + fit
+    return [CompletionItem(n) for n in fit] or [CompletionItem(incomplete, type=kind)]
+
+
+def _shipped(*, models: bool, scenarios: bool) -> list[str]:
+    names: list[str] = []
+    if scenarios:
+        from mjsim.scenario import shipped_scenarios
+
+        names += shipped_scenarios()
+    if models:
+        from mjsim.models import shipped_models
+
+        names += shipped_models()
+    return names
+
+
+def complete_effects(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Identifiers of effects, after those that stand before the last comma."""
+    from click.shell_completion import CompletionItem
+
+    from mjsim.effects import registered
+
+    before, comma, last = incomplete.rpartition(",")
+    names = dict.fromkeys(cls.name() for cls in registered().values())
+    return [CompletionItem(f"{before}{comma}{n}") for n in names if n.startswith(last)]
 
 
 @final
@@ -84,6 +119,10 @@ class InputPattern(click.ParamType):
     """A pattern of paths, such as ``logs/*/*.csv``; stays a string."""
 
     name = "text"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Files, from which a pattern is made."""
+        return _completed("file", incomplete)
 
 
 @final
@@ -128,6 +167,10 @@ class NamedSource(click.ParamType):
     def __init__(self, *, models: bool = False) -> None:
         self.models = models
 
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Files, or shipped names."""
+        return _completed("file", incomplete, _shipped(models=self.models, scenarios=True), ".toml", ".xml")
+
 
 class ModelFile(click.ParamType):
     """An MJCF file, or a shipped model by name such as ``robot_axis1``; converts to a Path."""
@@ -139,6 +182,10 @@ class ModelFile(click.ParamType):
         from mjsim.models import model_path
 
         return model_path(value)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Files, or names of shipped models."""
+        return _completed("file", incomplete, _shipped(models=True, scenarios=False), ".xml")
 
 
 def model_root(command: Callable[..., Any]) -> Callable[..., Any]:

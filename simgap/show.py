@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from diagnose.check.types import LogCheck, Severity
-from diagnose.result import Diagnosis, FitFigures
+from diagnose.result import Diagnosis, Estimate, FitFigures
 from diagnose.robot.result import RobotDiagnosis
 from simgap.api.diagnosing import Diagnosis as Found
 from simgap.terminal import rich_text
 
-__all__ = ["show_check", "show_diagnosis", "show_found", "show_robot"]
+__all__ = ["estimate_text", "show_check", "show_diagnosis", "show_found", "show_robot"]
 
 
 def show_found(found: Found, out: Path) -> None:
@@ -32,9 +33,7 @@ def show_robot(result: RobotDiagnosis, out: Path) -> None:
     for f in (f for r in result.joints.values() for f in r.findings):
         console.print(f"\n[bold]{escape(f.effect)}[/bold] at {escape(f.joint)}\n  {escape(f.sentence)}")
         for k, e in f.parameters.items():
-            console.print(
-                f"  {escape(k)} = {e.value:.5g} {escape(e.unit)}   95 % {escape(f'[{e.ci95[0]:.5g}, {e.ci95[1]:.5g}]')}"
-            )
+            console.print(f"  {escape(k)} = {escape(estimate_text(e))}")
         if f.equivalents:
             console.print(f"  cannot be told from: {escape(', '.join(f.equivalents))}")
     table = Table("joint", "verdict", "file", "refitted", "corrected", "still predictable", title="Held-out error")
@@ -64,7 +63,7 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     for f in result.findings:
         console.print(f"\n[bold]{f.effect}[/bold] at {f.place} (element {escape(f.element)})\n  {f.sentence}", highlight=False)
         for name, e in f.parameters.items():
-            console.print(f"  {name} = {e.value:.5g} {e.unit}   95 % [{e.ci95[0]:.5g}, {e.ci95[1]:.5g}]", highlight=False)
+            console.print(f"  {name} = {escape(estimate_text(e))}", highlight=False)
         ev = f.evidence
         console.print(
             f"  held-out error {ev['held_out_error_before']:.4g} -> {ev['held_out_error_after']:.4g} {result.unit}, "
@@ -89,6 +88,16 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
     if result.next_experiment:
         console.print(f"Next: {result.next_experiment}")
     console.print(f"Report: {out / 'report.html'}   ({result.seconds:.0f} s)")
+
+
+def estimate_text(e: Estimate) -> str:
+    """Value, unit and 95 % interval, to two digits of the interval's half-width, at least five and at most ten."""
+    half = (e.ci95[1] - e.ci95[0]) / 2
+    size = max(map(abs, (e.value, *e.ci95)))
+    digits = 5
+    if 0 < half < size < math.inf:
+        digits = min(10, max(5, 2 + math.floor(math.log10(size)) - math.floor(math.log10(half))))
+    return f"{e.value:.{digits}g} {e.unit}   95 % [{e.ci95[0]:.{digits}g}, {e.ci95[1]:.{digits}g}]"
 
 
 def _held_out(figures: FitFigures, unit: str) -> str:

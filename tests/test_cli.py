@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
+import os
 import subprocess
 import sys
 import urllib.error
@@ -261,10 +262,50 @@ def test_the_doctor_says_what_is_there_and_what_is_broken(run_cli, monkeypatch):
 
 
 def test_completion_of_a_command_imports_none():
-    import os
-
     code = "from simgap.cli import main; main()"
     environment = os.environ | {"_SIMGAP_COMPLETE": "bash_complete", "COMP_WORDS": "simgap d", "COMP_CWORD": "1"}
     ended = subprocess.run([sys.executable, "-c", f"import sys; sys.argv = ['simgap']; {code}"], capture_output=True, text=True,
                            check=False, env=environment)  # fmt: skip
     assert [line.partition(",")[2] for line in ended.stdout.split()] == [n for n in COMMANDS if n.startswith("d")]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("check a.csv --model pen", ["pendulum"]),
+        ("check a.csv --model own", [""]),  # the shell's own completion of files
+        (
+            "check a.csv --model ''",
+            ["own.xml", "arm3", "arm6", "emps", "kuka_kr300", "kuka_kr300_axis1", "pendulum", "robot_axis1"],
+        ),
+        ("run tutor", ["tutorial"]),
+        ("render robot", ["robot_axis1"]),
+        ("effects backl", ["backlash"]),
+        ("diagnose a.csv --effects torque_offset,backl", ["torque_offset,backlash"]),
+        ("data em", ["emps"]),
+        ("fleet logs", [""]),
+        ("check a.csv --model nothing_such --ou", ["--out"]),
+    ],
+)
+def test_names_and_files_are_completed(words, offered, tmp_path, monkeypatch):
+    import shlex
+
+    from click.shell_completion import ShellComplete
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.xml").write_text("<mujoco/>")
+    *before, typed = shlex.split(words)
+    found = ShellComplete(cli.cli, {}, "simgap", "_SIMGAP_COMPLETE").get_completions(before, typed)
+    assert [item.value if item.type == "plain" else "" for item in found] == offered
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_completion_of_each_shell_is_printed_as_documented(shell):
+    root = Path(__file__).parent.parent
+    assert f"{shell}_source" in (root / "README.md").read_text(encoding="utf-8")
+    code = "import sys; sys.argv = ['simgap']; from simgap.cli import main; main()"
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        env=os.environ | {"_SIMGAP_COMPLETE": f"{shell}_source"},
+    )  # fmt: skip
+    assert f"_SIMGAP_COMPLETE={shell}_complete" in ended.stdout

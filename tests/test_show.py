@@ -8,7 +8,7 @@ import pytest
 
 from diagnose.result import Estimate, FitFigures, Verdict
 from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
-from simgap.show import show_robot
+from simgap.show import estimate_text, show_robot
 
 
 @pytest.mark.parametrize("joint", ["elbow", "[bold]x"])
@@ -43,3 +43,15 @@ def test_a_robot_fits_a_terminal(joint, capsys, monkeypatch):
     assert "missing_physics │ 40.00 %" in said
     assert "[red]a note" in said
     assert max(map(len, said.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("estimate", "said"),
+    [
+        (Estimate(0.1, (0.099, 0.101), "N m"), "0.1 N m   95 % [0.099, 0.101]"),
+        (Estimate(0.0500521511, (0.0500521461, 0.0500521561), "N m"), "0.0500521511 N m   95 % [0.0500521461, 0.0500521561]"),
+        (Estimate(2.0, (2.0, 2.0), ""), "2    95 % [2, 2]"),
+    ],
+)
+def test_an_interval_is_not_printed_as_a_point(estimate, said):
+    assert estimate_text(estimate) == said

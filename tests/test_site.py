@@ -13,6 +13,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from browser import started
 
 from lab.first_use import PAGES, ROOT, run_page, steps
 
@@ -191,6 +192,21 @@ def test_the_site_is_built(tmp_path):
     headings = re.findall(r'<h2 id="([\w-]+)"', (out / "reference" / "effects.html").read_text(encoding="utf-8"))
     assert [h for h in headings if not (out / "reference" / "effects" / f"{h}.png").is_file()] == []
     assert broken_links(out) == []
+    assert found_from_disk(out, "backlash")[0].endswith("reference/effects.html")
+
+
+def found_from_disk(site, word):
+    """Pages that the search of the site finds in Chromium, opened from disk; nothing is asked of the network."""
+    asked = []
+    with started() as browser:
+        page = browser.new_page()
+        page.on("request", lambda r: asked.append(r.url))
+        page.goto((site / "guides" / "ros.html").as_uri())
+        page.fill("input.md-search__input", word)
+        page.wait_for_selector(".md-search-result__item")
+        found = [e.get_attribute("href") for e in page.query_selector_all(".md-search-result__link")]
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+    return found
 
 
 def broken_links(site):

@@ -204,12 +204,16 @@ def _evidence(f: Finding, u: str) -> str:
 
 
 def _better(d: Diagnosis) -> list[tuple[str, str]]:
-    """(structure, held-out error) of rivals that were not chosen although they err materially less on the held-out data."""
-    best = d.fit.get("corrected")
-    if best is None or not d.findings:
-        return []
+    """(structure, held-out error) of rivals of a worse criterion that err materially less on the held-out data.
+
+    Rivals are runs of the engine, and compared with the engine's run of the chosen structure. Those of a better criterion stand
+    among the refusals.
+    """
     chosen = {f"{f.law}@{f.place}" for f in d.findings if f.kind == "physics"}
-    ahead = [r for r in d.rivals if set(r.effects) != chosen and r.held_out_rms < 0.99 * best.held_out_rms]
+    mine = next((r for r in d.rivals if set(r.effects) == chosen), None)
+    if mine is None or not d.findings:
+        return []
+    ahead = [r for r in d.rivals if r.held_out_rms < 0.99 * mine.held_out_rms and r.criterion > mine.criterion]
     return [(structure_name(r.effects), number(r.held_out_rms)) for r in sorted(ahead, key=lambda r: r.held_out_rms)[:3]]
 
 

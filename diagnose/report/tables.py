@@ -15,6 +15,7 @@ from diagnose.report.truth import truth_rows
 from diagnose.report.words import effect_name, linear_name, structure_name
 from diagnose.result import Diagnosis, Estimate, Finding, FitFigures, Refused, Rival
 from diagnose.thresholds import HALVINGS
+from mjsim.effects import effect_class
 
 __all__ = [
     "error_table", "linear_table", "parameter_table", "place_table", "recording_table", "refusal_table", "rival_tables",
@@ -102,11 +103,11 @@ def conditioning_sentence(d: Diagnosis) -> str | None:
 
 def linear_table(d: Diagnosis) -> Markup | None:
     """The nominal model's own numbers, as given and as identified; None when there are none."""
-    numbers: list[tuple[str, str, float | None, Estimate | None]] = [
-        (name, linear_name(name, e.unit), d.nominal_parameters.get(name), e) for name, e in d.linear_parameters.items()
+    numbers: list[tuple[str, str, float | None, Estimate | None, bool]] = [
+        (name, linear_name(name, e.unit), d.nominal_parameters.get(name), e, True) for name, e in d.linear_parameters.items()
     ]
     numbers += [
-        (name, f"{effect_name(n.effect)}, {n.place}", nominal, n.parameters.get(name))
+        (name, f"{effect_name(n.effect)}, {n.place}", nominal, n.parameters.get(name), name in _positive(n.effect))
         for n in d.nominal_effects for name, nominal in n.nominal.items()
     ]  # fmt: skip
     if not numbers:
@@ -116,22 +117,30 @@ def linear_table(d: Diagnosis) -> Markup | None:
         Column("95 % interval", numeric=True), Column("Unit"), Column("Change", numeric=True, wide=True),
     ]  # fmt: skip
     rows = []
-    for name, words, nominal, e in numbers:
+    for name, words, nominal, e, positive in numbers:
         head = Markup("<code>{}</code>").format(name), words if words != name else "", number(nominal)
         if e is None:
             rows.append((*head, "–", "–", "", "not exercised"))
         else:
-            rows.append((*head, estimate(e), interval(e), unit(e.unit), _change(nominal, e)))
+            rows.append((*head, estimate(e), interval(e), unit(e.unit), _change(nominal, e, positive=positive)))
     beside = " together with the findings" if d.findings else ""
     return table(columns, rows, f"The nominal model's numbers, as given and as identified{beside}")
 
 
-def _change(nominal: float | None, e: Estimate) -> Cell:
+def _positive(effect: str) -> set[str]:
+    """Parameters of an effect that its law bounds to be positive."""
+    return {spec.name for spec in effect_class(effect).specs() if spec.lower >= 0}
+
+
+def _change(nominal: float | None, e: Estimate, *, positive: bool) -> Cell:
+    """Relative change of a number; badges where one that is to be positive is not, or may be zero."""
     change = (e.value - nominal) / abs(nominal) if nominal else math.nan
     sign = "+" if change > 0 else "\N{MINUS SIGN}"
-    told = "–" if not math.isfinite(change) else f"{sign}{percent(abs(change))}"
+    told = "–" if not math.isfinite(change) else f"{sign}{percent(abs(change))}".replace(f"{sign}<", "<")
     if nominal is not None and e.ci95[0] <= nominal <= e.ci95[1]:
         told = "as nominal"
+    if not positive:
+        return told
     if e.ci95[1] < 0:
         return Markup("{} {}").format(told, badge("negative", "warn"))
     return Markup("{} {}").format(told, badge("not told from zero", "warn")) if weak(e) else told

@@ -12,6 +12,7 @@ __all__ = ["NAMES", "ROLES", "dof_table", "is_dof"]
 
 ROLES = {"dof_pos": "angle_rad", "des_dof_pos": "command_rad", "dof_vel": "velocity_rad_s", "dof_torque": "torque_Nm"}
 NAMES = ("joint_names", "dof_names")  # members that may name the joints
+HINT = 'the file names no joints: add the member joint_names, or bind each, as [joints.NAME] angle = "dof_pos.0"'
 
 
 def is_dof(shapes: Mapping[str, tuple[int, ...]]) -> bool:
@@ -21,7 +22,10 @@ def is_dof(shapes: Mapping[str, tuple[int, ...]]) -> bool:
 
 
 def dof_table(shapes: Mapping[str, tuple[int, ...]], read: Callable[[str], np.ndarray], names: Sequence[str] | None) -> Table:
-    """Columns ``JOINT.angle_rad`` and so on where the joints are named, ``dof_pos.0`` where they are not; all else as it is."""
+    """Columns ``JOINT.angle_rad`` and so on where the joints are named, ``dof_pos.0`` where they are not; all else as it is.
+
+    One joint without a name has the columns of an axis, ``angle_rad`` and so on.
+    """
     out: dict[str, tuple[int, ...]] = {}
     loaders: dict[str, Callable[[], np.ndarray]] = {}
 
@@ -38,7 +42,11 @@ def dof_table(shapes: Mapping[str, tuple[int, ...]], read: Callable[[str], np.nd
             add(ROLES[member], shape, lambda member=member: read(member))  # type: ignore[misc]
         else:
             named = names is not None and len(names) == shape[1]
+            if not named and shape[1] == 1:
+                add(ROLES[member], (count,), lambda member=member: read(member)[:, 0])  # type: ignore[misc]
+                continue
             for j in range(shape[1]):
                 column = f"{names[j]}.{ROLES[member]}" if named and names is not None else f"{member}.{j}"
                 add(column, (count,), lambda member=member, j=j: read(member)[:, j])  # type: ignore[misc]
-    return Table(out, loaders, by_joint=names is not None)
+    hint = "" if names is not None or "dof_pos.0" not in out else HINT
+    return Table(out, loaders, by_joint=names is not None, hint=hint)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ __all__ = ["episodes", "is_lerobot", "read_lerobot"]
 
 INFO = Path("meta") / "info.json"
 ROLES = {"observation.state": "angle_rad", "action": "command_rad"}
+BOUND = {"command": "action", "angle": "observation.state"}
+TAKEN = ": all values lie within a turn and a half and are taken as radians"
 MOST_RADIANS = 3 * math.pi  # a turn and a half
 MOST_INFO = 2**24  # bytes of meta/info.json
 
@@ -65,12 +68,15 @@ def read_lerobot(folder: Path, episode: int | None) -> Table:
     for name, values in raw.items():
         for joint, column in zip(_names(features[name], values.shape[1]), values.T, strict=True):
             columns[f"{joint}.{ROLES[name]}" if radians else f"{name}.{joint}"] = column
-    told = (
-        "The data set states no unit: all values lie within a turn and a half and are taken as radians."
-        if radians
-        else "The data set states no unit and its values are no radians: bind observation.state.JOINT and action.JOINT."
-    )
-    return Table.of(columns, notes=(f"Episode {episode} of {count}.", told))
+    notes = (f"Episode {episode} of {count}.", f"The data set states no unit{TAKEN if radians else ''}.")
+    return Table.of(columns, notes=notes, hint="" if radians else _hint(folder, columns))
+
+
+def _hint(folder: Path, columns: Iterable[str]) -> str:
+    """What to write for the first joint whose values are no radians."""
+    joint = next(c.removeprefix("observation.state.") for c in columns if c.startswith("observation.state."))
+    channels = ", ".join(f'{role} = {{ column = "{name}.{joint}", unit = "deg" }}' for role, name in BOUND.items())
+    return f"the values are no radians and the data set states no unit: write in {folder.name}.toml, [joints.{joint}] {channels}"
 
 
 def _info(folder: Path) -> dict[str, Any]:

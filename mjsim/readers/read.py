@@ -68,7 +68,7 @@ def read_table(path: Path) -> Table:
     if not table:
         raise InputError(path, "no numeric column", "at least time, torque and one output", "check the file")
     loaders = {name: _column(path, suffix, table, name) for name in table}
-    return Table(table.shapes, loaders, table.notes, by_joint=table.by_joint)
+    return Table(table.shapes, loaders, table.notes, by_joint=table.by_joint, hint=table.hint)
 
 
 def _rosbag2(folder: Path) -> Table:

@@ -31,22 +31,25 @@ class Table(Mapping[str, np.ndarray]):
     """Columns (N,) or matrices (rows, N) of float64 by name, in the order of the file.
 
     shapes: the shape of each, known before it is read. loaders: what reads it. An array is read once. notes: what was guessed or
-    changed in reading, in sentences. by_joint: whether ``_rad`` and ``_Nm`` in names mean metres and newtons on slides.
+    changed in reading, in sentences. by_joint: whether ``_rad`` and ``_Nm`` in names mean metres and newtons on slides. hint:
+    what to write where the columns do not have the default names.
     """
 
     def __init__(
         self, shapes: Mapping[str, tuple[int, ...]], loaders: Mapping[str, Callable[[], np.ndarray]],
-        notes: tuple[str, ...] = (), *, by_joint: bool = False,
+        notes: tuple[str, ...] = (), *, by_joint: bool = False, hint: str = "",
     ) -> None:  # fmt: skip
         self.shapes = dict(shapes)
-        self.notes, self.by_joint = notes, by_joint
+        self.notes, self.by_joint, self.hint = notes, by_joint, hint
         self._loaders = dict(loaders)
         self._arrays: dict[str, np.ndarray] = {}
 
     @classmethod
-    def of(cls, arrays: Mapping[str, np.ndarray], notes: tuple[str, ...] = (), *, by_joint: bool = False) -> Table:
+    def of(
+        cls, arrays: Mapping[str, np.ndarray], notes: tuple[str, ...] = (), *, by_joint: bool = False, hint: str = ""
+    ) -> Table:
         """A table of arrays that are read already."""
-        table = cls({name: a.shape for name, a in arrays.items()}, {}, notes, by_joint=by_joint)
+        table = cls({name: a.shape for name, a in arrays.items()}, {}, notes, by_joint=by_joint, hint=hint)
         table._arrays = dict(arrays)
         return table
 

@@ -203,7 +203,7 @@ def _by_name(path: Path, table: Table, robot: Robot, notes: list[str]) -> dict[s
     if not given:
         raise InputError(
             path, "no column of a joint", f"columns such as {robot.joints[0]}.angle_rad",
-            f"rename them, or bind them by [joints.{robot.joints[0]}] in {path.with_suffix('.toml').name}",
+            table.hint or f"rename them, or bind them by [joints.{robot.joints[0]}] in {path.with_suffix('.toml').name}",
         )  # fmt: skip
     return given
 

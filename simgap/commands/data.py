@@ -175,7 +175,7 @@ def files_of(data_set: DataSet, source: Path | None = None, to: Path | None = No
 
 
 @click.command("data", epilog="Example: simgap data emps --from downloads/")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=lambda _, __, typed: [n for n in DATA_SETS if n.startswith(typed)])
 @click.option(
     "--from", "source", type=click.Path(path_type=Path), help="Folder that holds a local copy (searched with its subfolders)."
 )

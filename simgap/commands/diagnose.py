@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, model_root, spare_inputs, take_folder
+from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, complete_effects, model_root, spare_inputs, take_folder
 
 __all__ = ["command"]
 
@@ -26,7 +26,12 @@ __all__ = ["command"]
     type=Choice(["motion", "force"]),
     help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says.",
 )
-@click.option("--effects", default="", help="Consider only these effects: identifiers with commas (simgap effects lists them).")
+@click.option(
+    "--effects",
+    default="",
+    shell_complete=complete_effects,
+    help="Consider only these effects: identifiers with commas (simgap effects lists them).",
+)
 @click.option(
     "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
 )

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from simgap.arguments import complete_effects
+
 if TYPE_CHECKING:
     from mjsim.effects import Effect, ParameterSpec
 
@@ -87,7 +89,7 @@ def _bounds(parameter: dict[str, Any]) -> str:
 
 
 @click.command("effects", epilog="Example: simgap effects backlash")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=complete_effects)
 @click.option("--json", "as_json", is_flag=True, help="Print the library, or the effect, as JSON.")
 def command(name: str | None, as_json: bool) -> None:
     """List the effects that a diagnosis can name, or describe the effect NAME.

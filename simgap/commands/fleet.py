@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import InputPattern, ModelFile, OutputFolder, model_root, take_folder
+from simgap.arguments import InputPattern, ModelFile, OutputFolder, complete_effects, model_root, take_folder
 
 __all__ = ["command"]
 
@@ -23,7 +23,9 @@ __all__ = ["command"]
 @click.option("--memory", default="auto", show_default=True, help="Memory limit of each of them, as 2GB.")
 @click.option("--robot", default="", help="Regular expression with (?P<robot>...), and maybe (?P<date>...), for the path "
               "of a recording; default: the robot is the name of the folder.")  # fmt: skip
-@click.option("--effects", default="", help="Consider only these effects: identifiers with commas.")
+@click.option(
+    "--effects", default="", shell_complete=complete_effects, help="Consider only these effects: identifiers with commas."
+)
 @click.option("--joint", "joints", multiple=True, help="The joints to diagnose (repeatable); default: all that move.")
 @click.option(
     "--effort", default=1.0, show_default=True, type=click.FloatRange(0.0), help="Limit of the simulations, as for diagnose."

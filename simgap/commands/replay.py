@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mjsim.mjcf import Model
     from mjsim.plant import Start
     from mjsim.recording import Recording
+    from simgap.api.model import Model as Subject
 
 __all__ = ["command"]
 
@@ -55,16 +56,17 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
 
     The simulation includes the effects that `simgap diagnose` wrote into the model. In the ode engine, effects that depend on
     the angle take the recorded angle where there is one. The fit is 100 (1 - nrmse) percent; nrmse is the rms error over the
-    standard deviation of the measured channel.
+    standard deviation of the measured channel. Beside the ode engine the error of the file in plain MuJoCo is printed, unless
+    MJCF cannot express one of its effects; of a coarse timestep the two differ.
 
     Of a robot, MuJoCo steps all joints together on the recorded commands; joints that a torque drives are held to the
-    recording by
-    a tracking loop, whose torque is written as well.
+    recording by a tracking loop, whose torque is written as well.
 
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
     from mjsim.errors import InputError, nearest
     from mjsim.mjcf import load_model
+    from mjsim.mujoco_run import lacking
     from mjsim.recording import Recording
     from mjsim.writers import WRITERS
     from simgap.api.model import Model
@@ -96,14 +98,13 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     run.save(out)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
     result |= {"start": dataclasses.asdict(fitted)} if fitted else {}
+    plain = _plain_rms(subject, record, fitted or start, channel) if engine == "ode" and not servo else None
+    result |= {} if plain is None else {"plain_mujoco_rms": plain}
     force = _force(source, record) if record.judge == "force" else None
     if force is not None:
         result["force"] = force
-    lacks: tuple[str, ...] = ()
+    lacks = lacking(source) if engine == "literal" else ()
     if engine == "literal":
-        from mjsim.mujoco_run import lacking
-
-        lacks = lacking(source)
         result["lacks"] = list(lacks)
     if as_json:
         click.echo(json.dumps(result))
@@ -112,12 +113,10 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     click.echo(
         f"{channel}: rms error {figures['rms']:.6g} {unit}, nrmse {figures['nrmse']:.6g}, fit {figures['fit_percent']:.3f} %"
     )
-    for line in _told(fitted, source):
-        click.echo(f"  starts in motion, in the state fitted to the recording: {line}")
-    for effect in source.axis.effects:
-        click.echo(f"  with {effect.describe(source.axis.chain.motion)}")
-    for line in lacks:
-        click.echo(f"  plain MuJoCo lacks {line}")
+    if plain is not None:
+        click.echo(f"  in plain MuJoCo, by the options of the file: rms error {plain:.6g} {unit} (--engine literal)")
+    for line in (*_told(fitted, source), *(f"plain MuJoCo lacks {x}" for x in lacks)):
+        click.echo(f"  {line}")
     if record.loop == "closed":
         click.echo("  recorded under feedback: a free run can drift even with the true model")
     if force is not None:
@@ -127,14 +126,36 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     click.echo(printable(f"wrote {out}"))
 
 
+def _plain_rms(model: Subject, record: Recording, start: str | Start, channel: str) -> float | None:
+    """Rms error of the file in plain MuJoCo, from the same start; None where it lacks an effect or diverges."""
+    import numpy as np
+
+    from mjsim.errors import InputError
+    from mjsim.mjcf import load_model
+    from mjsim.mujoco_run import lacking
+    from simgap.api.simulating import simulate
+
+    if lacking(load_model(model.path)):
+        return None
+    try:
+        run = simulate(model, record, engine="literal", start=start)
+    except InputError:
+        return None
+    predicted, measured = getattr(run, channel), record.column(channel)
+    if channel == "angle" and isinstance(start, str):
+        predicted = predicted + (measured[0] - predicted[0])
+    return float(np.sqrt(np.mean((measured - predicted) ** 2)))
+
+
 def _told(start: Start | None, source: Model) -> list[str]:
-    """A fitted state at the first sample in words; nothing where there is none."""
-    if start is None:
-        return []
+    """A fitted state at the first sample, where there is one, and the effects of the model, in words."""
     angle, speed = ("m", "m/s") if source.axis.chain.motion.value == "slide" else ("rad", "rad/s")
+    told = [f"with {effect.describe(source.axis.chain.motion)}" for effect in source.axis.effects]
+    if start is None:
+        return told
     parts = [f"angle {start.angle:.4g} {angle}", f"velocity {start.velocity:.4g} {speed}"]
     parts += [f"deflection {d:.3g}" for d in start.deflections] + [f"its rate {v:.3g}" for v in start.rates]
-    return [", ".join(parts)]
+    return [f"starts in motion, in the state fitted to the recording: {', '.join(parts)}", *told]
 
 
 def _robot(model: Path, recording: Path, out: Path, *, as_json: bool) -> None:

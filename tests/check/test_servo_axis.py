@@ -46,6 +46,16 @@ def test_a_sound_log_is_ready(axis):
     assert "angle over command" in check.measured["memory"]["axis"]
 
 
+def test_what_was_guessed_in_reading_is_understood(axis, tmp_path):
+    path, log = axis
+    names = {"time_s": "time [ms]", "command_rad": "command [rad]", "angle_rad": "angle [rad]"}
+    table = np.column_stack([1e3 * log["time_s"], log["command_rad"], log["angle_rad"]])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=";", header=";".join(names.values()), comments="")
+    told = simgap.check(tmp_path / "log.csv", path).understood["log"]
+    assert "separated by semicolons" in told
+    assert "time = 'time [ms]' [ms]" in told
+
+
 @pytest.mark.parametrize(
     ("channel", "change", "problem"),
     [

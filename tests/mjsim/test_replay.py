@@ -67,6 +67,25 @@ def test_found_physics_bring_the_fit_to_the_noise(tmp_path, nominal, found, engi
     assert after["rms"] == pytest.approx(0.05, rel=0.05)
     assert after["fit_percent"] == pytest.approx(100 * (1 - after["nrmse"]))
     assert after["effects"] == ["coulomb_friction@motor", "backlash@gearbox", "gravity_load@arm"]
+    assert "plain_mujoco_rms" not in after  # MJCF does not express the gap
+
+
+PENDULUM = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.01"/>
+<geom type="sphere" pos="0 0 -0.3" size="0.03" mass="0.3"/></body></worldbody>
+<actuator><motor joint="hinge"/></actuator></mujoco>"""
+
+
+def test_the_error_in_plain_mujoco_stands_beside_that_of_the_equations(tmp_path):
+    model, out = tmp_path / "pendulum.xml", ("--out", tmp_path / "p.csv")
+    model.write_text(PENDULUM)
+    recording = log(tmp_path / "log.csv", load_axis(model), 0.5 * chirp(3.0))
+    told = replay(model, recording, *out)
+    literal = replay(model, recording, *out, "--engine", "literal")
+    assert told["rms"] < 1e-6  # the recording is by the equations
+    assert told["plain_mujoco_rms"] == literal["rms"]
+    assert literal["rms"] > 100 * told["rms"]  # Euler steps are coarse
+    said = CliRunner().invoke(cli, ["replay", str(model), str(recording), "--out", str(tmp_path / "p.csv")]).output
+    assert f"options of the file: rms error {literal['rms']:.6g} rad/s" in said
 
 
 def test_the_literal_engine_says_what_it_lacks(tmp_path, nominal, found):

@@ -209,6 +209,10 @@ def test_values_beyond_radians_keep_their_names(tmp_path):
     bound = {"joints": {"joint1": {"angle": {"column": "observation.state.joint1", "unit": "deg"}}}}
     with pytest.raises(InputError, match="no torque channel"):
         simgap.load(tmp_path / "set", binding=bound)
+    with pytest.raises(
+        InputError, match=r'write in set.toml, \[joints.joint1\] command = \{ column = "action.joint1", unit = "deg"'
+    ):
+        simgap.load(tmp_path / "set")
 
 
 def test_a_data_set_does_not_lead_outside_its_folder(tmp_path):
@@ -254,6 +258,16 @@ def test_an_archive_of_dof_positions(tmp_path, named):
     table = read_table(tmp_path / "log.npz")
     np.testing.assert_array_equal(table["joint2.angle_rad" if named else "dof_pos.1"], ANGLE[:, 1])
     np.testing.assert_array_equal(table["joint2.command_rad" if named else "des_dof_pos.1"], ANGLE[:, 1] + 0.1)
+    if not named:
+        with pytest.raises(InputError, match=r'names no joints: add the member joint_names, or bind each.*angle = "dof_pos.0"'):
+            simgap.load(tmp_path / "log.npz")
+
+
+def test_an_archive_of_one_joint_needs_no_name(tmp_path):
+    np.savez(tmp_path / "log.npz", time=T, dof_pos=ANGLE[:, :1], des_dof_pos=ANGLE[:, :1] + 0.1)
+    table = read_table(tmp_path / "log.npz")
+    np.testing.assert_array_equal(table["angle_rad"], ANGLE[:, 0])
+    np.testing.assert_array_equal(table["command_rad"], ANGLE[:, 0] + 0.1)
 
 
 def test_matlab_7_3(tmp_path):

@@ -25,8 +25,9 @@ from diagnose.report.figures import estimate, interval, number, p_value, percent
 from diagnose.report.page import _commands, render_report
 from diagnose.report.plots import page_data
 from diagnose.report.static import VARIABLES
+from diagnose.report.tables import linear_table
 from diagnose.report.words import formula
-from diagnose.result import Diagnosis, Estimate, FitFigures, Mismatch, Rival, Traces, Verdict
+from diagnose.result import Diagnosis, Estimate, FitFigures, Mismatch, NominalEffect, Rival, Traces, Verdict
 
 
 @pytest.fixture(scope="module")
@@ -334,6 +335,28 @@ def test_doubt_is_shown(diagnosis: Diagnosis, tmp_path: Path) -> None:
     for part in ("weak on held-out data", "not told from zero", "Backlash (gearbox) (0.03000 rad/s)", "stopped at its budget"):
         assert part in text, part
     assert "Less held-out error" not in words_of_sound(diagnosis, tmp_path)
+    better = dataclasses.replace(rival, criterion=-50000.0)  # a better criterion: it stands among the refusals
+    assert "Less held-out error" not in words_of_sound(
+        dataclasses.replace(diagnosis, rivals=(*diagnosis.rivals, better)), tmp_path
+    )
+
+
+def test_a_phase_may_be_negative_and_a_torque_level_may_not(diagnosis: Diagnosis) -> None:
+    estimates = {"torque_Nm": Estimate(-1.1, (-1.2, -1.0), "N m"), "phase_rad": Estimate(-1e-3, (-2e-3, -5e-4), "rad")}
+    own = NominalEffect("gravity_load", "arm", "arm", {"torque_Nm": 1.0, "phase_rad": 0.0}, estimates)
+    friction = {"torque_Nm": Estimate(-0.1, (-0.2, -0.05), "N m")}
+    other = NominalEffect("coulomb_friction", "motor", "motor", {"torque_Nm": 0.1}, friction)
+    sound = dataclasses.replace(diagnosis, linear_parameters={}, nominal_effects=(own, other))
+    rows = str(linear_table(sound)).split("<tr")
+    assert [("negative" in row) for row in rows if "phase_rad" in row] == [False]
+    assert [("negative" in row) for row in rows if "Coulomb friction" in row] == [True]
+
+
+def test_a_change_below_the_digits_has_no_sign(diagnosis: Diagnosis) -> None:
+    near = {"Jm": Estimate(1.00000001, (1.000000005, 1.000000015), "kg m^2")}
+    table = str(linear_table(dataclasses.replace(diagnosis, linear_parameters=near, nominal_parameters={"Jm": 1.0})))
+    assert "&lt; 0.01" in table
+    assert "+&lt;" not in table
 
 
 def words_of_sound(diagnosis: Diagnosis, tmp_path: Path) -> str:

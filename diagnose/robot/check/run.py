@@ -104,7 +104,8 @@ def _one(robot: Robot, r: RobotRecording) -> tuple[list[Problem], dict[str, str]
     problems = [*_stamps(r), *_swaps(log), *_held(log)]
     crossed = {p.channel.rpartition(".")[0] for p in problems if p.problem == "swapped"}
     crossed |= {p.advice.rpartition(" ")[2] for p in problems if p.problem == "swapped"}
-    told = {"log": f"{len(r)} samples, {1 / r.dt:.6g} samples/s, {len(r) * r.dt:.4g} s, input {r.hold} between samples."}
+    size = f"{len(r)} samples, {1 / r.dt:.6g} samples/s, {len(r) * r.dt:.4g} s, input {r.hold} between samples."
+    told = {"log": " ".join((size, *r.notes))}
     if r.held_at:
         told["not in the log"] = ", ".join(f"{name} (held at {at:.4g})" for name, at in r.held_at)
     numbers: dict[str, Any] = {"sample_time_s": r.dt}
