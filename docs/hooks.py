@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]+)\]\((?P<to>\.\.?/[^)\s]+)\)")
 DT, SECONDS = 5e-4, 3.0
+PERIODS = 4  # of the chirp, that a picture shows
 DRIVE = {"robot_axis1": (1.0, 0.5, 30.0), "pendulum": (0.5, 0.3, 4.0)}  # amplitude and band of the chirp [N m | rad, Hz]
 
 
@@ -94,7 +95,7 @@ def effects(pictured: set[str]) -> str:
         "# Effects",
         "Generated from the registry of effects; `simgap effects NAME` prints the same. Each picture shows an axis without the "
         "effect and with it, at a size with which a fit begins: the robot axis on a chirp of torque, for effects of a servo a "
-        "pendulum on a chirp of its command.",
+        "pendulum on a chirp of its command. Left: four periods around the largest change; right: the change over the velocity.",
         "",
     ]
     for name, forms in library().items():
@@ -103,7 +104,7 @@ def effects(pictured: set[str]) -> str:
             about = described(cls)
             if i:
                 out += [f"**Another law of the same effect: `{cls.id}`**", ""]
-            out += [about["title"], "", *(f"    {line}" for line in about["law"].splitlines()), ""]
+            out += [about["title"], "", "``` { .text .law }", about["law"], "```", ""]
             if cls.id in pictured:
                 out += [f"![{about['title']}](effects/{cls.id}.png)", ""]
             out += [
@@ -138,11 +139,20 @@ def effect_pictures() -> Iterator[tuple[str, bytes]]:
             effect = case.axis.effects[-1]
             if effect.id not in done and (name == "robot_axis1") == (axis.chain.servo is None):
                 done.add(effect.id)
-                yield f"{effect.id}@{effect.place}", picture(axis, effect, u)
+                yield f"{effect.id}@{effect.place}", picture(axis, effect, u, (low, high))
 
 
-def picture(axis: Axis, effect: Effect, u: np.ndarray) -> bytes:
-    """PNG of the motor's velocity without and with an effect, and of their difference."""
+def stretch(change: np.ndarray, band: tuple[float, float]) -> slice:
+    """Samples of `PERIODS` periods of the chirp around the largest change, whose frequency grows over the band [Hz]."""
+    at = int(np.argmax(np.abs(change)))
+    frequency = band[0] + (band[1] - band[0]) * at / len(change)
+    half = max(1, min(len(change), round(PERIODS / frequency / DT)) // 2)
+    begin = min(max(0, at - half), len(change) - 2 * half)
+    return slice(begin, begin + 2 * half)
+
+
+def picture(axis: Axis, effect: Effect, u: np.ndarray, band: tuple[float, float]) -> bytes:
+    """PNG of the motor's velocity without and with an effect where it changes most, and of the change over all of the motion."""
     from matplotlib.figure import Figure
 
     from mjsim.axis import Axis as AxisOf
@@ -156,10 +166,12 @@ def picture(axis: Axis, effect: Effect, u: np.ndarray) -> bytes:
         after = before
     figure = Figure(figsize=(8, 3), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2, 1))
-    left.plot(before.time, before.velocity, color="#999999", label="without")
-    left.plot(after.time, after.velocity, color="#2a7ab9", linewidth=0.9, label=f"with {effect.id.replace('_', ' ')}")
+    part = stretch(after.velocity - before.velocity, band)
+    left.plot(before.time[part], before.velocity[part], color="#999999", linewidth=2, label="without")
+    left.plot(after.time[part], after.velocity[part], color="#2a7ab9", linewidth=1, label=f"with {effect.id.replace('_', ' ')}")
     left.set(xlabel="time [s]", ylabel="velocity [rad/s]")
-    left.legend(loc="upper left", fontsize="small")
+    figure.legend(loc="outside upper left", ncols=2, fontsize="small", frameon=False)
+    right.axhline(0.0, color="#999999", linewidth=0.8)
     right.plot(after.velocity, after.velocity - before.velocity, color="#c44e52", linewidth=0.6)
     right.set(xlabel="velocity [rad/s]", ylabel="change [rad/s]")
     buffer = io.BytesIO()

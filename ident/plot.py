@@ -45,7 +45,7 @@ def plot_bode(
     figure = _figure(7.0, 7.2 if coherent else 6.0)
     top, bottom, *rest = figure.subplots(2 + coherent, 1, sharex=True, height_ratios=(3, 2, 1)[: 2 + coherent])
     low_edge = min(float(b.frequency_hz[0]) for b in responses.values())
-    high_edge = max(float(b.frequency_hz[-1]) for b in responses.values())
+    high_edge = float(f"{max(float(b.frequency_hz[-1]) for b in responses.values()):.6g}")  # the grid ends just below Nyquist
     if excited_hz is not None:
         low_edge = min(high_edge / 10, max(low_edge, excited_hz[0] / 3))
     limits: list[np.ndarray] = []
@@ -92,6 +92,7 @@ def plot_bode(
         mark = {"facecolor": "none", "edgecolor": "0.6", "hatch": "////", "linewidth": 0}
         top.fill_between([], [], [], label="input has no power here", **mark)
     top.set_xlim(low_edge, high_edge)
+    top.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     top.set_ylabel(f"magnitude [dB{' re ' + unit if unit else ''}]")
     bottom.set_ylabel("phase [deg]")
     (rest or [bottom])[-1].set_xlabel("frequency [Hz]")

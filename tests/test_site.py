@@ -12,6 +12,7 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import started
 
@@ -158,6 +159,18 @@ def test_the_reference_names_every_command_and_every_effect():
     assert [e for e in registered() if e not in library] == []
     assert "(effects/backlash.png)" in library
     assert "findings[].effect" in hooks.json_keys()
+
+
+def test_a_picture_of_an_effect_shows_the_largest_change():
+    pytest.importorskip("mkdocs")
+    hooks = module_of(DOCS / "hooks.py")
+    for at in (0, 3000, 5999):
+        change = np.zeros(6000)
+        change[at] = -1.0
+        part = hooks.stretch(change, (0.5, 30.0))
+        assert 0 <= part.start < part.stop <= 6000
+        assert part.start <= at <= part.stop  # at the end the frequency is 30 Hz: four periods are 267 samples
+    assert part.stop - part.start == 266
 
 
 def test_every_page_of_the_navigation_is_written_or_generated():

@@ -59,7 +59,7 @@ def _law(cls: type[Effect]) -> tuple[str, str]:
     """Title and law: the first paragraph and the rest of the text of the file that holds the effect."""
     text = inspect.getdoc(inspect.getmodule(cls)) or ""
     title, _, law = text.partition("\n\n")
-    return " ".join(title.split()), law.strip()
+    return " ".join(title.split()), law.strip().replace("``", "")
 
 
 def _show(forms: list[type[Effect]]) -> None:

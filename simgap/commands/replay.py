@@ -98,7 +98,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     run.save(out)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
     result |= {"start": dataclasses.asdict(fitted)} if fitted else {}
-    plain = _plain_rms(subject, record, fitted or start, channel) if engine == "ode" and not servo else None
+    plain = _plain_rms(subject, record, fitted or start, channel) if engine == "ode" else None
     result |= {} if plain is None else {"plain_mujoco_rms": plain}
     force = _force(source, record) if record.judge == "force" else None
     if force is not None:
@@ -135,14 +135,15 @@ def _plain_rms(model: Subject, record: Recording, start: str | Start, channel: s
     from mjsim.mujoco_run import lacking
     from simgap.api.simulating import simulate
 
-    if lacking(load_model(model.path)):
+    source = load_model(model.path)
+    if lacking(source):
         return None
     try:
         run = simulate(model, record, engine="literal", start=start)
     except InputError:
         return None
     predicted, measured = getattr(run, channel), record.column(channel)
-    if channel == "angle" and isinstance(start, str):
+    if channel == "angle" and isinstance(start, str) and source.axis.chain.servo is None:
         predicted = predicted + (measured[0] - predicted[0])
     return float(np.sqrt(np.mean((measured - predicted) ** 2)))
 

@@ -331,3 +331,7 @@ def test_figures_are_drawn(bj_truth):
     ]
     for figure in figures:
         assert png(figure).startswith(b"\x89PNG")
+    axis = figures[0].axes[-1]
+    assert axis.get_xlim()[1] == pytest.approx(0.5 / data.dt, rel=1e-6)
+    figures[0].draw_without_rendering()
+    assert {t.get_text() for t in axis.get_xticklabels()} >= {f"{10.0**k:g}" for k in (-1, 0)}
