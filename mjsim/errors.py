@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator
 
-__all__ = ["CheckError", "InputError", "nearest", "writing"]
+__all__ = ["CheckError", "InputError", "nearest", "nearest_file", "writing"]
 
 _WORD = re.compile(r"[a-z0-9]+")
 
@@ -27,6 +27,16 @@ def nearest(name: str, choices: Iterable[str], advice: str = "name one of them")
         alike = [c for c in known if difflib.get_close_matches(lower, {c.lower(), *_WORD.findall(c.lower())}, 1, 0.8)]
         close = alike if len(alike) == 1 else difflib.get_close_matches(lower, alike, 1, 0.0)
     return f"did you mean {close[0]!r}?" if close else advice
+
+
+def nearest_file(path: str | os.PathLike[str], *endings: str, advice: str = "check the path") -> str:
+    """`nearest` among the files of these endings in the folder of a path that is not there."""
+    folder, name = os.path.split(os.fspath(path))
+    try:
+        there = [n for n in os.listdir(folder or ".") if n.endswith(endings)]
+    except OSError:
+        there = []
+    return nearest(name, there, advice)
 
 
 @contextlib.contextmanager

@@ -47,12 +47,19 @@ ROBOT_LOG = "time_s,joint1.angle_rad,joint1.torque_Nm\n" + "".join(f"{0.001 * k}
         (("replay", "emps", "log.csv", "--out", "x.csvv"), "'.csv'"),
         (("identify", "log.csv", "--out", "x", "--input", "torqu_Nm"), "'torque_Nm'"),
         (("check", "log.cvs", "--model", "robot_axis1"), "'log.csv'"),
+        (("check", "log.csv", "--model", "owm.xml"), "'own.xml'"),
+        (("gate", "emps", "log.csv", "--baseline", "diagnosys.json"), "'diagnosis.json'"),
+        (("identify", "log.csv", "--model", "owm.xml", "--out", "x"), "'own.xml'"),
+        (("fleet", "log*.csv", "--model", "pendulum", "--out", "x", "--effects", "coulomb"), "'coulomb_friction'"),
+        (("benchmark", "--out", "x", "--levels", "plan:4"), "'plain'"),
         (("diagnose", "robot.csv", "--model", "arm3", "--out", "x", "--joint", "joint11"), "'joint1'"),
     ],
 )
 def test_an_unknown_option_value_file_or_column_is_told_with_the_nearest(run_cli, words, nearest):
     Path("log.csv").write_text(LOG)
     Path("robot.csv").write_text(ROBOT_LOG)
+    Path("own.xml").write_text("<mujoco/>")
+    Path("diagnosis.json").write_text("{}")
     code, out, err = run_cli(*words)
     assert (code, out) == (2, "")
     assert len(err.splitlines()) == 1
@@ -99,6 +106,22 @@ def test_an_unknown_name_in_the_binding_of_a_robot_is_told_with_the_nearest(run_
     Path("log.csv").write_text(ROBOT_LOG)
     Path("log.toml").write_text(text)
     code, out, err = run_cli("check", "log.csv", "--model", "arm3")
+    assert (code, out) == (2, "")
+    assert f"did you mean {nearest}?" in err
+
+
+PENDULUM = (
+    '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
+    '<actuator><motor name="drive" joint="hinge"/></actuator><sensor><jointpos name="encoder" joint="hinge"/></sensor></mujoco>'
+)
+
+
+@pytest.mark.parametrize(("bound", "nearest"), [('actuator = "driv"', "'drive'"), ('angle_sensor = "encodr"', "'encoder'")])
+def test_an_unknown_element_of_a_model_is_told_with_the_nearest(run_cli, bound, nearest):
+    Path("log.csv").write_text(LOG)
+    Path("own.xml").write_text(PENDULUM)
+    Path("own.toml").write_text(f"[model]\n{bound}\n")
+    code, out, err = run_cli("check", "log.csv", "--model", "own.xml")
     assert (code, out) == (2, "")
     assert f"did you mean {nearest}?" in err
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lab.benchmark.cases import LEVELS
 from lab.benchmark.score import CaseScore
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 
 __all__ = ["BUDGETS", "GRADES", "HIDDEN", "Bar", "Status", "bars", "fraction", "parse_levels"]
 
@@ -88,7 +88,7 @@ def parse_levels(text: str | None, grade: str) -> dict[str, int]:
     for item in text.split(","):
         name, _, number = item.strip().partition(":")
         if name not in LEVELS:
-            raise InputError("--levels", f"{name!r} is not known", f"one of {', '.join(LEVELS)}")
+            raise InputError("--levels", f"{name!r} is not known", f"one of {', '.join(LEVELS)}", nearest(name, LEVELS))
         if number and not (number.isdigit() and int(number) > 0):
             raise InputError("--levels", f"{item.strip()!r} has no usable count", "LEVEL:COUNT with a whole count from 1")
         out[name] = int(number) if number else counts[name]

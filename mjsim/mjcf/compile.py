@@ -9,7 +9,7 @@ from pathlib import Path
 
 import mujoco
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest_file
 from mjsim.mjcf.limits import need_finite, need_sizes
 
 __all__ = ["caught_warnings", "compile_file", "read_spec", "save_compiled"]
@@ -31,7 +31,7 @@ def compile_file(path: str | Path) -> mujoco.MjModel:
     """Compile an MJCF file; what MuJoCo says when it does not load becomes one line that names the file."""
     path = Path(path)
     if not path.is_file():
-        raise InputError(path, "no such file", "an MJCF model (.xml)", "check the path")
+        raise InputError(path, "no such file", "an MJCF model (.xml)", nearest_file(path, ".xml"))
     need_sizes(path)
     try:
         with caught_warnings():

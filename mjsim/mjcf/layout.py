@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest
 from mjsim.mjcf.drive_laws import refused_law
 from mjsim.mjcf.servo import read_servo
 from mjsim.quantity import Motion
@@ -203,7 +203,10 @@ def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: l
     else:
         found = [a for a in inputs if names[a] == wanted]
         if not found:
-            raise InputError(source, f"no actuator {wanted!r}", f"one of: {choices}", "bind one that is there")
+            there = [names[a] for a in inputs if names[a]]
+            raise InputError(
+                source, f"no actuator {wanted!r}", f"one of: {choices}", nearest(wanted, there, "bind one that is there")
+            )
         chosen = found[0]
     where = f"actuator {_label(names[chosen], chosen)}"
     row = _actuator_row(model, chosen, tendons)

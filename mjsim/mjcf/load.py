@@ -115,7 +115,8 @@ def _sensor(model: mujoco.MjModel, path: Path, bound: Mapping[str, str], what: s
     default = f"motor_{what}"
     if wanted is not None and wanted != default:
         if wanted not in names:
-            raise InputError(path, f"no sensor {wanted!r}", f"one of: {', '.join(names) or 'none'}", "bind one that is there")
+            raise InputError(path, f"no sensor {wanted!r}", f"one of: {', '.join(names) or 'none'}",
+                             nearest(wanted, filter(None, names), "bind one that is there"))  # fmt: skip
         return wanted
     kinds = {
         "velocity": (mujoco.mjtSensor.mjSENS_JOINTVEL, mujoco.mjtSensor.mjSENS_ACTUATORVEL),

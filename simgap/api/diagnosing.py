@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "diagnose", "need_effects"]
 
 FILES = ("diagnosis.json", "corrected.xml", "mapped.xml", "report.html")
 
@@ -274,7 +274,7 @@ def diagnose(
     if not given:
         raise InputError("recordings", "none", "at least one", "give a file, columns by name or a Recording")
     robot = is_robot([Path(r) if isinstance(r, str) else r for r in given], subject.path)
-    _need_effects(effects, robot=robot)
+    need_effects(effects, robot=robot)
     if not robot and len(joints) > 1:
         raise InputError("--joint", f"{len(joints)} joints", "one, since the model drives one", "give the robot's model")
     joint = joints[0] if joints and not robot else None
@@ -335,7 +335,7 @@ def _robot(
     return diagnose_robot_recordings(group, model.path, out, kept, options, say, page=page, accept_log=accept_log)
 
 
-def _need_effects(names: Sequence[str], *, robot: bool) -> None:
+def need_effects(names: Sequence[str], *, robot: bool) -> None:
     """Refuse identifiers that are not known, or that no robot's log tells. Raises InputError."""
     from diagnose.robot.laws import identifiers as by_force
     from diagnose.robot.servos.library import identifiers as by_command

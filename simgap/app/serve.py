@@ -37,12 +37,12 @@ def serve(folder: Path, port: int, browser: bool, tell: Callable[[str], None]) -
         token = secrets.token_urlsafe(32)
         app = make_app(folder, token, bound, ending=lambda: server.should_exit)
         address = f"http://{_HOST}:{bound}/?token={token}"
-        tell(address)
-        if browser:
-            webbrowser.open(address)
         # no access log: it would hold the token
         config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1,
                                 ws="none", proxy_headers=False)  # fmt: skip
         server = uvicorn.Server(config)
-        with contextlib.suppress(KeyboardInterrupt):  # that is how it ends
+        with contextlib.suppress(KeyboardInterrupt):  # that is how it ends, also before the server has started
+            tell(address)
+            if browser:
+                webbrowser.open(address)
             server.run(sockets=[listening])

@@ -47,14 +47,15 @@ def command(
     import math
 
     take_folder(out)
-    from mjsim.mjcf.compile import compile_file
+    from simgap.api.diagnosing import need_effects
+    from simgap.api.model import Model
     from simgap.fleet.page import headline, write_page
     from simgap.fleet.plan import Settings, jobs
     from simgap.fleet.run import run
     from simgap.fleet.table import read_records, rows, write_parquet
 
-    compile_file(model)
     only = tuple(e.strip() for e in effects.split(",") if e.strip())
+    need_effects(only, robot=Model(model).is_robot)
     settings = Settings(only, joints, seed, effort or math.inf, accept_log, reports)
     planned = jobs(pattern, model, settings, robot)
     out.mkdir(parents=True, exist_ok=True)

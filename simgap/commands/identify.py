@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest_file
 from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, spare_inputs, take_folder
 from simgap.terminal import printable
 
@@ -122,7 +122,7 @@ def command(
     names = ("identification.json", "identification.html", "bode.png", "residuals.png", "orders.png")
     spare_inputs([out / name for name in names], [recording, validate, level, model])
     if model is not None and not (model.is_file() or model.with_suffix(".toml").is_file()):
-        raise InputError(model, "no such file", "a model, or the .toml beside it", "check the path")
+        raise InputError(model, "no such file", "a model, or the .toml beside it", nearest_file(model, ".xml", ".toml"))
     fitted = identify(
         recording, orders=wanted, decimate=factor, cutoff=edge, input=input_column, output=output_column, phase=phase,
         detrend=detrend, validate=validate, level=level, scan=grid, model=model, accept_clipping=clipping == "accept",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjsim.errors import InputError
+from mjsim.errors import InputError, nearest_file
 
 __all__ = ["ROLES", "Baseline", "Check", "of_the_baseline", "ratio_of", "read_baseline"]
 
@@ -61,7 +61,8 @@ def read_baseline(path: Path, against: str) -> Baseline:
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(path, "no such file", "the diagnosis.json of simgap diagnose", "check --baseline") from None
+        advice = nearest_file(path, ".json", advice="check --baseline")
+        raise InputError(path, "no such file", "the diagnosis.json of simgap diagnose", advice) from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, f"not valid JSON ({error})", "the diagnosis.json of simgap diagnose", "check it") from None
     try:
