@@ -49,10 +49,6 @@ def _number(name: str, kind: str, value: T, unit: str, why: str, test: str) -> T
 UNEXPLAINED = _number(
     "UNEXPLAINED", LEVEL, 1.04, "chi2 / n", "4 sqrt(2 / n) at 20,000 samples: four standard deviations above the noise", "search"
 )
-LARGE = _number(
-    "LARGE", LEVEL, 1.5, "chi2 / n", "an excess of half the noise variance; a score test there is no longer accurate", "search"
-)
-FAR = _number("FAR", LEVEL, 3.0, "chi2 / n", "an error 1.4 times the noise beside it; three times what chance explains", "search")
 TWICE = _number(
     "TWICE",
     LEVEL,
@@ -61,6 +57,15 @@ TWICE = _number(
     "what is known roughly is known to a factor of two: nominal numbers, a noise level, the gain that a linear model predicts",
     "search",
 )
+LARGE = _number(
+    "LARGE",
+    DERIVED,
+    1 + 1 / TWICE,
+    "chi2 / n",
+    "the noise and an error of half its variance; a score test there is no longer accurate",
+    "search",
+)
+FAR = _number("FAR", DERIVED, 1 + TWICE, "chi2 / n", "the noise and an error of twice its variance, 1.4 times its rms", "search")
 EQUIVALENT = _number("EQUIVALENT", LEVEL, 10.0, "C", "a likelihood ratio of 150", "search")
 MATERIAL = _number(
     "MATERIAL", LEVEL, 0.02, "of a squared error", "a smaller change matters to no prediction: 1 % of an rms error", "search"
@@ -101,7 +106,12 @@ LINE = _number(
     "scales",
 )
 SENSOR_SHARE = _number(
-    "SENSOR_SHARE", LEVEL, 1e-3, "of the torque's power", "that the encoder's noise may make in the band of a force view", "view"
+    "SENSOR_SHARE",
+    DERIVED,
+    SMALL * MATERIAL,
+    "of the torque's power",
+    "that the encoder's noise may make in the band of a force view: a small part of a material change",
+    "view",
 )
 
 # Costs: how much work a decision is worth

@@ -244,7 +244,7 @@ def test_each_number_says_what_it_is_and_which_test_exercises_it():
 
 
 # how many numbers of each kind the table may hold: a new one takes the place of another, or this page says why there are more
-MOST_NUMBERS = {"level of a decision": 15, "cost": 5, "numerical tolerance": 23}
+MOST_NUMBERS = {"level of a decision": 12, "cost": 5, "numerical tolerance": 23}
 
 
 def test_the_table_of_numbers_does_not_grow():
@@ -256,11 +256,14 @@ def test_the_table_of_numbers_does_not_grow():
 def test_what_is_derived_follows_from_other_numbers():
     t = importlib.import_module("diagnose.thresholds")
     derived = {name for name, x in t.TABLE.items() if x.kind == t.DERIVED}
-    assert derived == {"FAIR", "SAME", "LEADING", "LEAST_SAMPLES", "FEWEST"}
+    assert derived == {"FAIR", "SAME", "LEADING", "LEAST_SAMPLES", "FEWEST", "LARGE", "FAR", "SENSOR_SHARE"}
     assert math.isclose(math.sqrt(2 / t.LEAST_SAMPLES), t.MATERIAL), "a mean square is known to a material gain"
     assert math.isclose(1 / math.sqrt(2 * t.FEWEST), t.SMALL), "an rms is known to a small share"
     assert math.isclose(math.sqrt(t.FAIR), 1 / t.TWICE)
     assert math.isclose(t.SAME * t.CLEAR, t.MATERIAL)
+    assert math.isclose((t.LARGE - 1) * t.TWICE, 1), "an error of half the variance of the noise"
+    assert math.isclose(t.FAR - 1, t.TWICE), "an error of twice the variance of the noise"
+    assert math.isclose(t.SENSOR_SHARE, t.SMALL * t.MATERIAL)
 
 
 # private metaphors that standard terms have replaced (residual, confounder, divergence, prediction, zero, negligible, ...)
