@@ -97,7 +97,7 @@ def _bound_of(servo: np.ndarray, side: int, v: float) -> float:
     return min(servo[2], servo[3] - side * servo[4] * v)
 
 
-_bound: Any = compiled(error_model="numpy", inline="always")(_bound_of)
+_bound: Any = compiled(error_model="numpy", forceinline=True)(_bound_of)
 
 
 def _error_of(servo: np.ndarray, gain: float, u: float, q: float) -> float:
@@ -105,7 +105,7 @@ def _error_of(servo: np.ndarray, gain: float, u: float, q: float) -> float:
     return gain * u - servo[0] * q
 
 
-_error: Any = compiled(error_model="numpy", inline="always")(_error_of)
+_error: Any = compiled(error_model="numpy", forceinline=True)(_error_of)
 
 
 def _asked_of(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode: np.ndarray) -> float:
@@ -116,7 +116,7 @@ def _asked_of(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode
     return pull - servo[1] * v
 
 
-_asked: Any = compiled(error_model="numpy", inline="always")(_asked_of)
+_asked: Any = compiled(error_model="numpy", forceinline=True)(_asked_of)
 
 
 def _pull_of(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode: np.ndarray) -> float:
@@ -127,7 +127,7 @@ def _pull_of(servo: np.ndarray, gain: float, u: float, q: float, v: float, mode:
     return _asked(servo, gain, u, q, v, mode)
 
 
-_pull: Any = compiled(error_model="numpy", inline="always")(_pull_of)
+_pull: Any = compiled(error_model="numpy", forceinline=True)(_pull_of)
 
 
 @compiled(error_model="numpy")
@@ -153,7 +153,7 @@ def _drive_margin(which: int, servo: np.ndarray, gain: float, u: float, q: float
     return min(_bound(servo, 1, v) - d, _bound(servo, -1, v) + d)
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(error_model="numpy", forceinline=True)
 def _acting(u: float, us: float, lag: float, tau: float, h: float) -> float:
     """Input a time h after it was u and grew by us per second; behind a lag that stood at ``lag``."""
     if tau <= 0.0:
@@ -557,7 +557,8 @@ def _propagator(
         a[i, n + i] = 1.0
         if mode[0, i] == 0:
             rows[i] = 0.0
-        a[n + i] = rows[i]
+        for k in range(size):
+            a[n + i, k] = rows[i, k]
     if tau > 0.0:
         a[2 * n, 2 * n] = -1.0 / tau
         a[2 * n, 2 * n + 1] = 1.0 / tau
@@ -590,7 +591,7 @@ def _propagator(
                         phis[seg, r, c] += term[r, c]
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(error_model="numpy", forceinline=True)
 def _dips(g0: float, s0: float, g1: float, s1: float, h: float) -> float:
     """Whether the cubic through two margins and their slopes falls below zero in between; the time of its minimum, or -1."""
     if not (s0 < 0.0 and s1 > 0.0):

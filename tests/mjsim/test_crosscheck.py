@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from robot_axis import DT, axis, chirp, effect
 
 from mjsim import accurate, ode, reference
-from mjsim.crosscheck import Report, Row, Status, check_all, effect_cases, energy_error, plot, table
+from mjsim.crosscheck import Case, Report, Row, Status, check_all, effect_cases, energy_error, plot, table
 from mjsim.effects import registered
 from mjsim.errors import CheckError
 from mjsim.mjcf import load_axis
@@ -22,33 +22,42 @@ from simgap.commands import crosscheck as face
 
 ROBOT = load_axis(shipped_model("robot_axis1"))
 U = chirp(3.0)
-CASES, SKIPPED = effect_cases(ROBOT, U)
+PLACES = {f"{n}@{p}": cls.family for n, cls in registered().items() for p in cls.places}
+SERVO = {key for key, family in PLACES.items() if family == "servo"}
+OTHERS = PLACES.keys() - SERVO
 
 
-def test_every_registered_effect_has_a_case_at_every_place() -> None:
-    servo = {f"{n}@{p}" for n, cls in registered().items() for p in cls.places if cls.family == "servo"}
-    assert {key for key, _ in SKIPPED} == servo, "tests/mjsim/test_servo.py holds those against a reference of their own"
-    assert {c.axis.effects[0].key for c in CASES} == {f"{n}@{p}" for n, cls in registered().items() for p in cls.places} - servo
+@pytest.fixture(scope="module")
+def cases() -> dict[str, Case]:
+    """By effect and place."""
+    found, skipped = effect_cases(ROBOT, U)
+    assert {key for key, _ in skipped} == SERVO, "tests/mjsim/test_servo.py holds those against a reference of their own"
+    return {c.name: c for c in found}
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
-def test_both_realisations_agree(case: object) -> None:
-    exact = reference.not_affine(case.axis) is None  # type: ignore[attr-defined]
-    model = case.axis  # type: ignore[attr-defined]
-    u = case.drive * U  # type: ignore[attr-defined]
+def test_every_registered_effect_has_a_case_at_every_place(cases: dict[str, Case]) -> None:
+    assert {c.axis.effects[0].key for c in cases.values()} == cases.keys() == OTHERS
+
+
+@pytest.mark.parametrize("name", sorted(OTHERS))
+def test_both_realisations_agree(name: str, cases: dict[str, Case]) -> None:
+    case = cases[name]
+    exact = reference.not_affine(case.axis) is None
+    model = case.axis
+    u = case.drive * U
     truth = reference.simulate(model, u, DT) if exact else ode.simulate(model, u, DT, substeps=16)
     assert np.ptp(truth.velocity) > 0
-    for run, limit in ((accurate.simulate(model, u, DT), case.accurate), (ode.simulate(model, u, DT), case.kernel)):  # type: ignore[attr-defined]
+    for run, limit in ((accurate.simulate(model, u, DT), case.accurate), (ode.simulate(model, u, DT), case.kernel)):
         error = np.sqrt(np.mean((run.velocity - truth.velocity) ** 2) / np.mean(truth.velocity**2))
         assert error < limit
 
 
-def test_the_effects_are_felt() -> None:
+def test_the_effects_are_felt(cases: dict[str, Case]) -> None:
     """A comparison of effects that change nothing would prove nothing."""
     plain = simulate(ROBOT, U, DT).velocity
     mirrored = simulate(ROBOT, -U, DT).velocity
-    assert {c.name for c in CASES if c.drive < 0} == {"lower_joint_stop@motor"}
-    for case in CASES:
+    assert {c.name for c in cases.values() if c.drive < 0} == {"lower_joint_stop@motor"}
+    for case in cases.values():
         changed, bare = simulate(case.axis, case.drive * U, DT).velocity, plain if case.drive > 0 else mirrored
         assert np.sqrt(np.mean((changed - bare) ** 2) / np.mean(bare**2)) > 3e-4, case.name
 
@@ -62,10 +71,12 @@ def test_energy_balances(engine: object) -> None:
     assert energy_error(model, run) < 1e-6
 
 
-def test_a_miss_is_named_and_ends_with_check_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_miss_is_named_and_ends_with_check_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cases: dict[str, Case]
+) -> None:
     from mjsim.crosscheck import run as module
 
-    strict = [dataclasses.replace(CASES[0], accurate=1e-12, literal=None)]
+    strict = [dataclasses.replace(next(iter(cases.values())), accurate=1e-12, literal=None)]
     monkeypatch.setattr(module, "study_cases", lambda axis: strict)
     monkeypatch.setattr(module, "effect_cases", lambda axis, u: ([], [("nothing@arm", "no place")]))
     monkeypatch.setattr(module, "scaling_row", lambda *a: Row("scaling law", "itself", 0.0, 0.0, ()))

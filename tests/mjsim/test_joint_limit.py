@@ -24,10 +24,11 @@ from mjsim.system import assemble
 
 DT = 1e-3
 RK4 = 'timestep="0.00005" integrator="RK4"'
-LOAD = (
-    '<body><joint name="shaft" axis="0 1 0" stiffness="30" damping=".02"/>'
-    '<inertial pos="0 0 0" mass=".01" diaginertia=".002 .002 .002"/></body>'
+SHAFT = (
+    '<body><joint name="{0}" axis="0 1 0" stiffness="30" damping=".02"/>'
+    '<inertial pos="0 0 0" mass=".005" diaginertia=".001 .001 .001"/>{1}</body>'
 )
+LOAD = SHAFT.format("shaft", SHAFT.format("arm", ""))
 
 
 def text(joint: str = "", option: str = RK4, friction: float = 0.0, load: str = "", inertia: float = 0.01) -> str:

@@ -14,28 +14,36 @@ from mjsim import ode
 from mjsim.errors import InputError
 from mjsim.models import shipped_model, shipped_models
 from mjsim.recording import Recording
-from mjsim.render import context, film, shot_of_recording, shot_of_run
+from mjsim.render import Shot, context, film, shot_of_recording, shot_of_run
 from mjsim.render.stage import Stage, magnify
 from simgap.commands.render import command
 
 MODEL = axis(effect("backlash", gap_rad=1e-3))
-RUN = ode.simulate(MODEL, chirp(1.0, amplitude=2.0), DT)
-SHOT = shot_of_run("simulation", MODEL, RUN)
 
 
 @pytest.fixture(scope="module")
-def screen() -> None:
+def motion() -> ode.Trajectory:
+    return ode.simulate(MODEL, chirp(1.0, amplitude=2.0), DT)
+
+
+@pytest.fixture(scope="module")
+def shot(motion: ode.Trajectory) -> Shot:
+    return shot_of_run("simulation", MODEL, motion)
+
+
+@pytest.fixture(scope="module")
+def screen(shot: Shot) -> None:
     try:
-        stage = Stage(SHOT.chain, SHOT.half_gaps, magnify(SHOT.chain, SHOT.q, SHOT.half_gaps, 10))
+        stage = Stage(shot.chain, shot.half_gaps, magnify(shot.chain, shot.q, shot.half_gaps, 10))
         with context.Offscreen(stage.model, 64, 48):
             pass
     except InputError as error:
         pytest.skip(str(error))
 
 
-def test_jaws_stand_apart_by_the_gap() -> None:
-    by = magnify(SHOT.chain, SHOT.q, 2 * SHOT.half_gaps, 10)
-    stage = Stage(SHOT.chain, SHOT.half_gaps, by)
+def test_jaws_stand_apart_by_the_gap(shot: Shot) -> None:
+    by = magnify(shot.chain, shot.q, 2 * shot.half_gaps, 10)
+    stage = Stage(shot.chain, shot.half_gaps, by)
     open_gap = np.zeros(3)
     data = stage.pose(open_gap, 0.0)
     upper, lower = (float(data.joint(f"jaw0{s}").qpos[0]) for s in "ab")
@@ -49,8 +57,8 @@ def test_jaws_stand_apart_by_the_gap() -> None:
 
 @pytest.mark.usefixtures("screen")
 @pytest.mark.parametrize("name", ["a.png", "a.gif", "a.mp4"])
-def test_each_format(name: str, tmp_path: Path) -> None:
-    path = film([SHOT], tmp_path / name, size=(320, 240), fps=10, start=0.2, duration=0.3)
+def test_each_format(name: str, shot: Shot, tmp_path: Path) -> None:
+    path = film([shot], tmp_path / name, size=(320, 240), fps=10, start=0.2, duration=0.3)
     if name.endswith("mp4"):
         from imageio_ffmpeg import count_frames_and_secs
 
@@ -63,30 +71,30 @@ def test_each_format(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("screen")
-def test_side_by_side_and_what_was_not_measured(tmp_path: Path) -> None:
-    record = Recording(RUN.time, RUN.torque, RUN.velocity + 1.0, None, DT)
+def test_side_by_side_and_what_was_not_measured(motion: ode.Trajectory, shot: Shot, tmp_path: Path) -> None:
+    record = Recording(motion.time, motion.torque, motion.velocity + 1.0, None, DT)
     recorded = shot_of_recording("recording", MODEL, record)
     assert recorded.gear_torque is None
     assert not recorded.whole
-    path = film([SHOT, recorded], tmp_path / "two.png", size=(320, 240))
+    path = film([shot, recorded], tmp_path / "two.png", size=(320, 240))
     assert iio.imread(path).shape == (240, 640, 3)
 
 
 @pytest.mark.usefixtures("screen")
-def test_a_film_that_breaks_leaves_nothing(tmp_path: Path) -> None:
+def test_a_film_that_breaks_leaves_nothing(shot: Shot, tmp_path: Path) -> None:
     def broken(frames: object, count: int) -> object:
         yield 0
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film([SHOT], tmp_path / "b.mp4", size=(320, 240), progress=broken)  # type: ignore[arg-type]
+        film([shot], tmp_path / "b.mp4", size=(320, 240), progress=broken)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 
-def test_no_library_names_the_packages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_no_library_names_the_packages(monkeypatch: pytest.MonkeyPatch, shot: Shot, tmp_path: Path) -> None:
     monkeypatch.setattr(context.ctypes.util, "find_library", lambda name: None)
     with pytest.raises(InputError, match="apt-get install libegl1 libgl1 libosmesa6"):
-        film([SHOT], tmp_path / "c.png")
+        film([shot], tmp_path / "c.png")
 
 
 @pytest.mark.usefixtures("screen")
