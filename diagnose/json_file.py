@@ -12,12 +12,17 @@ import numpy as np
 
 from ident.serial import write_atomic
 
-__all__ = ["write_json"]
+__all__ = ["json_text", "write_json"]
 
 
 def write_json(path: Path, said: Mapping[str, Any]) -> None:
     """Write plain values in one move; a number that is not finite becomes null."""
-    write_atomic(path, json.dumps(_finite(said), indent=2) + "\n")
+    write_atomic(path, json_text(said) + "\n")
+
+
+def json_text(said: Any, indent: int | None = 2) -> str:
+    """JSON of plain values; a number that is not finite becomes null, for which JSON has no other word."""
+    return json.dumps(_finite(said), indent=indent, allow_nan=False)
 
 
 def _finite(value: Any) -> Any:

@@ -183,7 +183,12 @@ def json_keys() -> str:
     """The keys of the JSON files, from the contract's classes: what a program may rely on."""
     from simgap.api.keys import FILES
 
-    out = ["# JSON", "A program may rely on these keys; more may be added. `null` stands for a number that is not known.", ""]
+    out = [
+        "# JSON",
+        "A program may rely on these keys; more may be added. `null` stands for a number that is not known. `simgap schema` "
+        "prints the JSON Schema of `diagnosis.json`, `simgap schema check` and `simgap schema identification` print the others.",
+        "",
+    ]
     for name, (about, keys) in FILES.items():
         rows = [f"| `{k}` | {_cell(v)} |" for k, v in keys.items()]
         out += [f"## {name}", about, "", "| key | holds |", "|---|---|", *rows, ""]

@@ -52,7 +52,7 @@ COMMANDS: dict[str, str] = {
     "identify": "Filter, decimate and fit a Box-Jenkins model to a recording.",
     "app": "All commands, and runs side by side, in the browser; on this machine only.",
     "effects": "List the effects that a diagnosis can name, or describe one.",
-    "schema": "Print the JSON Schema of diagnosis.json.",
+    "schema": "Print the JSON Schema of diagnosis.json, check.json or identification.json.",
     "data": "Find or download a public recording and verify its hash.",
     "benchmark": "Diagnose many simulated recordings with hidden effects and score the answers.",
     "proof": "Diagnose recordings of real machines and compare with published values.",

@@ -26,9 +26,8 @@ def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json
     excitation can show. Of a robot, each joint is checked, and whether columns of different joints are swapped. Exit 0: ready,
     or usable with limits. 1: the log has to be fixed first. 2: bad input.
     """
-    import json
-
     from diagnose.check import LogVerdict
+    from diagnose.json_file import json_text
     from simgap.api.checking import check
 
     if out is not None:
@@ -36,7 +35,7 @@ def command(recordings: tuple[Path, ...], model: Path, out: Path | None, as_json
         spare_inputs((out / name for name in ("check.json", "check.html")), (model, *recordings))
     result = check(list(recordings), model, out=out)
     if as_json:
-        click.echo(json.dumps({"model": model.name, **result.as_dict()}, indent=2))
+        click.echo(json_text({"model": model.name, **result.as_dict()}))
     else:
         from simgap.show import show_check
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -32,6 +31,7 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
 
     MODEL is an MJCF of a single-axis chain or the name of a shipped model; default: robot_axis1.
     """
+    from diagnose.json_file import json_text
     from mjsim.crosscheck import Report, check_all, plot, table
     from mjsim.errors import CheckError, InputError
     from mjsim.ode import DivergedError
@@ -53,13 +53,13 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         whole = out / ".crosscheck.json"
-        whole.write_text(json.dumps(report.as_dict(), indent=2) + "\n", encoding="utf-8")
+        whole.write_text(json_text(report.as_dict()) + "\n", encoding="utf-8")
         whole.replace(out / "crosscheck.json")
         picture = out / ".crosscheck.png"
         plot(report, picture)
         picture.replace(out / "crosscheck.png")
     if as_json:
-        click.echo(json.dumps(report.as_dict(), indent=2))
+        click.echo(json_text(report.as_dict()))
     else:
         for line in table(report.rows):
             click.echo(line)

@@ -30,8 +30,7 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     The recordings come from a simulator with its own laws and its own solver. The diagnosis gets the CSV files and the
     nominal model, nothing else. The truth is in a file whose SHA-256 is printed before the diagnosis begins.
     """
-    import json
-
+    from diagnose.json_file import json_text
     from diagnose.pipeline import Options
     from lab.benchmark.seal import open_envelope, write_cases
     from mjsim.models import shipped_model
@@ -51,7 +50,7 @@ def command(out: Path, seed: int, level: str, jobs: int, as_json: bool) -> None:
     result = diagnose_files(*inputs, options, progress=not as_json)
     truth = open_envelope(recordings, truth_file)["001"]
     if as_json:
-        click.echo(json.dumps({"truth": truth, "diagnosis": result.as_dict()}, indent=2, default=float))
+        click.echo(json_text({"truth": truth, "diagnosis": result.as_dict()}))
         return
     show_diagnosis(result, out)
     show_truth(truth, result.findings)

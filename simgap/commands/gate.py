@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -102,6 +101,7 @@ def command(
     run together and each is compared: its position under its servo, or the torque that holds it to the recording. Exit 1 when
     an error exceeds that of the baseline by more than the tolerance.
     """
+    from diagnose.json_file import json_text
     from ident.serial import write_atomic
     from mjsim.errors import CheckError
 
@@ -113,11 +113,10 @@ def command(
     if markdown is not None:
         write_atomic(markdown, as_markdown(model, checks, tolerance))
     if as_json:
-        rows = [{k: None if v in (math.inf, -math.inf) else v for k, v in asdict(c).items()} for c in checks]
         units = {c.unit for c in checks}
         unit = units.pop() if len(units) == 1 else None
-        told = {"passed": not worse, "against": against, "tolerance": tolerance, "unit": unit, "checks": rows}
-        click.echo(json.dumps(told, indent=1))
+        told = {"passed": not worse, "against": against, "tolerance": tolerance, "unit": unit}
+        click.echo(json_text(told | {"checks": [asdict(c) for c in checks]}))
     else:
         _show(checks)
     if worse:

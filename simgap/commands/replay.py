@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +63,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
 
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
+    from diagnose.json_file import json_text
     from mjsim.errors import InputError, nearest
     from mjsim.mjcf import load_model
     from mjsim.mujoco_run import lacking
@@ -107,7 +107,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     if engine == "literal":
         result["lacks"] = list(lacks)
     if as_json:
-        click.echo(json.dumps(result))
+        click.echo(json_text(result, None))
         return
     unit = {"velocity": ("rad/s", "m/s"), "angle": ("rad", "m")}[channel][source.axis.chain.motion.value == "slide"]
     click.echo(
@@ -161,11 +161,12 @@ def _told(start: Start | None, source: Model) -> list[str]:
 
 def _robot(model: Path, recording: Path, out: Path, *, as_json: bool) -> None:
     """Replay of all joints of a robot by MuJoCo, whichever engine is asked for."""
+    from diagnose.json_file import json_text
     from simgap.robot_replay import replay_robot
 
     found = replay_robot(model, recording, out)
     if as_json:
-        click.echo(json.dumps(found.as_dict()))
+        click.echo(json_text(found.as_dict(), None))
         return
     for name, r in found.joints.items():
         loop = f", torque of the tracking loop {r['tracking_rms']:.4g} rms" if "tracking_rms" in r else ""
