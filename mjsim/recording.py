@@ -331,7 +331,8 @@ def _values(path: Path, table: Table, role: str, channel: Channel, binding: Bind
     """The values (N,) of a bound channel in SI."""
     where = f"{binding.source}: {role}"
     if channel.column not in table:
-        off = f"; {DRIVE_OFF}" if role in INPUTS else ""
+        unit = f', unit = "{DEFAULT_UNITS[role]}"' if role in DEFAULT_UNITS else ""
+        off = f', as [recording] {role} = {{ column = "NAME"{unit} }}' + (f"; {DRIVE_OFF}" if role in INPUTS else "")
         raise InputError(
             path, f"no column {channel.column!r} for {role}", f"one of the columns {', '.join(table) or '(none)'}",
             table.hint or nearest(channel.column, table, f"rename it, or bind it {_in_binding(path)}{off}"),

@@ -303,6 +303,7 @@ def test_names_and_files_are_completed(words, offered, tmp_path, monkeypatch):
 def test_the_completion_of_each_shell_is_printed_as_documented(shell):
     root = Path(__file__).parent.parent
     assert f"{shell}_source" in (root / "README.md").read_text(encoding="utf-8")
+    assert f"_SIMGAP_COMPLETE={shell}_source simgap" in (root / "docs" / "tutorial.md").read_text(encoding="utf-8")
     code = "import sys; sys.argv = ['simgap']; from simgap.cli import main; main()"
     ended = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True,
