@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+# tests start simgap in processes of their own, which otherwise compile its source each time
+unexport PYTHONDONTWRITEBYTECODE
 LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx httpx2
 
 .PHONY: demo test coverage proof lint docs lowest audit wheel clean

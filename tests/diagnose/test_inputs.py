@@ -88,8 +88,8 @@ def test_the_check_of_a_free_swing_asks_for_no_torque(free):
 
 
 def test_friction_of_a_free_swing_is_found_with_the_drive_off(free, tmp_path):
-    logs = [swing(free, 1.6, 0.012)]
-    result = diagnose_recordings(logs, free, tmp_path, [swing(free, 2.2, 0.012)], FEW, progress=False)
+    logs, other = [swing(free, 1.6, 0.012, 4.0)], swing(free, 2.2, 0.012, 4.0)
+    result = diagnose_recordings(logs, free, tmp_path, [other], FEW, progress=False)
     assert result.verdict is Verdict.MISSING_PHYSICS
     (found,) = result.findings
     assert found.effect == "coulomb_friction"
@@ -99,8 +99,8 @@ def test_friction_of_a_free_swing_is_found_with_the_drive_off(free, tmp_path):
     assert not any("the input" in sentence for sentence in where(result))  # there is none
     corrected = load_axis(tmp_path / "corrected.xml")
     assert not corrected.chain.driven
-    run = simgap.simulate(tmp_path / "corrected.xml", swing(free, 2.2, 0.012))
-    assert np.sqrt(np.mean((run.angle - swing(free, 2.2, 0.012).angle) ** 2)) < 4 * STEP
+    run = simgap.simulate(tmp_path / "corrected.xml", other)
+    assert np.sqrt(np.mean((run.angle - other.angle) ** 2)) < 4 * STEP
 
 
 def test_without_a_weight_the_inertia_sets_the_scale(tmp_path):

@@ -27,7 +27,7 @@ from mjsim.mjcf import load_axis
 from mjsim.models import shipped_model
 from simgap.cli import cli
 
-FEW = ("coulomb_friction", "backlash", "torque_offset", "time_delay", "quadratic_friction", "stribeck_friction")
+FEW = ("coulomb_friction", "torque_offset", "time_delay", "stribeck_friction")
 FIT = Fit(np.array([1 / 3, -0.0]), 0.1, Linearised.known(np.zeros(3), np.zeros((3, 2))), Status.BUDGET, 3, np.inf)
 
 

@@ -88,7 +88,7 @@ def test_a_terminal_shows_one_moving_line(monkeypatch, capsys):
 
 
 def test_the_command_is_quiet_when_asked(pair, tmp_path):
-    for name, r in zip(("log.csv", "other.csv"), pair(effect("coulomb_friction", torque_Nm=0.1), seconds=1.0), strict=True):
+    for name, r in zip(("log.csv", "other.csv"), pair(effect("coulomb_friction", torque_Nm=0.1), seconds=0.5), strict=True):
         rows = np.column_stack([r.time, r.torque, r.velocity, r.angle])
         header = "time_s,torque_Nm,velocity_rad_s,angle_rad"
         np.savetxt(tmp_path / name, rows, delimiter=",", header=header, comments="")

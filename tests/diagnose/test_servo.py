@@ -77,7 +77,7 @@ def test_a_small_error_of_force_is_an_all_clear():
 
 def test_without_that_rule_it_would_be(monkeypatch):
     monkeypatch.setattr(servo, "IMITATED", set())
-    assert told(1, unknown=0.4).findings
+    assert told(1, (*FEW, "time_delay"), unknown=0.4).findings
 
 
 @pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), (0.05, 1.0)])

@@ -64,7 +64,7 @@ class Fade(Effect):
 @pytest.fixture(scope="module")
 def faded(pair, robot):
     """(recordings, result): a torque that fades with speed, and only a delay to explain it by."""
-    recordings = pair(Fade(per_rad_s=8e-3), seconds=4.0)
+    recordings = pair(Fade(per_rad_s=8e-3), seconds=3.0)
     return recordings, diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1, effects=("time_delay",)))
 
 

@@ -33,7 +33,7 @@ def retimed(r, mass, pace):
 
 @pytest.mark.parametrize("hidden", HIDDEN, ids=lambda e: e.id)
 def test_a_scaled_machine_has_the_scaled_diagnosis(pair, robot, hidden):
-    recordings = pair(hidden)
+    recordings = pair(hidden, seconds=1.5)
     plain = diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1, effects=FEW))
     assert [(f.effect, f.place) for f in plain.findings] == [(hidden.id, hidden.place)]
     for mass, pace in ((1e3, 5.0), (1e-3, 0.2)):

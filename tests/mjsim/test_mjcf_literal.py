@@ -102,7 +102,7 @@ NATIVE = [
 
 @pytest.mark.parametrize(("name", "place", "values", "tolerance"), NATIVE)
 def test_what_is_written_natively_acts_natively(tmp_path, nominal, name, place, values, tolerance):
-    u = chirp(4.0)
+    u = chirp(2.0)
     chain = load_axis(nominal).chain
     axis = Axis(chain, (effect_class(name)(place=place, **values),), BacklashLaw.UNGATED)
     assert write_corrected(nominal, axis, tmp_path / "corrected.xml").lacks == ()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -147,25 +145,18 @@ def test_the_binding_travels_inside_the_corrected_file(tmp_path):
     assert (tmp_path / "p.csv").read_text().splitlines()[0] == "time_s,torque_N,velocity_m_s,angle_m"
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "simgap", "replay", *map(str, arguments)], capture_output=True, text=True, check=False
-    )
-
-
-def test_bad_input_is_one_line_and_exit_2(tmp_path, nominal):
+def test_bad_input_is_one_line_and_exit_2(simgap, tmp_path, nominal):
     recording = log(tmp_path / "log.csv", load_axis(nominal), chirp(0.05))
     (tmp_path / "bad.xml").write_text("<mujoco><worldbody>")
     for model, file in ((tmp_path / "none.xml", recording), (nominal, tmp_path / "none.csv"), (tmp_path / "bad.xml", recording)):
-        done = command(model, file, "--out", tmp_path / "p.csv")
-        assert done.returncode == 2
-        assert done.stdout == ""
-        assert len(done.stderr.strip().splitlines()) == 1
-        assert done.stderr.startswith("simgap: ")
+        code, out, err = simgap("replay", str(model), str(file), "--out", "p.csv")
+        assert (code, out) == (2, "")
+        assert len(err.strip().splitlines()) == 1
+        assert err.startswith("simgap: ")
         assert not (tmp_path / "p.csv").exists()
     (tmp_path / "file").write_text("")
-    done = command(nominal, recording, "--out", tmp_path / "file" / "p.csv")
-    assert (done.returncode, len(done.stderr.strip().splitlines())) == (2, 1)
+    code, _, err = simgap("replay", str(nominal), str(recording), "--out", "file/p.csv")
+    assert (code, len(err.strip().splitlines())) == (2, 1)
 
 
 def test_help_shows_an_example():
