@@ -49,7 +49,7 @@ def command(
     take_folder(out)
     from simgap.api.diagnosing import need_effects
     from simgap.api.model import Model
-    from simgap.fleet.page import headline, write_page
+    from simgap.fleet.page import counted, headline, write_page
     from simgap.fleet.plan import Settings, jobs
     from simgap.fleet.run import run
     from simgap.fleet.table import read_records, rows, write_parquet
@@ -75,5 +75,5 @@ def command(
             counts[r] = counts.get(r, 0) + 1
         click.echo(json.dumps({"robots": len(robots), "recordings": len(planned), "verdicts": counts}))
     else:
-        click.echo(f"{len(robots)} robots, {len(planned)} recordings: {headline(table)}")
+        click.echo(f"{counted(len(robots), 'robot')}, {counted(len(planned), 'recording')}: {headline(table)}")
         click.echo(f"Page: {out / 'fleet.html'}   Table: {out / 'fleet.parquet'}")

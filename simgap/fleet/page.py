@@ -18,12 +18,17 @@ from diagnose.report.figures import unit
 from diagnose.report.words import effect_name
 from simgap.fleet.trends import AGAIN, Drift, Outlier, drifts, outliers, to_record_again
 
-__all__ = ["headline", "write_page"]
+__all__ = ["counted", "headline", "write_page"]
 
 _STYLE = """
 .spark { width: 9rem; height: 2.2rem; vertical-align: middle; } .spark circle { fill: var(--corrected); }
 .spark polyline { fill: none; stroke: var(--corrected); stroke-width: 1.5; }
 """
+
+
+def counted(count: int, noun: str) -> str:
+    """``1 robot``, ``2 robots``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def headline(table: Sequence[Mapping[str, Any]]) -> str:
@@ -44,12 +49,13 @@ def write_page(path: Path, table: Sequence[Mapping[str, Any]], model: str) -> No
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined
     )
+    environment.filters["counted"] = counted
     logs = len({r["key"] for r in table})
     body = environment.get_template("page.html.j2").render(
         robots=robots, logs=logs, headline=headline(table), model=model, matrix=_matrix(robots),
         drifts=_drifts(drifts(table)), outliers=_outliers(outliers(table)), again=_again(table), theme_button=theme_button,
     )  # fmt: skip
-    write_text(document(f"Fleet: {len(robots)} robots, {logs} recordings", body, style=_STYLE), path)
+    write_text(document(f"Fleet: {counted(len(robots), 'robot')}, {counted(logs, 'recording')}", body, style=_STYLE), path)
 
 
 def _matrix(robots: Mapping[str, Sequence[Mapping[str, Any]]]) -> Markup:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import looks_right
+from browser import looks_right, opened
 
 import simgap
 
@@ -35,3 +35,12 @@ def pages(log: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) 
 @pytest.mark.parametrize(("name", "plots"), [("identification", 0), ("check", 3)])
 def test_opens_from_disk_and_fits_the_window(browser: Any, pages: dict[str, Path], name: str, plots: int) -> None:
     looks_right(browser, pages[name], plots)
+
+
+@pytest.mark.parametrize(("scheme", "chosen", "dark"), [("light", "", False), ("dark", "", True), ("dark", "light", False)])
+def test_figures_suit_the_colours_of_the_page(browser: Any, pages: dict[str, Path], scheme: str, chosen: str, dark: bool) -> None:
+    with opened(browser, pages["identification"], color_scheme=scheme) as w:
+        w.page.evaluate("(chosen) => { if (chosen) document.documentElement.dataset.theme = chosen; }", chosen)
+        filters = w.page.evaluate("[...document.querySelectorAll('.photo img')].map((e) => getComputedStyle(e).filter)")
+        assert [("invert" in f) for f in filters] == [dark] * len(filters)
+        assert len(filters) >= 3
