@@ -312,7 +312,7 @@ def test_files_in_a_folder_with_the_contracts_json_out(pair, tmp_path):
 
 def test_a_command_loads_neither_scipy_signal_nor_scipy_stats(pair, tmp_path):
     """They take half a second to load, and a second core is of no help."""
-    one, two = (write(tmp_path / f"{name}.csv", r) for name, r in zip("ab", pair(COULOMB, seconds=1.0), strict=True))
+    one, two = (write(tmp_path / f"{name}.csv", r) for name, r in zip("ab", pair(COULOMB, seconds=0.5), strict=True))
     files = [one, "--held-out", two, "--model", shipped_model("robot_axis1"), "--out", tmp_path / "out"]
     call = ["diagnose", *files, "--effects", "coulomb_friction", "--jobs", "2", "--json", "--quiet"]
     code = (
