@@ -35,7 +35,7 @@ CHANGED = {"Jm": 4.7e-4, "fm": 0.0345, "kg": 1.46e5, "ka": 0.458e5, "Ja": 1.66} 
 Record = Callable[..., Recording]
 
 # Where nothing is compiled yet, these compile most of what all tests run. The first worker begins with the first tuple and the
-# last with the second, so that no two workers compile the same function at the same time.
+# last with the second, so that they compile different functions for most of that time.
 COMPILES = (
     ("tests/mjsim/test_crosscheck.py",),
     (
