@@ -1,6 +1,6 @@
 """A pendulum or a balanced link on one motor, with physics of its own, integrated here by semi-implicit Euler.
 
-    J(t) q'' = g(t) u - b q' - m g l sin q + d(t, q, q')
+    J(t) q'' = g(t) u - b q' - m g l sin q + d(t, q, q') - f sign q'
 
 No effect of the library and no solver of simgap takes part.
 """
@@ -16,9 +16,11 @@ import numpy as np
 
 __all__ = ["FORMS", "KINDS", "Machine", "draw", "write_case"]
 
-FORMS = ("torque_velocity_angle", "torque_angle", "torque_angle_feedback")
+FORMS = ("torque_velocity_angle", "torque_angle", "torque_angle_feedback", "command_angle")
 SECONDS, SUBSTEPS = 8.0, 10
 STEP = 2.0 * math.pi / 8192  # of the encoder [rad]
+
+STIFF, DAMPED = 200.0, 20.0  # gains of a position loop over the inertia [1/s^2], [1/s]
 
 Torque = Callable[["Machine", float, float, float, float], float]
 
@@ -27,7 +29,8 @@ Torque = Callable[["Machine", float, float, float, float], float]
 class Machine:
     """Numbers of one machine: inertia [kg m^2], friction [N m s/rad], weight [N m]; size [N m] of what is missing.
 
-    second: whether this is the held-out recording; waves: of a rough surface; state: what a law remembers.
+    friction: Coulomb friction beside it [N m]; second: whether this is the held-out recording; waves: of a rough surface; state:
+    what a law remembers.
     """
 
     inertia: float
@@ -39,6 +42,7 @@ class Machine:
     draws: np.random.Generator
     second: bool = False
     state: float = 0.0
+    friction: float = 0.0
 
 
 def _push(m: Machine, t: float, q: float, v: float, h: float) -> float:
@@ -113,19 +117,28 @@ def draw(rng: np.random.Generator) -> tuple[Machine, str]:
     return Machine(inertia, viscous, mass * gravity * 0.2, 2.5 * inertia, rate, waves, rng), text
 
 
-def write_case(kind: str, form: str, seed: int, folder: Path) -> float:
-    """Write model.xml, fitted.csv and held_out.csv; returns the noise rms of what is judged (velocity, else angle)."""
+def write_case(kind: str, form: str, seed: int, folder: Path, friction: bool = False) -> float:
+    """Write model.xml, fitted.csv and held_out.csv; returns the noise rms of what is judged (velocity, else angle).
+
+    friction: Coulomb friction acts as well, 1 to 2 times the size of the unknown physics, and the model lacks it.
+    """
     rng = np.random.default_rng(seed)
     m, text = draw(rng)
+    if friction:
+        m.friction = rng.uniform(1.0, 2.0) * m.size
     folder.mkdir(parents=True, exist_ok=True)
+    servo = form == FORMS[3]
+    if servo:
+        gains = f'kp="{STIFF * m.inertia}" kv="{DAMPED * m.inertia}"'
+        text = text.replace('<motor name="drive" joint="hinge"/>', f'<position name="drive" joint="hinge" {gains}/>')
     (folder / "model.xml").write_text(text, encoding="utf-8")
     tones, phases = rng.uniform(0.2, 4.0, 6), rng.uniform(0.0, 2 * math.pi, (2, 6))
     noise = STEP / math.sqrt(12.0)
     for which, name in enumerate(("fitted", "held_out")):
         m.second, m.state = bool(which), 0.0
-        log = _run(kind, m, tones, phases[which], form == FORMS[2])
+        log = _run(kind, m, tones, phases[which], form == FORMS[2] or servo, servo)
         q = np.round((log[1] + rng.normal(0.0, STEP / 3, len(log[1]))) / STEP) * STEP
-        columns, header = [np.arange(len(q)) / m.rate, log[0], q], "time_s,torque_Nm,angle_rad"
+        columns, header = [np.arange(len(q)) / m.rate, log[0], q], f"time_s,{'command_rad' if servo else 'torque_Nm'},angle_rad"
         if form == FORMS[0]:
             noise = 0.01 * float(np.std(log[2]))
             columns.append(log[2] + rng.normal(0.0, noise, len(q)))
@@ -134,23 +147,26 @@ def write_case(kind: str, form: str, seed: int, folder: Path) -> float:
     return noise
 
 
-def _run(kind: str, m: Machine, tones: np.ndarray, phases: np.ndarray, feedback: bool) -> np.ndarray:
-    """Torque, angle and velocity (3, N)."""
+def _run(kind: str, m: Machine, tones: np.ndarray, phases: np.ndarray, feedback: bool, servo: bool) -> np.ndarray:
+    """Torque (of a servo: the commanded angle, which it follows at every substep), angle and velocity (3, N)."""
     n, dt = int(SECONDS * m.rate), 1.0 / m.rate
     out = np.empty((3, n))
-    q = v = 0.0
+    q = v = target = 0.0
     for k in range(n):
         t = k * dt
         if feedback:
             target = 0.8 * float(np.sum(np.sin(0.5 * math.pi * tones * t + phases) - np.sin(phases))) / 3.0
-            u = m.inertia * (200.0 * (target - q) - 20.0 * v)
+            u = m.inertia * (STIFF * (target - q) - DAMPED * v)
         else:
-            u = 2.5 * m.inertia * float(np.sum(tones * np.sin(2 * math.pi * tones * t + phases)))
-        out[:, k] = u, q, v
+            u = 2.5 * (m.inertia + 0.4 * m.friction) * float(np.sum(tones * np.sin(2 * math.pi * tones * t + phases)))
+        out[:, k] = target if servo else u, q, v
         h = dt / SUBSTEPS
         for i in range(SUBSTEPS):
+            if servo:
+                u = m.inertia * (STIFF * (target - q) - DAMPED * v)
             acting, inertia = _drive(kind, m, t + i * h, u, h)
             extra = KINDS[kind](m, t + i * h, q, v, h)
             v += h * (acting + extra - m.viscous * v - m.weight * math.sin(q)) / inertia
+            v = math.copysign(max(abs(v) - h * m.friction / inertia, 0.0), v)  # at rest, friction holds what it can
             q += h * v
     return out
