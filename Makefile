@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 unexport PYTHONDONTWRITEBYTECODE
 LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx httpx2
 
-.PHONY: demo test coverage proof lint docs lowest audit wheel clean
+.PHONY: demo test coverage notebooks proof lint docs lowest audit wheel clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
@@ -17,6 +17,10 @@ test: $(STAMP) lint
 # the tests of `make test`, slower, with the lines of mjsim, ident and diagnose that none of them runs
 coverage: $(STAMP) lint
 	$(BIN)/python -m pytest -n auto --dist worksteal --cov
+
+# the notebooks of the documentation, cell after cell
+notebooks: $(STAMP)
+	$(BIN)/python -m pytest -m slow tests/test_site.py -k a_notebook_runs
 
 proof: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal --ignore tests/benchmark/test_quick_grade.py
