@@ -392,7 +392,12 @@ def test_the_server_does_not_wait_for_a_picture_when_it_ends(tmp_path, monkeypat
 
 def test_an_interrupt_before_the_server_has_started_is_no_error(tmp_path):
     words = [sys.executable, "-m", "simgap", "app", "--no-browser", "--folder", str(tmp_path / "runs")]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    heard = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    try:
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, heard)
+    with process:
         assert process.stdout.readline().startswith("simgap app: http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
