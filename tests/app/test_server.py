@@ -391,13 +391,9 @@ def test_the_server_does_not_wait_for_a_picture_when_it_ends(tmp_path, monkeypat
 
 
 def test_an_interrupt_before_the_server_has_started_is_no_error(tmp_path):
-    words = [sys.executable, "-m", "simgap", "app", "--no-browser", "--folder", str(tmp_path / "runs")]
-    heard = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
-    try:
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    finally:
-        signal.signal(signal.SIGINT, heard)
-    with process:
+    hear = "import signal, runpy; signal.signal(2, signal.default_int_handler); runpy.run_module('simgap', run_name='__main__')"
+    words = [sys.executable, "-c", hear, "app", "--no-browser", "--folder", str(tmp_path / "runs")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline().startswith("simgap app: http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
