@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+import signal
 import socket
 import webbrowser
 from collections.abc import Callable
@@ -41,8 +42,12 @@ def serve(folder: Path, port: int, browser: bool, tell: Callable[[str], None]) -
         config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1,
                                 ws="none", proxy_headers=False)  # fmt: skip
         server = uvicorn.Server(config)
-        with contextlib.suppress(KeyboardInterrupt):  # that is how it ends, also before the server has started
+        heard = signal.signal(signal.SIGINT, server.handle_exit)  # the server ends by it also before it has started
+        try:
             tell(address)
             if browser:
                 webbrowser.open(address)
-            server.run(sockets=[listening])
+            with contextlib.suppress(KeyboardInterrupt):  # a termination, which the command line raises
+                server.run(sockets=[listening])
+        finally:
+            signal.signal(signal.SIGINT, heard)
