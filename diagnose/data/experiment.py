@@ -17,6 +17,7 @@ from mjsim.signals import limits
 
 __all__ = [
     "Experiment",
+    "angle_noise_level",
     "corrected",
     "first_angle",
     "held_rows",

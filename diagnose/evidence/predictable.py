@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment, measured_velocity, middle
+from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, middle
 from diagnose.data.runs import free_run
 from diagnose.evidence.encoder import whole_orders
 from diagnose.evidence.orders import torque_to_velocity
@@ -24,10 +24,11 @@ from diagnose.problem.problem import bounded
 from diagnose.problem.view import ForceView
 from diagnose.thresholds import INTERVALS, SIGMAS, TWICE, WINDOWS
 from mjsim.axis import Axis
+from mjsim.ode import DivergedError
 from mjsim.quantity import Motion
 from mjsim.signals import lfilter
 
-__all__ = ["Structure", "motion_error", "motion_errors", "remaining_structure"]
+__all__ = ["Structure", "by_rate_of_angle", "error_of_angle", "motion_error", "motion_errors", "remaining_structure"]
 
 
 @dataclass(frozen=True)
@@ -151,15 +152,16 @@ def motion_error(
     and nothing else: the noise of one sensor is not in the other. Their covariance on the held-out recordings (or those ``on``
     which it is asked) is therefore the mean square of the missed motion, whatever the colour of either noise. Over a long
     window little noise is left, and no motion faster than it; over a short one it is the other way round. What repeats with the
-    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error. Where the angle
-    alone is judged, see `_angle_error`.
+    turn of the encoder is taken out of both. Held-out phases and speeds are estimated as for the free-run error. Where an angle
+    alone was measured, see `_angle_error`.
     """
-    if fitter.view.channel == "angle":
-        return _angle_error(fitter, fitted, fitter.held_out if on is None else on)
-    if fitter.view.channel != "velocity":
+    if fitter.view.channel == "torque":
         return None
+    on = fitter.held_out if on is None else on
+    if fitter.view.channel == "angle" or by_rate_of_angle(fitter):
+        return _angle_error(fitter, fitted, on)
     runs = []
-    for experiment in fitter.held_out if on is None else on:
+    for experiment in on:
         r = experiment.recording
         if r.velocity is None or r.angle is None:
             return None
@@ -188,15 +190,18 @@ def _angle_error(fitter: Fitter, fitted: Fitted, on: Sequence[Experiment]) -> fl
 
     An angle shows motion itself, so that its error e is motion as far as it exceeds the noise sigma that the recording shows.
     No second channel tells coloured noise from motion here: up to an rms of `TWICE` sigma it may be either. What repeats with
-    the turn of the encoder is taken out.
+    the turn of the encoder is taken out. Also where the rate of the angle is judged: white noise of the angle has the power
+    density (sin(w dt) / dt)^2 sigma^2 dt / pi there, next to nothing at the frequencies of a motion, and hides at its own
+    rms an error that the angle shows.
     """
     total, weight = 0.0, 0.0
     for experiment in on:
-        r, level = experiment.recording, fitter.view.noise(experiment)
+        r = experiment.recording
+        level = fitter.view.noise(experiment) if fitter.view.channel == "angle" else experiment.angle_noise
         solved = fitter.own_values(fitted.hypothesis, fitted, experiment)
         if solved is None or r.angle is None or not level:
             return None
-        e = fitter.error(solved[0], experiment, solved[1])
+        e = error_of_angle(fitter, experiment, *solved)
         if e is None:
             return None
         keep = fitter.counted(experiment)
@@ -208,6 +213,25 @@ def _angle_error(fitter: Fitter, fitted: Fitted, on: Sequence[Experiment]) -> fl
     if weight == 0.0 or total <= TWICE**2 * weight:
         return None
     return total / weight - 1.0
+
+
+def by_rate_of_angle(fitter: Fitter) -> bool:
+    """Whether the rate of an angle is judged, since no velocity was measured."""
+    return fitter.view.channel == "velocity" and all(e.recording.velocity is None for e in fitter.experiments)
+
+
+def error_of_angle(fitter: Fitter, experiment: Experiment, axis: Axis, initial: np.ndarray | None) -> np.ndarray | None:
+    """Measured less simulated angle (N,) of a free run, without its mean where its rate is judged; None where it diverges."""
+    if fitter.view.channel == "angle":
+        return fitter.error(axis, experiment, initial)
+    try:
+        e = measured_angle(experiment.recording) - free_run(axis, experiment, initial).angle
+    except DivergedError:
+        return None
+    if experiment.correction is not None:  # of the rate
+        c = experiment.correction
+        e = e + np.concatenate([[0.0], np.cumsum(0.5 * (c[1:] + c[:-1]))]) * experiment.recording.dt
+    return np.asarray(e - np.mean(e[fitter.counted(experiment)]))
 
 
 def motion_errors(

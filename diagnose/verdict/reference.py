@@ -15,10 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.data.derived import without_derived_velocity
-from diagnose.data.experiment import first_angle, hold_out_blocks, measured_velocity, plain_step, prepare, smooth_velocity
+from diagnose.data.experiment import (
+    angle_noise_level,
+    first_angle,
+    hold_out_blocks,
+    measured_velocity,
+    plain_step,
+    prepare,
+    smooth_velocity,
+)
 from diagnose.data.noise import channel_noise
 from diagnose.result import FitFigures
-from diagnose.thresholds import SIGMAS, SMALL
+from diagnose.thresholds import SIGMAS, SMALL, TWICE
 from mjsim.plant import Hold, Start
 from mjsim.recording import Recording
 
@@ -162,10 +170,22 @@ def noise_level(n: int) -> float:
     return n * (1.0 + SMALL) + SIGMAS * math.sqrt(2.0 * n)
 
 
-def at_noise(cases: Sequence[Case], runs: Sequence[Run | None]) -> bool:
-    """Whether the mean squared error of both kinds of data is that of the noise, as far as this is known."""
+def at_noise(cases: Sequence[Case], runs: Sequence[Run | None], *, angles: bool = False) -> bool:
+    """Whether the mean squared error of both kinds of data is that of the noise, as far as this is known.
+
+    angles: where the rate of an angle is judged, the angle itself must agree as well, to `TWICE` its noise.
+    """
     sums = [chi_square(cases, runs, part) for part in ("estimation", "held_out")]
-    return all(chi2 <= noise_level(n) for chi2, n in sums)
+    return all(chi2 <= noise_level(n) for chi2, n in sums) and not (angles and any(map(_angle_differs, cases, runs)))
+
+
+def _angle_differs(case: Case, run: Run | None) -> bool:
+    """Whether the angle of a case without a velocity shows more than noise, which the noise of its rate may hide."""
+    q, keep = case.recording.angle, case.estimation | case.held_out
+    if run is None or q is None or case.servo or case.recording.velocity is not None or not keep.any():
+        return False
+    e = (q - run.angle)[keep]
+    return float(np.std(e)) > TWICE * max(angle_noise_level(q), channel_noise(case.recording, "angle"))
 
 
 def beyond(cases: Sequence[Case], runs: Sequence[Run | None], goal: float, part: str = "estimation") -> bool:

@@ -56,7 +56,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     shown = with_runs(result.traces, nominal.cases, nominal.runs, files.runs)
     out = dataclasses.replace(result, fit=fits, surrogate=engine, traces=shown)
     if files.stands or nominal_stands(result, nominal):
-        return _no_mismatch(out, notes) if at_noise(nominal.cases, nominal.runs) else _as_it_was(out, notes)
+        return _no_mismatch(out, notes) if at_noise(nominal.cases, nominal.runs, angles=True) else _as_it_was(out, notes)
     if missed and not files.lacks:
         notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
@@ -64,7 +64,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
         out = _numerics(out, files)
     if out.verdict is Verdict.NO_MISMATCH and not at_noise(nominal.cases, nominal.runs):
         out = dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=_as_given(out))
-    elif files.bears or (out.verdict is Verdict.UNEXPLAINED and at_noise(nominal.cases, files.runs)):
+    elif files.bears or (out.verdict is Verdict.UNEXPLAINED and at_noise(nominal.cases, files.runs, angles=True)):
         out = _explained(out, files.form)
     # a file that follows the held-out recordings worse than the one as given explains nothing, whatever the equations say
     worse = fits["corrected"].held_out_rms > MISSES * fits["nominal"].held_out_rms and not at_noise(nominal.cases, files.runs)
@@ -91,7 +91,7 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     best = (result.surrogate or result.fit)["corrected"]
     chi2, n = chi_square(nominal.cases, nominal.runs)
     given = figures(nominal.cases, nominal.runs)
-    if not (math.isfinite(chi2) and n and at_noise(nominal.cases, nominal.runs)):
+    if not (math.isfinite(chi2) and n and at_noise(nominal.cases, nominal.runs, angles=True)):
         return False
     more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
     gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))

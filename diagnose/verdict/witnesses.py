@@ -19,7 +19,7 @@ import numpy as np
 from diagnose.data.experiment import held_rows
 from diagnose.data.noise import white_noise_level
 from diagnose.evidence.encoder import fit_with_encoder_error
-from diagnose.evidence.predictable import Structure, motion_error, motion_errors, remaining_structure
+from diagnose.evidence.predictable import Structure, by_rate_of_angle, motion_error, motion_errors, remaining_structure
 from diagnose.evidence.torque_noise import made_by_torque_noise
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
@@ -142,8 +142,10 @@ def _is_unexplained(
     missed_before, missed_after = motion
     if missed_before is None or missed_after is None or missed_after <= options.missed:
         return False
+    if closed(missed_before, missed_after) >= options.closed:
+        return False
     # fast motion averages out in what the angle confirms: how much of all was closed is seen in the error itself
-    return closed(missed_before, missed_after) < options.closed and closed(mismatch, left) < options.closed
+    return by_rate_of_angle(search.fitter) or closed(mismatch, left) < options.closed
 
 
 def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options) -> bool:
@@ -152,7 +154,10 @@ def _is_left_behind(fitter: Fitter, base: Fitted, best: Fitted, options: Options
     What a confounder explains under one excitation it may leave under another, and that may be the one it was fitted to.
     """
     left = best.chi2 / best.n - 1.0
-    if not fitter.noise.exceeds(left + 1.0, 1.0 + options.missed) or closed(base.chi2 / base.n - 1.0, left) >= options.closed:
+    hidden = (
+        not fitter.noise.exceeds(left + 1.0, 1.0 + options.missed) or closed(base.chi2 / base.n - 1.0, left) >= options.closed
+    )
+    if hidden and not by_rate_of_angle(fitter):  # the noise of a rate hides motion that the angle shows
         return False
     before, after = motion_errors(fitter, base, best, fitter.experiments)
     return before is not None and after is not None and after > options.missed and closed(before, after) < options.closed

@@ -58,7 +58,7 @@ class Bench:
         self.chi2 = {("given", "estimation"): 900.0, ("given", "held_out"): 400.0}
         patch = monkeypatch.setattr
         patch(reference_verdict, "figures", lambda cases, runs: self.figures[runs])
-        patch(reference_verdict, "at_noise", lambda cases, runs: self.quiet[runs])
+        patch(reference_verdict, "at_noise", lambda cases, runs, angles=False: self.quiet[runs])
         patch(reference_verdict, "chi_square", lambda cases, runs, part="estimation": (self.chi2[runs, part], 1000))
         patch(reference_verdict, "with_runs", lambda traces, *_: traces)
         case = SimpleNamespace(held_out=np.arange(500) < 250)
