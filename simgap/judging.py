@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from diagnose.result import Diagnosis, Finding, Verdict
 from diagnose.thresholds import ALPHA
 from diagnose.verdict import numerics
 from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, figures, judged
-from diagnose.verdict.reference_fit import MOST_WORK, Refit, refit_in_simulator, uncertainties
-from diagnose.verdict.reference_runs import run_files, run_watched, starts_of, too_far, work_of
+from diagnose.verdict.reference_fit import MOST_WORK, refit_in_simulator, uncertainties
+from diagnose.verdict.reference_runs import run_watched, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_start import run_surrogate
 from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, no_better, nominal_stands
@@ -29,16 +28,17 @@ from mjsim.mjcf.adjust import adjust
 from mjsim.mjcf.faithful import (
     AUTHOR,
     Faithful,
-    Writer,
     as_plain,
     has_dry_friction,
     write_as_author,
     write_faithful,
 )
-from mjsim.plant import ChainPlant, MujocoPlant, Start
+from mjsim.plant import ChainPlant, MujocoPlant
 from mjsim.plant.settings import altered, mended
 from mjsim.recording import Recording
+from simgap.bench import Bench
 from simgap.found import effect_found
+from simgap.nearest_form import with_nearest
 from simgap.plain_friction import plainer_friction, refit_to_noise
 from simgap.weakest_effect import without_weakest
 
@@ -80,7 +80,7 @@ def write_judged(
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal)))
     found: tuple[Finding, ...] = ()
-    bench = _Bench(model, given, axis, result, nominal, out, threads)
+    bench = Bench(model, given, axis, result, nominal, out, threads)
     fewer = _without_creep(bench, cause) or plainer_friction(model, given, result, nominal, out, threads)
     soft = fewer is None and (cause is None or nominal.simulator) and not _explains(bench)
     if soft:  # no form of it is to be at the noise where the equations are not: the simulator's own friction first
@@ -101,13 +101,16 @@ def write_judged(
             trial.replace(out)
             result, form, runs = fewer
         trial.unlink(missing_ok=True)
+    instead: tuple[str, ...] = ()
+    if fewer is None and not found:
+        form, runs, instead = with_nearest(bench, form, runs, _settled)
     less = None if found or fewer is not None else without_weakest(given, axis, result, nominal, form, runs, out, threads)
     if less is not None:
         result, axis, runs = less
     if no_better(result, nominal, runs):
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
-    notes = () if found else (*_told(cause, nominal), *_refitted(axis, out))
+    notes = () if found else (*_told(cause, nominal), *instead, *_refitted(axis, out))
     files = Files(
         runs, form.lacks, form.form, found, notes,
         not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(bench, out, runs),
@@ -116,41 +119,18 @@ def write_judged(
     return by_simulator(result, nominal, files)
 
 
-@dataclass(frozen=True, eq=False)
-class _Bench:
-    """What is judged: the model as given and as found, the diagnosis, the nominal file's runs, where the file goes, threads."""
-
-    model: Path
-    given: Axis
-    axis: Axis
-    result: Diagnosis
-    nominal: Nominal
-    out: Path
-    threads: int
-
-    @cached_property
-    def starts(self) -> list[Start]:
-        """Where runs of the axis start."""
-        return starts_of(self.axis, self.nominal.cases)
-
-    def run(self, path: Path) -> Sequence[Run | None]:
-        """A file on every recording."""
-        return run_files([MujocoPlant.load(path)], self.nominal.cases, self.threads)[0]
-
-    def refit(self, axis: Axis, write: Writer, runs: Sequence[Run | None], goal: float) -> Refit | None:
-        """The numbers of an axis refitted in MuJoCo, from where runs of it start."""
-        cases = self.nominal.cases
-        starts = [case.start() if run is None else run.start for case, run in zip(cases, runs, strict=True)]
-        return refit_in_simulator(axis, write, self.out.name, cases, starts, self.threads, goal)
-
-
-def _explains(bench: _Bench) -> bool:
+def _explains(bench: Bench) -> bool:
     """Whether the equations leave noise alone, run as freely as MuJoCo runs a file."""
     nominal = bench.nominal
     if nominal.simulator:  # then the search compared with the simulator's difference taken out
         return True
     runs = [run_surrogate(bench.axis, c, s, locked=False) for c, s in zip(nominal.cases, bench.starts, strict=True)]
     return at_noise(nominal.cases, runs)
+
+
+def _settled(bench: Bench) -> tuple[Faithful, Sequence[Run | None]]:
+    """The form of a file that is nearest to its axis, its numbers refitted in MuJoCo, and its runs."""
+    return _soft_or_not(bench, *_polished(bench, *_write(bench, bench.out)))
 
 
 def _told(cause: numerics.Cause | None, nominal: Nominal) -> tuple[str, ...]:
@@ -175,7 +155,7 @@ def _misses(result: Diagnosis, cases: Sequence[Case], runs: Sequence[Run | None]
     return any(not a <= times * b for a, b in ((own.rms, engine.rms), (own.held_out_rms, engine.held_out_rms)) if b == b)
 
 
-def _polished(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> tuple[Faithful, Sequence[Run | None]]:
+def _polished(bench: Bench, form: Faithful, runs: Sequence[Run | None]) -> tuple[Faithful, Sequence[Run | None]]:
     """The form that was written and its runs; refitted in MuJoCo where it misses the engine's error: a free run asks more."""
     nominal, result = bench.nominal, bench.result
     if form.lacks or not _misses(result, nominal.cases, runs, POLISHED):  # numbers would stand in for what the file lacks
@@ -188,7 +168,7 @@ def _polished(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> tupl
     return form, bench.run(bench.out)
 
 
-def _write(bench: _Bench, out: Path) -> tuple[Faithful, Sequence[Run | None]]:
+def _write(bench: Bench, out: Path) -> tuple[Faithful, Sequence[Run | None]]:
     """The form of the file that is nearest to what the search had in mind, and its runs."""
     nominal, axis, starts = bench.nominal, bench.axis, bench.starts
     cases, targets, done = nominal.cases, list[np.ndarray](), dict[bytes, Sequence[Run | None]]()
@@ -218,7 +198,7 @@ def _write(bench: _Bench, out: Path) -> tuple[Faithful, Sequence[Run | None]]:
     return form, bench.run(out) if runs is None else runs
 
 
-def _targets(bench: _Bench, axis: Axis) -> list[np.ndarray]:
+def _targets(bench: Bench, axis: Axis) -> list[np.ndarray]:
     """What a file is to do (N,) on each recording: the equations, and the difference of the engines that the search left out."""
     nominal, out = bench.nominal, []
     for i, (case, start) in enumerate(zip(nominal.cases, bench.starts, strict=True)):
@@ -240,7 +220,7 @@ def _apart(cases: Sequence[Case], runs: Sequence[Run], targets: Sequence[np.ndar
     return max(float(x) / c.sigma for x, c in zip(rms, cases, strict=True))
 
 
-def _without_creep(bench: _Bench, cause: numerics.Cause | None) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
+def _without_creep(bench: Bench, cause: numerics.Cause | None) -> tuple[Diagnosis, Faithful, Sequence[Run | None]] | None:
     """The diagnosis without laws of friction that were found beside the file's own, where MuJoCo's soft friction does as well.
 
     A search by the equations takes the creep of the simulator's friction for presliding. None where it is not at the noise.
@@ -263,7 +243,7 @@ def _without_creep(bench: _Bench, cause: numerics.Cause | None) -> tuple[Diagnos
     return dataclasses.replace(result, findings=tuple(others)), Faithful(AUTHOR, math.nan, lacks, write), runs
 
 
-def _soft_or_not(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> tuple[Faithful, Sequence[Run | None]]:
+def _soft_or_not(bench: Bench, form: Faithful, runs: Sequence[Run | None]) -> tuple[Faithful, Sequence[Run | None]]:
     """The file with dry friction as its author's settings (MuJoCo's own where there are none) have it, where that follows better.
 
     A recording of a simulator bears its soft friction, which the equations do not have.
@@ -289,7 +269,7 @@ def _soft_or_not(bench: _Bench, form: Faithful, runs: Sequence[Run | None]) -> t
         trial.unlink(missing_ok=True)
 
 
-def _mended_alone(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]] | None:
+def _mended_alone(bench: Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]] | None:
     """The file as given with its setting mended, where its numbers stand by the equations and that alone leaves noise.
 
     None where it does not: then numbers may stand in for the setting.
@@ -318,7 +298,7 @@ def _mended_alone(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Seque
     return form, runs, (numerics.finding(cause, "motor", before, after, p),)
 
 
-def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:
+def _author_or_mended(bench: Bench, cause: numerics.Cause) -> tuple[Faithful, Sequence[Run | None], tuple[Finding, ...]]:
     """The file with its author's settings; mended where only that follows the recordings, and held-out data better for sure."""
     result, nominal, out, write = bench.result, bench.nominal, bench.out, partial(write_as_author, bench.model)
     form, runs = Faithful(AUTHOR, math.nan, write(bench.axis, out), write), bench.run(out)
@@ -350,7 +330,7 @@ def _author_or_mended(bench: _Bench, cause: numerics.Cause) -> tuple[Faithful, S
         trial.unlink(missing_ok=True)
 
 
-def _sensitive(bench: _Bench, path: Path, runs: Sequence[Run | None]) -> bool:
+def _sensitive(bench: Bench, path: Path, runs: Sequence[Run | None]) -> bool:
     """Whether the motion of a file cannot be followed.
 
     Either a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away, or the file

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.admissible import Range
+from mjsim.effects.backlash import Backlash
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
 from mjsim.effects.law import POSITION, RATE, law
 from mjsim.effects.ports import CouplingTorque, Gap, Port
@@ -56,6 +57,10 @@ class BacklashWithImpact(Effect):
         """Where the law acts."""
         j = need_coupling(chain, self.place)
         return Gap(j, self.gap_rad), CouplingTorque(j, torque, (self.impact_s_rad, chain.couplings[j].stiffness))
+
+    def nearest(self, chain: Chain, speed: float) -> tuple[Chain, tuple[Effect, ...]]:
+        """The gap, with the damper of the coupling in place of that of the contact."""
+        return chain, (Backlash(place=self.place, gap_rad=self.gap_rad),)
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""

@@ -272,6 +272,13 @@ class Effect(abc.ABC):
         """
         return Native((), f"{self.subject}: MJCF has no element for it")
 
+    def nearest(self, chain: Chain, speed: float) -> tuple[Chain, tuple[Effect, ...]] | None:
+        """The chain and the effects, all of them with native values, that come nearest to it about a speed [rad/s | m/s] of its body.
+
+        For an effect without native values; None where nothing comes near.
+        """
+        return None
+
     @classmethod
     def read(cls, value: Value, chain: Chain) -> Self | None:
         """The effect that a native value of a file stands for; None when it is none of this effect."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.admissible import Range, bristles
 from mjsim.effects.base import Effect, Scales, need_coupling, parameter
+from mjsim.effects.hysteresis import Hysteresis
 from mjsim.effects.law import RATE, STATE, law
 from mjsim.effects.ports import CouplingTorque, Port
 from mjsim.effects.registry import register
@@ -61,6 +62,10 @@ class HysteresisWithCorner(Effect):
         """Where the law acts."""
         p = (self.torque_Nm, self.stiffness_Nm_rad, self.sharpness)
         return (CouplingTorque(need_coupling(chain, self.place), torque, p, state=True),)
+
+    def nearest(self, chain: Chain, speed: float) -> tuple[Chain, tuple[Effect, ...]]:
+        """Hysteresis with the gradual corner of sharpness 1."""
+        return chain, (Hysteresis(place=self.place, torque_Nm=self.torque_Nm, stiffness_Nm_rad=self.stiffness_Nm_rad),)
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""

@@ -7,11 +7,13 @@ Below that range the law is that of Coulomb friction, above it that of viscous f
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mjsim.effects.base import Effect, Scales, need_body, parameter
+from mjsim.effects.coulomb_friction import CoulombFriction
 from mjsim.effects.law import RATE, law
 from mjsim.effects.ports import BodyTorque, Port
 from mjsim.effects.registry import register
@@ -53,6 +55,16 @@ class SublinearViscousFriction(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (BodyTorque(need_body(chain, self.place), torque, (self.coefficient, self.exponent)),)
+
+    def nearest(self, chain: Chain, speed: float) -> tuple[Chain, tuple[Effect, ...]]:
+        """Coulomb friction beside damping: the tangent at a speed V, c V^n ((1 - n) + n v / V)."""
+        at, v = need_body(chain, self.place), max(speed, SMALL)
+        level = self.coefficient * v**self.exponent
+        body = chain.bodies[at]
+        damped = dataclasses.replace(body, viscous=body.viscous + self.exponent * level / v)
+        bodies = (*chain.bodies[:at], damped, *chain.bodies[at + 1 :])
+        dry = CoulombFriction(place=self.place, torque_Nm=(1.0 - self.exponent) * level)
+        return dataclasses.replace(chain, bodies=bodies), (dry,)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

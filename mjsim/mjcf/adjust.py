@@ -1,18 +1,20 @@
-"""Settings of the simulator in a corrected file: set them, or give back those of its author, on top of a written correction."""
+"""What is changed in a corrected file once it is written: settings of the simulator, and what it carries."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mjsim.axis import Axis
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
 from mjsim.mjcf.compile import save_compiled
 from mjsim.mjcf.custom import Carried, Edit
 from mjsim.mjcf.xmltext import Node, XmlText
 
-__all__ = ["FRICTION_SETTINGS", "LIMIT_SETTINGS", "adjust", "author_settings"]
+__all__ = ["FRICTION_SETTINGS", "LIMIT_SETTINGS", "adjust", "author_settings", "carry"]
 
 FRICTION_SETTINGS = ("solreffriction", "solimpfriction")
 LIMIT_SETTINGS = ("solreflimit", "solimplimit", "armature")  # armature: of the slack joint
@@ -67,13 +69,34 @@ def adjust(path: Path, edits: Sequence[Edit], comment: str = "") -> None:
         elif noted[3] == value:
             undo = [e for e in undo if e[:3] != (kind, name, key)]
         xml.set(target, key, value)
+    _replace(xml, replace(carried, undo=tuple(undo)), comment)
+    save_compiled(xml.raw, path)
+
+
+def carry(path: Path, axis: Axis, lacks: Sequence[tuple[str, str]], comment: str = "") -> None:
+    """Let a corrected file carry an axis, whatever MJCF's elements have in its place.
+
+    ``lacks`` (effect, line): what plain MuJoCo does without. ``comment`` is put before the carried text. Raises InputError where
+    the file carries no correction.
+    """
+    xml = XmlText.read(path)
+    node = _carrying(xml)
+    if node is None:
+        raise InputError(path, "carries no correction", "a file that `simgap diagnose` wrote", "write it first")
+    linear = tuple((p.name, p.value) for p in axis.chain.linear_parameters())
+    carried = custom.unpack(node.attributes["data"], path)
+    _replace(xml, replace(carried, effects=axis.effects, law=axis.backlash_law, lacks=tuple(lacks), linear=linear), comment)
+    save_compiled(xml.raw, path)
+
+
+def _replace(xml: XmlText, carried: Carried, comment: str) -> None:
+    """Put another carried text, after a comment, in place of the one that is there."""
     before = _carrying(xml)
     assert before is not None
-    lines = custom.element(replace(carried, undo=tuple(undo)))
-    xml.insert_before(before, [*([f"<!-- {comment} -->"] if comment else []), *lines])
+    said = textwrap.wrap(comment.replace("--", "- -"), 120)
+    xml.insert_before(before, [*(["<!--", *(f"  {line}" for line in said), "-->"] if said else []), *custom.element(carried)])
     stale = [n for n in xml.root.walk() if n.tag == "text" and n.attributes.get("name") == custom.NAME][-1]
     xml.remove(stale)
-    save_compiled(xml.raw, path)
 
 
 def _carrying(xml: XmlText) -> Node | None:

@@ -25,7 +25,8 @@ class Carried:
 
     effects and backlash law; ignored: elements that stand for an effect and are no part of the chain; bound: actuator and
     sensors; added (kind, name) and undo (kind, name, attribute, old value), oldest first: what was written into the author's
-    file; binding: the TOML text that stood beside it; lacks (effect, line): what plain MuJoCo does without.
+    file; binding: the TOML text that stood beside it; lacks (effect, line): what plain MuJoCo does without; linear: linear
+    parameters by name, where MJCF's elements have other numbers, which make up for what they lack.
     """
 
     effects: tuple[Effect, ...]
@@ -36,6 +37,7 @@ class Carried:
     undo: tuple[Edit, ...] = ()
     binding: str = ""
     lacks: tuple[tuple[str, str], ...] = ()
+    linear: tuple[tuple[str, float], ...] = ()
 
 
 def element(carried: Carried) -> list[str]:
@@ -48,6 +50,7 @@ def element(carried: Carried) -> list[str]:
         '"effects": [' + ",\n  ".join(map(json.dumps, effects)) + "]",
         *(['"maps": [' + ",\n  ".join(map(json.dumps, maps)) + "]"] if maps else []),
         '"lacks": [' + ",\n  ".join(map(json.dumps, carried.lacks)) + "]",
+        *([f'"linear": {json.dumps(dict(carried.linear))}'] if carried.linear else []),
         f'"ignored": {json.dumps(carried.ignored)}',
         f'"bound": {json.dumps(dict(carried.bound))}',
         f'"added": {json.dumps(carried.added)}',
@@ -84,6 +87,7 @@ def unpack(text: str, source: object) -> Carried:
             tuple((str(k), str(n), str(a), None if v is None else str(v)) for k, n, a, v in table.get("undo", [])),
             "".join(f"{line}\n" for line in table.get("binding", [])),
             tuple((str(k), str(line)) for k, line in table.get("lacks", [])),
+            tuple((str(k), float(v)) for k, v in table.get("linear", {}).items()),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         said = str(error.args[0]) if error.args else type(error).__name__

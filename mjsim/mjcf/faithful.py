@@ -26,7 +26,7 @@ from mjsim.mjcf.load import effect_of, load_model
 from mjsim.mjcf.native_write import FRICTION_STEP
 from mjsim.mjcf.write import write_corrected
 
-__all__ = ["AUTHOR", "Faithful", "as_plain", "has_dry_friction", "write_as_author", "write_faithful"]
+__all__ = ["AUTHOR", "Faithful", "as_plain", "has_dry_friction", "nearest_native", "write_as_author", "write_faithful"]
 
 AUTHOR = "the author's settings"
 FINER = 5  # times the timestep
@@ -138,6 +138,20 @@ def as_plain(axis: Axis, lacks: Container[str]) -> Axis:
             law = BacklashLaw.UNGATED
             effects.append(e)
     return Axis(axis.chain, tuple(effects), law)
+
+
+def nearest_native(axis: Axis, lacks: Container[str], speed: float) -> Axis:
+    """The axis that MJCF's own elements have in place of effects with these keys: their native values, else what comes nearest.
+
+    Nearest about a speed [rad/s | m/s] of the bodies (`Effect.nearest`). Effects that nothing comes near are left out.
+    """
+    out = as_plain(axis, lacks)
+    for e in axis.effects:
+        found = e.nearest(out.chain, speed) if e.key in lacks and not e.native(axis.chain).values else None
+        if found is not None:
+            there = {own.key for own in out.effects}
+            out = Axis(found[0], (*out.effects, *(n for n in found[1] if n.key not in there)), out.backlash_law)
+    return out
 
 
 def write_as_author(model: Path, axis: Axis, out: Path) -> tuple[str, ...]:

@@ -84,10 +84,10 @@ def carried_binding(model: Model, recording: Path) -> Binding | None:
 
 def _carried_axis(found: Found, carried: custom.Carried, path: Path) -> Axis:
     try:
-        axis = Axis(found.chain, carried.effects, carried.law)
+        axis = Axis(found.chain.with_linear(dict(carried.linear)), carried.effects, carried.law)
         for effect in axis.effects:
-            effect.ports(found.chain)
-    except ValueError as error:
+            effect.ports(axis.chain)
+    except (KeyError, ValueError) as error:
         raise InputError(
             path, f"an effect it carries does not fit it ({error})", "places of this chain", "correct the text"
         ) from None

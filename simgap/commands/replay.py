@@ -127,7 +127,10 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
 
 
 def _plain_rms(model: Subject, record: Recording, start: str | Start, channel: str) -> float | None:
-    """Rms error of the file in plain MuJoCo, from the same start; None where it lacks an effect or diverges."""
+    """Rms error of the file in plain MuJoCo, from the same start.
+
+    None where it lacks an effect without anything in its place, or diverges.
+    """
     import numpy as np
 
     from mjsim.errors import InputError
@@ -136,7 +139,7 @@ def _plain_rms(model: Subject, record: Recording, start: str | Start, channel: s
     from simgap.api.simulating import simulate
 
     source = load_model(model.path)
-    if lacking(source):
+    if lacking(source) and not (source.carried and source.carried.linear):
         return None
     try:
         run = simulate(model, record, engine="literal", start=start)

@@ -28,7 +28,8 @@ from mjsim.mjcf.faithful import Faithful, write_as_author, write_faithful
 from mjsim.plant import MujocoPlant
 from mjsim.plant.settings import altered, mended
 from mjsim.recording import Recording
-from simgap.judging import _author_or_mended, _Bench, _soft_or_not
+from simgap.bench import Bench
+from simgap.judging import _author_or_mended, _soft_or_not
 from simgap.pipeline import diagnose_files
 
 DT, SIGMA = 2e-3, 0.02
@@ -306,7 +307,7 @@ def test_a_setting_is_named_where_a_form_changes_it(nominal, monkeypatch, write,
     cause = numerics.cause_of(given, 1)
     result = SimpleNamespace(fit={"corrected": FitFigures(SIGMA, 0.1, SIGMA, 0.1)})
     axis = axis.with_values({"coulomb_friction@motor.torque_Nm": 0.3501})  # as written, else it is left as it is
-    bench = _Bench(nominal, axis, axis, result, given, nominal.with_name("corrected.xml"), 1)
+    bench = Bench(nominal, axis, axis, result, given, nominal.with_name("corrected.xml"), 1)
 
     def written(bench, out):
         write_corrected(nominal, axis, out)
@@ -352,7 +353,7 @@ def test_numbers_do_not_stand_in_for_what_a_file_lacks(nominal, tmp_path):
     assert form.lacks
     cases = cases_of([log(text(), 1)], [log(text(), 2)])
     given = compare_nominal(nominal, load_axis(nominal), [c.recording for c in cases[:1]], [cases[1].recording], 1)
-    bench = _Bench(nominal, load_axis(nominal), axis, None, given, out, 1)
+    bench = Bench(nominal, load_axis(nominal), axis, None, given, out, 1)
     before = out.read_bytes()
     assert _soft_or_not(bench, form, given.engine) == (form, given.engine)
     assert out.read_bytes() == before
