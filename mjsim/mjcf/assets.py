@@ -7,11 +7,12 @@ import os
 import shutil
 from pathlib import Path
 
+from mjsim.errors import writing
 from mjsim.mjcf.compile import save_compiled
 from mjsim.mjcf.limits import FOLDERS, NESTED
 from mjsim.mjcf.xmltext import Node, XmlText
 
-__all__ = ["BESIDE", "bring_assets", "relocate"]
+__all__ = ["BESIDE", "bring_assets", "copy_file", "relocate"]
 
 BESIDE = "simgap_assets"  # folder of the copies
 
@@ -44,7 +45,7 @@ def bring_assets(path: Path) -> None:
         if file is not None and file not in names:
             number = sum(other.name == file.name for other in names)
             names[file] = f"{number}/{file.name}" if number else file.name
-            _copy(file, home / BESIDE / names[file])
+            copy_file(file, home / BESIDE / names[file])
     for (i, key), file in files.items():
         if file is not None:
             xml.set(list(xml.root.walk())[i], key, names[file])
@@ -86,13 +87,15 @@ def _set_folders(xml: XmlText, values: dict[str, str | None] | dict[str, str]) -
         xml.set(_compiler(xml), key, value)
 
 
-def _copy(file: Path, to: Path) -> None:
+def copy_file(file: Path, to: Path) -> None:
+    """Copy a file in one move; one that is there and the same is left. Raises OSError."""
     if to.is_file() and filecmp.cmp(file, to, shallow=False):
         return
     to.parent.mkdir(parents=True, exist_ok=True)
     part = to.with_name(f".{to.name}.part")
     try:
-        shutil.copyfile(file, part)
+        with writing(to):
+            shutil.copyfile(file, part)
         os.replace(part, to)
     finally:
         part.unlink(missing_ok=True)

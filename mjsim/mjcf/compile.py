@@ -9,7 +9,7 @@ from pathlib import Path
 
 import mujoco
 
-from mjsim.errors import InputError, nearest_file
+from mjsim.errors import InputError, nearest_file, writing
 from mjsim.mjcf.limits import need_finite, need_sizes
 
 __all__ = ["caught_warnings", "compile_file", "read_spec", "save_compiled"]
@@ -55,15 +55,17 @@ def read_spec(path: Path) -> mujoco.MjSpec:
 
 
 def save_compiled(content: bytes, out: Path, load: Callable[[Path], object] = compile_file) -> None:
-    """Write a file beside its final name, load it, then move it there: what does not load is not left behind."""
+    """Write a file beside its final name, load it, then move it there: what does not load is not left behind.
+
+    Raises what ``load`` does, and OSError where the file cannot be written.
+    """
     part = out.with_name(f".{out.name}.part.xml")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(content)
+        with writing(out):
+            part.write_bytes(content)
         load(part)
         os.replace(part, out)
-    except OSError as error:
-        raise InputError(out, f"cannot be written ({error.strerror})", "a writable place", "choose another one") from None
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
-from mjsim.mjcf.compile import compile_file, read_spec
+from mjsim.mjcf.assets import copy_file
+from mjsim.mjcf.compile import compile_file, read_spec, save_compiled
 from mjsim.mjcf.tags import with_plain_comments
 
 __all__ = ["WRITTEN", "is_whole", "write_whole"]
@@ -54,17 +55,16 @@ def write_whole(path: Path, out: Path) -> Path:
 
     Included files take the place of their ``<include>``; every number and comment is kept as it is written, but for ``--`` in a
     comment, which becomes ``==``. Files of meshes and textures stay where they are; the TOML file beside the model goes with it.
-    Raises InputError where the written file is not the same model.
+    Raises InputError where the written file is not the same model, OSError where it cannot be written.
     """
     before = compile_file(path)
     try:
         root = _merged(path, path.resolve().parent)
         _name_elements(root)
         _keep_folders(root, path.resolve().parent, out.resolve().parent)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(ElementTree.tostring(root, encoding="utf-8"))
+        save_compiled(ElementTree.tostring(root, encoding="utf-8"), out)
         if path.with_suffix(".toml").is_file():
-            out.with_suffix(".toml").write_bytes(path.with_suffix(".toml").read_bytes())
+            copy_file(path.with_suffix(".toml"), out.with_suffix(".toml"))
         after = compile_file(out)
     except InputError as error:
         raise InputError(path, f"as one file it does not load ({error})", "one file with named elements", "merge it") from None

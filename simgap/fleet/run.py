@@ -11,9 +11,10 @@ from typing import Any
 
 from mjsim.errors import InputError
 from simgap.fleet.plan import Job, select
+from simgap.fleet.table import read_records
 from simgap.fleet.task import diagnose_one, place, write_record
 
-__all__ = ["done", "run"]
+__all__ = ["done", "forget_failed", "run"]
 
 AHEAD = 3  # jobs in flight for each thread of a worker: none waits for the client, and a million jobs need no memory
 LOSSES = 3  # workers that one job may lose before it is given up: a recording that needs more memory than there is
@@ -24,6 +25,14 @@ def done(out: Path) -> set[str]:
     return {p.stem for p in (out / "records").glob("*/*.json")}
 
 
+def forget_failed(all_jobs: Sequence[Job], out: Path) -> int:
+    """Remove the records of jobs that failed by a fault or a lost worker, so that they run again; returns how many."""
+    failed = [record["job"]["key"] for record in read_records(out, (j.key for j in all_jobs)) if "fault" in record]
+    for key in failed:
+        place(out, key).unlink(missing_ok=True)
+    return len(failed)
+
+
 def run(
     all_jobs: Sequence[Job], out: Path, *, scheduler: str = "", workers: int = 2, memory: str = "auto",
     progress: Callable[[int, int], None] = lambda finished, total: None,
@@ -32,7 +41,7 @@ def run(
     cluster.
 
     Workers of a cluster need the recordings, the model and ``out`` under the same paths. Raises InputError where the scheduler
-    does not answer.
+    does not answer, and where a worker cannot write its files or read the model: afterwards the same call continues.
     """
     with contextlib.suppress(OSError):
         for part in (out / "records").glob("*/*.part"):
@@ -53,8 +62,21 @@ def run(
     return len(todo)
 
 
+def _attempt(job: Job, out: str) -> str:
+    """Diagnose one recording in a worker; returns which file cannot be written or read ("": none), since Dask repeats a task
+    that raises."""
+    try:
+        diagnose_one(job, out)
+    except OSError as error:
+        return f"{error.filename or 'a file'}: {error.strerror or error}"
+    return ""
+
+
 def _results(client: Any, todo: Sequence[Job], out: str) -> Iterator[tuple[str, str | None]]:
-    """(key, error or None) of each job as it ends, with no more than `AHEAD` of them in flight for each thread."""
+    """(key, error or None) of each job as it ends, with no more than `AHEAD` of them in flight for each thread.
+
+    Raises InputError where a worker cannot use a file that is not the recording.
+    """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 
@@ -62,19 +84,20 @@ def _results(client: Any, todo: Sequence[Job], out: str) -> Iterator[tuple[str, 
     waiting = iter(todo)
 
     def submit(job: Job) -> Any:
-        return client.submit(diagnose_one, job, out, key=f"simgap-{job.key}", pure=False, retries=1)
+        return client.submit(_attempt, job, out, key=f"simgap-{job.key}", pure=False, retries=1)
 
     running = as_completed([submit(j) for _, j in zip(range(AHEAD * threads), waiting, strict=False)])
     for future in running:
-        key = str(future.key).removeprefix("simgap-")
+        key, unusable = str(future.key).removeprefix("simgap-"), ""
         try:
-            future.result()
-            error = None
+            unusable, error = future.result(), None
         except KilledWorker:
             error = f"{LOSSES} workers were lost while they diagnosed it, for want of memory or by a fault"
         except Exception as problem:
             error = f"{type(problem).__name__}: {problem}"
         future.release()
+        if unusable:
+            raise InputError(out, f"the fleet is not finished: {unusable}", todo="then the same command continues")
         job = next(waiting, None)
         if job is not None:
             running.add(submit(job))

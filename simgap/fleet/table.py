@@ -10,7 +10,7 @@ from typing import Any
 
 from mjsim.errors import writing
 
-__all__ = ["COLUMNS", "read_records", "rows", "write_parquet"]
+__all__ = ["COLUMNS", "read_records", "rows", "without_diagnosis", "write_parquet"]
 
 COLUMNS = {
     "robot": str, "date": str, "log": str, "joint": str, "verdict": str, "effect": str, "place": str, "parameter": str,
@@ -49,6 +49,11 @@ def rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     joints = found.get("joints") or {}
     parts = joints.items() if joints else [("", found)]
     return [row for joint, part in parts for row in _of_joint(base, str(joint), part)]
+
+
+def without_diagnosis(table: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The rows of recordings that were refused, or whose diagnosis failed."""
+    return [r for r in table if r["verdict"] in NONE.values()]
 
 
 def _of_joint(base: Mapping[str, Any], joint: str, part: Mapping[str, Any]) -> list[dict[str, Any]]:

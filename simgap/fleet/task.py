@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
@@ -19,6 +20,9 @@ __all__ = ["diagnose_one", "place", "record_of", "write_record"]
 KEPT = ("verdict", "summary", "findings", "fit", "linear_parameters", "joints", "next_experiment", "noise_floor", "stretches")
 """Keys of ``diagnosis.json`` that a record keeps."""
 
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+"""Error numbers of a full disk, a quota, a limit on the size of a file and a read-only file system."""
+
 
 def place(out: Path, key: str) -> Path:
     """Where the record of a key stands: in one of 256 folders, so that none holds more than a few thousand of a million."""
@@ -28,7 +32,8 @@ def place(out: Path, key: str) -> Path:
 def diagnose_one(job: Job, out: str) -> str:
     """Diagnose one recording and write its record; returns the key.
 
-    A recording that cannot be used, and a fault, are records as well: the fleet goes on. A record that is there is kept.
+    A recording that cannot be used, and a fault, are records as well: the fleet goes on. A record that is there is kept. Raises
+    OSError where another file than the recording cannot be read or written, as on a full disk: that is no record.
     """
     target = place(Path(out), job.key)
     if not target.exists():
@@ -37,18 +42,34 @@ def diagnose_one(job: Job, out: str) -> str:
 
 
 def record_of(job: Job, out: Path) -> dict[str, Any]:
-    """The record of one job: what it is, how long it took, and the diagnosis or why there is none."""
+    """The record of one job: what it is, how long it took, and the diagnosis or why there is none.
+
+    Raises OSError that is not of the recording.
+    """
     began = time.perf_counter()
     record: dict[str, Any] = {"job": job.as_dict()}
     try:
         record["diagnosis"] = _diagnosis(job, out / "logs" / job.key if job.settings.reports else None)
-    except (InputError, OSError) as error:
+    except InputError as error:
         record["refused"] = str(error)
+    except OSError as error:
+        if not _of_recording(error, job):
+            raise
+        said = error.strerror or str(error)
+        record["refused"] = str(InputError(job.log, said, "a file that can be read", "check the path and its permissions"))
     except Exception as error:  # of one recording; the others are diagnosed all the same
         record["fault"] = f"{type(error).__name__}: {error}"
         record["where"] = traceback.format_exc(limit=-3)
     record["seconds"] = time.perf_counter() - began
     return record
+
+
+def _of_recording(error: OSError, job: Job) -> bool:
+    """Whether what the system refused is to read the recording or its binding."""
+    if error.filename is None:
+        return error.errno not in UNWRITABLE
+    log = Path(job.log)
+    return Path(str(error.filename)) in (log, log.with_suffix(".toml"))
 
 
 def _diagnosis(job: Job, folder: Path | None) -> dict[str, Any]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import errno
 import json
 import os
 import signal
@@ -15,11 +18,12 @@ from browser import looks_right
 
 from mjsim.errors import InputError
 from simgap.fleet.page import headline, write_page
-from simgap.fleet.plan import Settings, jobs, select
-from simgap.fleet.run import done, run
+from simgap.fleet.plan import Job, Settings, jobs, select
+from simgap.fleet.run import done, forget_failed, run
 from simgap.fleet.table import COLUMNS, read_records, rows, write_parquet
 from simgap.fleet.task import diagnose_one, place, record_of, write_record
 from simgap.fleet.trends import drifts, outliers, to_record_again
+from tests.commands import refused
 
 MODEL = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbody><body name="rod"><joint name="hinge" axis="0 1 0" damping="0.05"/>
 <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass="1"/></body></worldbody>
@@ -113,6 +117,88 @@ def test_a_fault_is_a_record(tmp_path, monkeypatch):
     record = record_of(job, tmp_path)
     assert record["fault"] == "ZeroDivisionError: division by zero"
     assert rows(record)[0]["verdict"] == "failed"
+
+
+def fails_with(monkeypatch, error: Exception) -> None:
+    def fail(job, folder):
+        raise error
+
+    monkeypatch.setattr("simgap.fleet.task._diagnosis", fail)
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, "No space left on device"), OSError(errno.EACCES, "denied", "pendulum.xml")]
+)
+def test_a_place_that_cannot_be_used_is_no_record(tmp_path, monkeypatch, error):
+    """A full disk, or a model that cannot be read, says nothing of the recording: the next run diagnoses it."""
+    job = jobs(str(model_in(tmp_path)), tmp_path / "pendulum.xml", Settings())[0]
+    job = dataclasses.replace(job, log="a.csv")
+    fails_with(monkeypatch, error)
+    with pytest.raises(OSError, match=error.strerror):
+        diagnose_one(job, str(tmp_path / "out"))
+    assert not done(tmp_path / "out")
+
+
+def test_a_recording_that_the_system_refuses_is_refused(tmp_path, monkeypatch):
+    job = jobs(str(model_in(tmp_path)), tmp_path / "pendulum.xml", Settings())[0]
+    for at in (job.log, str(Path(job.log).with_suffix(".toml"))):
+        fails_with(monkeypatch, PermissionError(errno.EACCES, "Permission denied", at))
+        (found,) = rows(record_of(job, tmp_path))
+        assert found["verdict"] == "refused"
+        assert found["problem"].startswith(f"{job.log}: Permission denied; expected a file that can be read")
+
+
+def test_a_run_stops_where_its_folder_cannot_be_written(tmp_path, monkeypatch):
+    """The error of the worker is that of the run; none of the recordings has a record."""
+    distributed = pytest.importorskip("distributed")
+
+    @contextlib.contextmanager
+    def in_threads(scheduler, workers, memory):
+        with distributed.Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+            yield client
+
+    planned = [Job(f"{k:024}", f"{k}.csv", "m.xml", "r", "", Settings()) for k in range(8)]
+    fails_with(monkeypatch, OSError(errno.ENOSPC, "No space left on device", "out/records"))
+    monkeypatch.setattr("simgap.fleet.run._client", in_threads)
+    with pytest.raises(InputError, match="out: the fleet is not finished: out/records: No space left on device"):
+        run(planned, tmp_path / "out")
+    assert not done(tmp_path / "out")
+
+
+def recorded(tmp_path: Path, *without: str) -> list[Job]:
+    """A fleet of two recordings with records: those named in ``without`` have a reason in place of a diagnosis."""
+    model = model_in(tmp_path)
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text(name)
+    planned = jobs("*.csv", model, Settings())
+    for job, kind in zip(planned, (*without, "", ""), strict=False):
+        record = {kind: "too short"} if kind else {"diagnosis": {"verdict": "no_mismatch"}}
+        write_record(place(tmp_path / "out", job.key), {"job": job.as_dict(), "seconds": 0.0, **record})
+    return planned
+
+
+def test_exit_codes(simgap, tmp_path):
+    words = ("fleet", "*.csv", "--model", "pendulum.xml", "--out", "out", "--quiet")
+    recorded(tmp_path)
+    assert simgap(*words, "--require-all")[0] == 0
+    recorded(tmp_path, "refused")
+    code, out, err = simgap(*words)
+    assert (code, err) == (0, "")
+    assert "1 refused" in out
+    code, out, err = simgap(*words, "--require-all", "--json")
+    assert code == 1
+    assert json.loads(out)["verdicts"] == {"refused": 1, "no_mismatch": 1}
+    assert err == "simgap: *.csv: 1 of 2 recordings could not be diagnosed; a.csv: too short\n"
+    recorded(tmp_path, "refused", "refused")
+    refused(simgap(*words), "*.csv: none of its recordings could be diagnosed; a.csv: too short; out/fleet.html has all reasons")
+    assert (tmp_path / "out/fleet.html").exists()
+    assert (tmp_path / "out/fleet.parquet").exists()
+
+
+def test_what_failed_is_tried_again(simgap, tmp_path):
+    failed, good = recorded(tmp_path, "fault")
+    assert forget_failed([failed, good], tmp_path / "out") == 1
+    assert done(tmp_path / "out") == {good.key}
 
 
 def row(robot: str, day: int, value: float | None, error: float = 0.01, **more) -> dict:
