@@ -49,12 +49,16 @@ __all__ = [
     "load_scenario",
     "make_effect",
     "provenance",
+    "refused",
     "run",
     "shipped_scenarios",
+    "versions",
+    "write_columns",
     "write_log",
 ]
 
 _FOLDER = Path(__file__).parent / "scenarios"
+KINDS: dict[object, type[Strict]] = {"chirp": Chirp, "multisine": Multisine, "step": Step, "trapezoids": Trapezoids}
 
 
 class Engine(enum.Enum):
@@ -170,15 +174,20 @@ def load_scenario(source: str | Path, **overrides: Any) -> Scenario:
     try:
         return Scenario(**{**table, "name": path.stem, "folder": path.resolve().parent})
     except ValidationError as error:
-        raise _refused(path, error.errors()) from None
+        kind = table["excitation"].get("kind") if isinstance(table.get("excitation"), dict) else None
+        tables: dict[str, type[Strict]] = {"noise": Noise, **({"excitation": KINDS[kind]} if kind in KINDS else {})}
+        raise refused(path, error.errors(), Scenario, tables) from None
 
 
-def _refused(path: Path, errors: Sequence[Any]) -> InputError:
-    """The first key that a scenario may not have, else the first value that is wrong."""
+def refused(path: Path, errors: Sequence[Any], scenario: type[Strict], tables: Mapping[str, type[Strict]]) -> InputError:
+    """The error for the first key that a scenario may not have, else for the first value that is wrong.
+
+    ``scenario``: the class of the file; ``tables``: those of its tables by name.
+    """
     first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     loc = [str(part) for part in first["loc"]]
     if first["type"] == "extra_forbidden":
-        known = _keys(loc)
+        known = _keys(loc, scenario, tables)
         where = f"{path}: [{loc[0]}]" if len(loc) > 1 else str(path)
         return InputError(
             where, f"key {loc[-1]!r} is not known", ", ".join(known), nearest(loc[-1], known, "rename or remove it")
@@ -193,13 +202,11 @@ def _refused(path: Path, errors: Sequence[Any]) -> InputError:
     return InputError(f"{path}: {'.'.join(loc) or 'the scenario'}", said, "", advice)
 
 
-def _keys(loc: Sequence[str]) -> tuple[str, ...]:
+def _keys(loc: Sequence[str], scenario: type[Strict], tables: Mapping[str, type[Strict]]) -> tuple[str, ...]:
     """Keys that the table at ``loc`` of a scenario may have."""
-    kinds: dict[str, type[Strict]] = {"chirp": Chirp, "multisine": Multisine, "step": Step, "trapezoids": Trapezoids}
-    if len(loc) > 1:
-        table: type[Strict] = Noise if loc[0] == "noise" else kinds[loc[1]]
-        return tuple(table.model_fields)
-    return tuple(sorted(set(Scenario.model_fields) - {"name", "folder"}))
+    if len(loc) > 1 and loc[0] in tables:
+        return tuple(tables[loc[0]].model_fields)
+    return tuple(sorted(set(scenario.model_fields) - {"name", "folder"}))
 
 
 @dataclass(frozen=True)
@@ -277,38 +284,46 @@ def _literal(scenario: Scenario, axis: Axis, u: np.ndarray, dt: float) -> Trajec
 
 def write_log(log: Log, out: str | Path) -> Path:
     """Write the log and beside it its provenance (JSON) and, for a slide axis, its units (TOML); never half a file."""
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    scenario = log.scenario
-    path = folder / f"{scenario.name}.{scenario.format.value}"
-    told = json.dumps(provenance(log), indent=2)
-    if scenario.format is Format.PARQUET:
-        _whole(path, lambda at: _parquet(at, log.columns, told))
-    else:
-        _whole(path, lambda at: _csv(at, log.columns))
-    _whole(folder / f"{scenario.name}.provenance.json", lambda at: at.write_text(told + "\n", encoding="utf-8"))
+    folder, scenario = Path(out), log.scenario
+    path = write_columns(folder, scenario.name, scenario.format, log.columns, provenance(log))
     if "force_N" in log.columns:
         binding = '[recording]\ntime = "time_s"\ntorque = "force_N"\nvelocity = "velocity_m_s"\nangle = "position_m"\n'
         _whole(folder / f"{scenario.name}.toml", lambda at: at.write_text(binding, encoding="utf-8"))
     return path
 
 
+def write_columns(
+    folder: Path, name: str, kind: Format, columns: Mapping[str, np.ndarray], origin: Mapping[str, Any]
+) -> Path:  # fmt: skip
+    """Write columns (N,) and beside them their origin as NAME.provenance.json; returns the path of the log."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path, text = folder / f"{name}.{kind.value}", json.dumps(origin, indent=2)
+    _whole(path, lambda at: _parquet(at, columns, text) if kind is Format.PARQUET else _csv(at, columns))
+    _whole(folder / f"{name}.provenance.json", lambda at: at.write_text(text + "\n", encoding="utf-8"))
+    return path
+
+
 def provenance(log: Log) -> dict[str, Any]:
     """Scenario, seed, versions and the hash of the model's file."""
-    import mujoco
-    import numba
-    import scipy
-
     model = log.scenario.model_path
     return {
         "scenario": log.scenario.model_dump(mode="json", exclude={"folder"}),
         "effects": [e.describe() for e in log.axis.effects],
         "model": {"file": model.name, "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
         "seed": log.scenario.seed,
-        "versions": {
-            "simgap": _version(), "python": platform.python_version(), "numpy": np.__version__, "scipy": scipy.__version__,
-            "numba": numba.__version__, "mujoco": mujoco.__version__,
-        },
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a log was made with."""
+    import mujoco
+    import numba
+    import scipy
+
+    return {
+        "simgap": _version(), "python": platform.python_version(), "numpy": np.__version__, "scipy": scipy.__version__,
+        "numba": numba.__version__, "mujoco": mujoco.__version__,
     }  # fmt: skip
 
 

@@ -71,9 +71,10 @@ def _completed(kind: str, incomplete: str, names: Iterable[str] = (), *endings: 
 def _shipped(*, models: bool, scenarios: bool) -> list[str]:
     names: list[str] = []
     if scenarios:
+        from mjsim.robot.scenario import shipped_robot_scenarios
         from mjsim.scenario import shipped_scenarios
 
-        names += shipped_scenarios()
+        names += [*shipped_scenarios(), *shipped_robot_scenarios()]
     if models:
         from mjsim.models import shipped_models
 

@@ -36,13 +36,18 @@ from mjsim.robot.write import check_writable, write_robot
 if TYPE_CHECKING:
     from diagnose.robot.servos.pipeline import ServoOutcome
 
-__all__ = ["diagnose_robot_files", "diagnose_robot_recordings", "driven_joints", "is_robot"]
+__all__ = ["diagnose_robot_files", "diagnose_robot_recordings", "driven_joints", "is_robot", "is_robot_model"]
 
 
 def driven_joints(compiled: mujoco.MjModel) -> set[int]:
     """Joints that an actuator of the model drives, by their index."""
     joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     return {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) in joint}
+
+
+def is_robot_model(model: Path) -> bool:
+    """Whether a model has several driven joints."""
+    return len(driven_joints(compile_file(model))) > 1
 
 
 def is_robot(recordings: Sequence[object], model: Path) -> bool:

@@ -51,7 +51,7 @@ def new_servo(drive: JointDrive, p: np.ndarray, limited: bool) -> Servo:
     limit = float(p[SLOT["limit"]]) / abs(g) if limited else drive.servo.limit
     if drive.servo.target is Target.VELOCITY:
         return dataclasses.replace(drive.servo, kv=kv, limit=limit)
-    return dataclasses.replace(drive.servo, kp=kp, kv=kv, zero=float(p[SLOT["zero"]]) * g, limit=limit)
+    return dataclasses.replace(drive.servo, kp=kp, kv=kv, zero=float(p[SLOT["zero"]]) * g - drive.length, limit=limit)
 
 
 def _joint_values(robot: Robot, s: JointSearch, p: np.ndarray) -> tuple[dict[str, float], list[Mapping[str, Any]]]:

@@ -93,36 +93,64 @@ class Arm:
         return self.with_link(len(self.links) - 1, mass=last.mass + mass, centre=tuple(both), inertia=tuple(np.diag(inertia)))
 
     def mjcf(self, name: str) -> str:
-        """The arm as MJCF, with geoms for the eye."""
+        """The arm as MJCF, with geoms, a light and a camera for the eye."""
+        reach = sum(float(np.linalg.norm(link.place)) for link in self.links[2:]) + float(np.linalg.norm(self._tip()))
+        top = sum(link.place[2] for link in self.links[:2]) + reach
+        eye = np.array([0.0, 0.0, 0.5 * top]) + 1.65 * top * np.array([0.40, -0.84, 0.36])
         lines = [
             f'<mujoco model="{name}">', '  <compiler angle="radian" autolimits="true"/>',
             '  <option timestep="0.001" integrator="implicitfast"/>',
+            "  <visual>",
+            '    <headlight ambient="0.35 0.35 0.35" diffuse="0.35 0.35 0.35" specular="0.1 0.1 0.1"/>',
+            "  </visual>",
             "  <default>", '    <geom contype="0" conaffinity="0" mass="0" group="1"/>', "  </default>",
-            "  <asset>", '    <material name="shell" rgba="0.90 0.91 0.93 1"/>',
-            '    <material name="joint" rgba="0.16 0.42 0.62 1"/>',
-            "  </asset>", "  <worldbody>", '    <light pos="1 -2 3" dir="-0.3 0.5 -1" diffuse="0.8 0.8 0.8"/>',
-            '    <camera name="overview" pos="0.9 -1.9 1.1" xyaxes="0.9 0.43 0 -0.15 0.32 0.93"/>',
-            '    <geom name="floor" type="plane" size="1.5 1.5 0.1" rgba="0.80 0.82 0.84 1"/>',
-            '    <geom name="base" type="cylinder" pos="0 0 0.04" size="0.11 0.04" material="joint"/>',
+            "  <asset>",
+            '    <texture name="sky" type="skybox" builtin="gradient" rgb1="0.95 0.96 0.98" rgb2="0.74 0.80 0.87" width="64" '
+            'height="384"/>',
+            '    <texture name="floor" type="2d" builtin="checker" rgb1="0.82 0.84 0.86" rgb2="0.77 0.79 0.82" width="256" '
+            'height="256"/>',
+            '    <material name="floor" texture="floor" texrepeat="4 4" texuniform="true" specular="0" reflectance="0"/>',
+            '    <material name="shell" rgba="0.93 0.94 0.95 1" specular="0.3" shininess="0.5"/>',
+            '    <material name="joint" rgba="0.13 0.38 0.60 1" specular="0.4" shininess="0.6"/>',
+            '    <material name="cap" rgba="0.20 0.22 0.25 1" specular="0.3" shininess="0.5"/>',
+            "  </asset>", "  <worldbody>",
+            '    <light type="directional" pos="1 -2 4" dir="-0.35 0.5 -1" diffuse="0.55 0.55 0.55" specular="0.2 0.2 0.2"/>',
+            f'    <camera name="overview" pos="{_text(eye)}" xyaxes="0.90 0.43 0 -0.155 0.324 0.933"/>',
+            '    <geom name="floor" type="plane" size="0 0 0.05" material="floor"/>',
+            '    <geom name="base" type="cylinder" pos="0 0 0.012" size="0.13 0.012" material="cap"/>',
+            '    <geom name="pedestal" type="cylinder" pos="0 0 0.045" size="0.08 0.035" material="joint"/>',
         ]  # fmt: skip
         for i, link in enumerate(self.links):
-            pad = "  " * (i + 2)
-            after = np.array(self.links[i + 1].place if i + 1 < len(self.links) else np.array(link.centre) * 1.6)
-            axis = 0.055 * np.array(link.axis)
+            pad, size = "  " * (i + 2), 0.058 * 0.9**i
+            after = np.array(self.links[i + 1].place if i + 1 < len(self.links) else self._tip())
+            axis = np.array(link.axis)
+            housing, caps = 1.05 * size * axis, 1.25 * size * axis
             lines += [
                 f'{pad}<body name="{link.name}" pos="{_text(link.place)}">',
                 f'{pad}  <joint name="joint{i + 1}" axis="{_text(link.axis)}" range="-{link.limit} {link.limit}" '
                 f'armature="{link.rotor}" '
                 f'damping="{link.viscous}"/>',
                 f'{pad}  <inertial mass="{link.mass}" pos="{_text(link.centre)}" diaginertia="{_text(link.inertia)}"/>',
-                f'{pad}  <geom type="cylinder" fromto="{_text(-axis)} {_text(axis)}" size="0.05" material="joint"/>',
-                f'{pad}  <geom type="capsule" fromto="0 0 0 {_text(after)}" size="0.036" material="shell"/>',
+                f'{pad}  <geom type="cylinder" fromto="{_text(-housing)} {_text(housing)}" size="{size:.4g}" material="joint"/>',
+                f'{pad}  <geom type="cylinder" fromto="{_text(-caps)} {_text(caps)}" size="{0.78 * size:.4g}" material="cap"/>',
+                f'{pad}  <geom type="capsule" fromto="0 0 0 {_text(after)}" size="{0.68 * size:.4g}" material="shell"/>',
             ]
+        end, out = np.array(self._tip()), np.array(self._tip()) / np.linalg.norm(self._tip())
+        pad, size = "  " * (len(self.links) + 1), 0.058 * 0.9 ** (len(self.links) - 1)
+        lines.append(
+            f'{pad}  <geom name="tool" type="cylinder" fromto="{_text(end)} {_text(end + 0.6 * size * out)}" size="{size:.4g}" '
+            'material="cap"/>'
+        )
         for i in reversed(range(len(self.links))):
             lines.append("  " * (i + 2) + "</body>")
         lines += ["  </worldbody>", "  <actuator>"]
         lines += [f'    <motor name="motor{i + 1}" joint="joint{i + 1}"/>' for i in range(len(self.links))]
         return "\n".join([*lines, "  </actuator>", "</mujoco>", ""])
+
+    def _tip(self) -> tuple[float, float, float]:
+        """Where the last link ends, beyond its centre of mass [m]."""
+        x, y, z = 1.6 * np.array(self.links[-1].centre)
+        return float(x), float(y), float(z)
 
 
 def _text(values: Sequence[float] | np.ndarray) -> str:

@@ -48,10 +48,11 @@ class Row:
 
 @dataclass(frozen=True)
 class Report:
-    """The rows, and what was left out with its reason."""
+    """The rows, and what was left out with its reason; robot: whether they are of a robot's joints."""
 
     rows: tuple[Row, ...]
     skipped: tuple[tuple[str, str], ...] = ()
+    robot: bool = False
 
     @property
     def missed(self) -> tuple[str, ...]:
@@ -77,11 +78,17 @@ class Report:
         return {"rows": rows, "skipped": [{"case": n, "why": w} for n, w in self.skipped], "missed": list(self.missed)}
 
 
-def table(rows: Sequence[Row]) -> list[str]:
-    """The rows as text."""
-    engines = ("exact", "kernel", "accurate", "batch", "literal")
+ENGINES = ("exact", "kernel", "accurate", "batch", "literal")
+OF_AXIS = "relative RMS of motor velocity; ! missed, ~ chaotic (sensitivity above 1e-6: shown, not judged)"
+OF_ROBOT = "relative RMS of what the case names; exact: MuJoCo by Runge-Kutta, literal: as the file has it; ! missed"
+
+
+def table(rows: Sequence[Row], *, robot: bool = False) -> list[str]:
+    """The rows as text; ``robot``: they are of a robot's joints."""
+    engines = [e for e in ENGINES if not robot or any(c.engine == e for r in rows for c in r.cells)]
     width = max(len(r.name) for r in rows)
-    head = f"{'case':{width}s}  {'truth':10s} {'own err':>8s} {'sensit.':>8s} " + " ".join(f"{e:>16s}" for e in engines)
+    own = "" if robot else f"{'own err':>8s} {'sensit.':>8s} "
+    head = f"{'case':{width}s}  {'truth':12s} {own}" + " ".join(f"{e:>16s}" for e in engines)
     out = [head, "-" * len(head)]
     for row in rows:
         by = {c.engine: c for c in row.cells}
@@ -95,8 +102,9 @@ def table(rows: Sequence[Row]) -> list[str]:
             else:
                 mark = {Status.HOLDS: " ", Status.MISSED: "!", Status.CHAOTIC: "~"}[c.status]
                 cells.append(f"{c.error:7.1e}/{c.limit:.0e} {mark}")
-        out.append(f"{row.name:{width}s}  {row.truth:10s} {row.truth_error:8.1e} {row.sensitivity:8.1e} " + " ".join(cells))
-    out += ["", "error / limit, relative RMS of motor velocity; ! missed, ~ chaotic (sensitivity above 1e-6: shown, not judged)"]
+        own = "" if robot else f"{row.truth_error:8.1e} {row.sensitivity:8.1e} "
+        out.append(f"{row.name:{width}s}  {row.truth:12s} {own}" + " ".join(cells))
+    out += ["", f"error / limit, {OF_ROBOT if robot else OF_AXIS}"]
     return out
 
 
@@ -111,7 +119,7 @@ def plot(report: Report, path: Path) -> None:
     axes = figure.subplots()
     colours = {"exact": "#777777", "kernel": "#0072B2", "accurate": "#009E73", "batch": "#56B4E9", "literal": "#D55E00"}
     marks = {"exact": "D", "kernel": "o", "accurate": "s", "batch": "x", "literal": "^"}
-    y = np.arange(len(rows))
+    lines = np.arange(len(rows))
     for engine, colour in colours.items():
         at = [(i, c) for i, r in enumerate(rows) for c in r.cells if c.engine == engine and math.isfinite(c.error)]
         if not at:
@@ -120,13 +128,16 @@ def plot(report: Report, path: Path) -> None:
         axes.plot([max(c.error, 1e-15) for _, c in at], where, marks[engine], color=colour, ms=5, label=engine, mew=1.4)
         axes.plot([c.limit for _, c in at], where, "|", color=colour, ms=11, mew=1.6, alpha=0.7)
     seen = [(i, r.sensitivity) for i, r in enumerate(rows) if r.sensitivity > 0]
-    axes.plot([s for _, s in seen], [i for i, _ in seen], ".", color="#BBBBBB", ms=6, label="sensitivity to 1e-10 rad", zorder=0)
+    if not report.robot:
+        x, y = [s for _, s in seen], [i for i, _ in seen]
+        axes.plot(x, y, ".", color="#BBBBBB", ms=6, label="sensitivity to 1e-10 rad", zorder=0)
     axes.set_xscale("log")
-    axes.set_yticks(y, [r.name for r in rows], fontsize=8)
+    axes.set_yticks(lines, [r.name for r in rows], fontsize=8)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(axis="x", color="#E0E0E0")
     axes.set_axisbelow(True)
-    axes.set_xlabel("relative RMS error of motor velocity (bars: limits)")
-    axes.set_title("MuJoCo and the kernel against the analytic equations", fontsize=11)
+    axes.set_xlabel(f"relative RMS error{'' if report.robot else ' of motor velocity'} (bars: limits)")
+    of_robot, of_axis = "MuJoCo against the equations of the robot", "MuJoCo and the kernel against the analytic equations"
+    axes.set_title(of_robot if report.robot else of_axis, fontsize=11)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
     figure.savefig(path, dpi=130)

@@ -22,8 +22,13 @@ from mjsim.ode import DivergedError, Trajectory
 from mjsim.readers import read_table
 from mjsim.recording import Recording, load
 from mjsim.render.drive import demonstration, held_still, stepped
+from mjsim.robot.closed_loop import closed_loop
+from mjsim.robot.model import load_robot
+from mjsim.robot.recording import load_robot_recording
+from mjsim.robot.scenario import RobotLog
+from mjsim.robot.write import carried_effects
 
-__all__ = ["Curve", "Rig", "Take", "recorded", "simulated", "take_of_run"]
+__all__ = ["Curve", "Rig", "Take", "recorded", "simulated", "take_of_robot", "take_of_run"]
 
 
 @dataclass(frozen=True)
@@ -247,6 +252,9 @@ class _RobotLog:
         """The motion of the model on the recorded commands and torques."""
         if not self.inputs:
             raise InputError(self.path, "no input of a joint", "JOINT.command_rad or JOINT.torque_Nm", "add a column")
+        together = _together(rig, self.path)
+        if together is not None:
+            return Take(name, self.time, together, self.curves(rig, together))
         dt = float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
         start = rig.with_joints({j: a[:1] for j, a in self.angles.items()})[0]
         speed = np.zeros(rig.model.nv)
@@ -254,6 +262,27 @@ class _RobotLog:
             speed[rig.model.jnt_dofadr[j]] = (a[1] - a[0]) / dt
         qpos, _ = stepped(rig.path, rig.model, self.inputs, len(self.time), dt, start, speed)
         return Take(name, self.time, qpos, self.curves(rig, qpos))
+
+
+def _together(rig: Rig, path: Path) -> np.ndarray | None:
+    """Poses (N, nq) of all joints of a robot on a recording, as ``simgap replay`` runs them; None for what is no robot.
+
+    Joints that a torque drives are held to the recording by a tracking loop.
+    """
+    try:
+        robot = load_robot(rig.path)
+        run = closed_loop(robot, load_robot_recording(path, robot, model=rig.path), carried_effects(rig.path))
+    except InputError:
+        return None
+    return None if run.diverged else run.z @ robot.tie.T + robot.rest
+
+
+def take_of_robot(rig: Rig, log: RobotLog) -> Take:
+    """The motion of a scenario of a robot."""
+    shown = sorted(range(len(log.robot.joints)), key=lambda j: -float(np.ptp(log.wanted.z[:, j])))[:3]
+    ids = sorted(log.robot.leading(j) for j in shown)
+    curves = (Curve(rig.model.joint(j).name, rig.unit(j)[0], log.qpos[:, j]) for j in ids)
+    return Take(f"simulation of {log.scenario.name}", log.columns["time_s"], log.qpos, tuple(curves))
 
 
 def _robot_log(rig: Rig, path: Path) -> _RobotLog | None:

@@ -19,7 +19,7 @@ from mjsim.quantity import Motion
 from mjsim.robot.joint_kernel import SLOT, body_torque, coupled, empty, friction_level
 from mjsim.robot.model import Robot
 
-__all__ = ["act", "effect_slots", "slots_by_joint"]
+__all__ = ["AT_SERVO", "act", "effect_slots", "needed_parameters", "slots_by_joint"]
 
 LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING, FROM = (
     SLOT[x]
@@ -41,6 +41,28 @@ _SIMPLE: dict[str, dict[str, str]] = {
     "velocity_limit": {"slew": "limit_rad_s"},
     "torque_speed_limit": {"stall": "stall_torque_Nm", "no_load": "no_load_speed_rad_s"},
 }
+
+# of the others: parameters that are needed, and those that may be left out
+_OTHERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "coupled_transmission": ((), ("ratio", "torque_Nm", "viscous")),
+    "load_dependent_friction": (("coefficient",), ("coefficient_backdriven",)),
+    "presliding_friction": (("torque_Nm", "stiffness_Nm_rad"), ()),
+    "torque_offset": (("torque_Nm",), ()),
+    "gravity_compensation_spring": (("stiffness_Nm_rad",), ("torque_Nm",)),
+    "cable_torque": (("low_rad", "high_rad", *(f"coefficient_{k}" for k in (1, 2, 3, 4))), ("coefficient_0",)),
+    "torque_ripple": (("amplitude_Nm", "cycles_per_rev", "phase_rad"), ()),
+    "position_dependent_friction": (("torque_Nm", "relative_amplitude", "cycles_per_rev", "phase_rad"), ()),
+    "gravity_load": (("torque_Nm", "phase_rad"), ()),
+}
+AT_SERVO = frozenset(
+    ("time_delay", "actuator_lag", "actuator_saturation", "servo_deadband", "velocity_limit", "torque_speed_limit")
+)  # of the input: a joint that a torque drives is held to its recording by a loop beside it
+
+
+def needed_parameters() -> dict[str, tuple[frozenset[str], frozenset[str]]]:
+    """Parameters of each effect that a run takes, by its identifier: those needed, and those that may be left out."""
+    simple = {id_: (frozenset(names.values()), frozenset[str]()) for id_, names in _SIMPLE.items()}
+    return simple | {id_: (frozenset(a), frozenset(b)) for id_, (a, b) in _OTHERS.items()}
 
 
 def effect_slots(effect: Mapping[str, Any], robot: Robot) -> dict[str, float] | None:

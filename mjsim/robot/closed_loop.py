@@ -26,7 +26,7 @@ from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.servo import Target
 
-__all__ = ["ClosedLoop", "closed_loop"]
+__all__ = ["ClosedLoop", "closed_loop", "motor_gain"]
 
 FASTEST = 1e6  # [rad/s | m/s]: a run beyond it has diverged
 SMOOTH = 4.0  # times the bandwidth of the tracking loop: the low-pass of the positions that it follows
@@ -61,7 +61,8 @@ def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -
         channel = "torque" if drives[j] is None else "command"
         if not r.has(channel, name):
             continue
-        first, slope = between(getattr(r, channel)[:, r.joints.index(name)], r.dt, r.hold)
+        values = getattr(r, channel)[:, r.joints.index(name)] / (motor_gain(robot, j) if drives[j] is None else 1.0)
+        first, slope = between(values, r.dt, r.hold)
         ends = t[0] - 0.5 * h - delay[j] + h * np.arange(len(t) + 1)
         out[:, j] = np.diff(_integral(first, slope, r.dt, ends)) / h
     return out
@@ -83,17 +84,19 @@ def closed_loop(
     samples: int | None = None,
     *,
     finer: int = 1,
+    sampled: bool = False,
 ) -> ClosedLoop:
     """Run all joints along a recording, or its first ``samples``, with the effects that a corrected file carries.
 
-    ``finer``: steps for each step of the file's timestep, to measure the integration error.
+    ``finer``: steps for each step of the file's timestep, to measure the integration error. ``sampled``: the tracking loop acts
+    at the samples and is held between them, as a digital controller's, and its torque is that of the sample that follows.
     """
     model, data = copy.copy(robot.model), mujoco.MjData(robot.model)
     r, n = recording, samples or len(recording)
     each = finer * max(1, math.ceil(r.dt / float(model.opt.timestep) - 1e-6))
     model.opt.timestep = r.dt / each
     slots, lacking = slots_by_joint(effects, robot)
-    run = _Run(robot, model, data, r, slots, n, each)
+    run = _Run(robot, model, data, r, slots, n, each, sampled)
     z, dz, tracking = run.plain() if run.native_only else run.stepped()
     for j, late in enumerate(slots[:, SLOT["late"]]):  # the log's clock, no matter of the motion
         if late > 0.0:
@@ -108,10 +111,18 @@ class _Run:
     """MuJoCo's state along a recording, and what acts on it at each step."""
 
     def __init__(
-        self, robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, r: RobotRecording, slots: np.ndarray, n: int, each: int
+        self,
+        robot: Robot,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        r: RobotRecording,
+        slots: np.ndarray,
+        n: int,
+        each: int,
+        sampled: bool = False,
     ) -> None:
         self.robot, self.model, self.data, self.slots, self.n, self.each = robot, model, data, slots, n, each
-        self.h = float(model.opt.timestep)
+        self.h, self.sampled = float(model.opt.timestep), sampled
         self.drives = joint_drives(robot)
         self.lead = np.array([robot.leading(j) for j in range(len(robot.joints))])
         self.recorded = r.positions(robot)
@@ -125,9 +136,8 @@ class _Run:
         self.native = model.dof_frictionloss[self.lead].copy()
         self.carried = bool(np.any(slots != slots_by_joint((), robot)[0]))
         self.limits = bool(np.any(np.isfinite(slots[:, SLOT["limit"]]) | (slots[:, SLOT["stall"]] > 0)))
-        actuators = _actuators(robot)
-        self.columns = np.array([j for j, a in enumerate(actuators) if a >= 0], int)
-        self.actuators = np.array([a for a in actuators if a >= 0], int)
+        self.columns = np.array([j for j, a in enumerate(robot.actuators) if a >= 0], int)
+        self.actuators = np.array([a for a in robot.actuators if a >= 0], int)
         data.qpos[:] = robot.tie @ self.recorded[0] + robot.rest
         rate = np.gradient(_smooth(self.recorded, r.dt)[:3], r.dt, axis=0)[0]
         data.qvel[:] = robot.tie @ np.where(servo, 0.0, rate)  # joints that follow the recording begin as it does
@@ -168,12 +178,15 @@ class _Run:
         stiff, damp = self._gains()
         state, out, loop = np.zeros((m, 4)), np.zeros((m, 5)), np.zeros(m)
         z[0], dz[0], tracking[0] = d.qpos[lead], d.qvel[lead], loop
+        if self.sampled:
+            tracking[0] = stiff * (followed[0] - z[0]) + damp * (slope[0] - dz[0])
         u, applied = self.u, np.zeros(m)
         for i in range(len(self.t)):
             q, v = d.qpos[lead], d.qvel[lead]
-            if self.torque.any():
-                loop = np.where(self.torque, stiff * (where[i] - q) + damp * (rate[i] - v), 0.0)
-                applied = loop
+            if self.torque.any() and (not self.sampled or i % per == 0):
+                to, at_rate = (followed[i // per], slope[i // per]) if self.sampled else (where[i], rate[i])
+                loop = np.where(self.torque, stiff * (to - q) + damp * (at_rate - v), 0.0)
+            applied = loop
             inputs = u[i]
             if self.carried:
                 drive = (d.qfrc_actuator @ self.robot.tie) + loop
@@ -192,6 +205,8 @@ class _Run:
             if (i + 1) % per == 0:
                 row = (i + 1) // per
                 z[row], dz[row], tracking[row] = d.qpos[lead], d.qvel[lead], loop
+                if self.sampled:
+                    tracking[row] = stiff * (followed[row] - z[row]) + damp * (slope[row] - dz[row])
                 if not np.isfinite(z[row]).all():
                     break
         return z, dz, np.where(self.torque, tracking, np.nan)
@@ -201,7 +216,7 @@ class _Run:
         for d in self.drives:
             if d is not None and self.model.actuator_actadr[d.actuator] >= 0 and self.model.actuator_actnum[d.actuator] > 0:
                 at = int(self.model.actuator_actadr[d.actuator])
-                start = d.gear * self.recorded[0, d.joint] / d.servo.scale
+                start = (d.gear * self.recorded[0, d.joint] + d.length) / d.servo.scale
                 self.data.act[at] = start if d.servo.target is Target.INTEGRATED else self.u[0, d.joint]
 
     def _gains(self) -> tuple[np.ndarray, np.ndarray]:
@@ -228,6 +243,13 @@ class _Run:
                 self.model.actuator_forcerange[a] = out[j, 3] / g, out[j, 4] / g
 
 
+def motor_gain(robot: Robot, joint: int) -> float:
+    """Force of a joint's actuator for a unit of its control, where that is a torque; 1 for a joint without."""
+    a = robot.actuators[joint]
+    gain = float(robot.model.actuator_gainprm[a, 0]) if a >= 0 else 1.0
+    return gain if gain != 0.0 else 1.0
+
+
 def _smooth(z: np.ndarray, dt: float) -> np.ndarray:
     """Positions (N, m) behind a zero-phase low-pass of `SMOOTH` times the tracking loop's bandwidth."""
     from scipy.signal import butter, sosfiltfilt
@@ -236,13 +258,3 @@ def _smooth(z: np.ndarray, dt: float) -> np.ndarray:
     if cutoff >= 0.9 or len(z) < 30:
         return z
     return np.asarray(sosfiltfilt(butter(2, cutoff, output="sos"), z, axis=0))
-
-
-def _actuators(robot: Robot) -> list[int]:
-    """Actuator of each independent joint, -1 where there is none."""
-    out = [-1] * len(robot.joints)
-    for a in range(robot.model.nu):
-        name = robot.dofs[int(robot.model.actuator_trnid[a, 0])]
-        if name in robot.joints:
-            out[robot.joints.index(name)] = a
-    return out

@@ -23,7 +23,7 @@ class JointDrive:
 
     actuator: its index; servo: its law as the file has it; gear: joint torque over actuator force; slots (K,): the joint as
     the file has
-    it, at the joint; delay [s] of the actuator in the file.
+    it, at the joint; length: of the actuator where the joint is at 0, beyond which it acts.
     """
 
     joint: int
@@ -31,6 +31,7 @@ class JointDrive:
     servo: Servo
     gear: float
     slots: np.ndarray
+    length: float = 0.0
 
     @property
     def velocity(self) -> bool:
@@ -42,7 +43,7 @@ class JointDrive:
         ``start``."""
         clipped = self.servo.scale * np.clip(command, self.servo.low, self.servo.high) / self.gear
         if self.servo.target is Target.INTEGRATED:
-            return start + np.concatenate([[0.0], np.cumsum(clipped[:-1]) * dt])
+            return start + self.length / self.gear + np.concatenate([[0.0], np.cumsum(clipped[:-1]) * dt])
         return np.asarray(clipped)
 
 
@@ -54,12 +55,11 @@ def has_servos(robot: Robot) -> bool:
 def _servos(robot: Robot) -> list[tuple[int, Servo] | None]:
     found: list[tuple[int, Servo] | None] = [None] * len(robot.joints)
     model = robot.model
-    for a in range(model.nu):
-        joint = robot.dofs[int(model.actuator_trnid[a, 0])]
-        if joint in robot.joints:
+    for j, a in enumerate(robot.actuators):
+        if a >= 0:
             name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a) or f"actuator {a}"
             servo = read_servo(model, a, robot.source, name)
-            found[robot.joints.index(joint)] = None if servo is None else (a, servo)
+            found[j] = None if servo is None else (a, servo)
     return found
 
 
@@ -71,16 +71,16 @@ def joint_drives(robot: Robot) -> tuple[JointDrive | None, ...]:
             out.append(None)
             continue
         a, servo = found
-        g, p = float(robot.gear[j]), empty()
+        g, length, p = float(robot.gear[j]), float(robot.length[j]), empty()
         p[SLOT["kp"]], p[SLOT["kv"]] = g * g * servo.kp, g * g * servo.kv
-        p[SLOT["limit"]], p[SLOT["zero"]] = abs(g) * servo.limit, servo.zero / g
+        p[SLOT["limit"]], p[SLOT["zero"]] = abs(g) * servo.limit, (servo.zero + length) / g
         square = robot.tie[:, j] ** 2
         p[SLOT["armature"]], p[SLOT["damping"]] = float(robot.armature @ square), float(robot.damping @ square)
         p[SLOT["friction"]] = float(robot.frictionloss @ np.abs(robot.tie[:, j]))
         p[SLOT["delay"]] = _delay(robot.model, a)
         if robot.model.actuator_dyntype[a] in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)):
             p[SLOT["lag"]] = float(robot.model.actuator_dynprm[a, 0])
-        out.append(JointDrive(j, a, servo, g, p))
+        out.append(JointDrive(j, a, servo, g, p, length))
     return tuple(out)
 
 

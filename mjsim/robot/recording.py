@@ -200,6 +200,9 @@ def _by_name(path: Path, table: Table, robot: Robot, notes: list[str]) -> dict[s
     if table.by_joint and set(given) & set(robot.joints) and (others := sorted(set(given) - set(robot.joints))):
         notes.append(f"Joints that the model does not have are left out: {', '.join(others)}.")
         given = {name: channels for name, channels in given.items() if name in robot.joints}
+    if tied := [name for name in given if name in robot.dofs and name not in robot.joints]:
+        notes.append(f"Joints that an equality ties to others follow these; their columns are left out: {', '.join(tied)}.")
+        given = {name: channels for name, channels in given.items() if name not in tied}
     if not given:
         raise InputError(
             path, "no column of a joint", f"columns such as {robot.joints[0]}.angle_rad",

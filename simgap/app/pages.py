@@ -18,6 +18,7 @@ from markupsafe import Markup
 from diagnose.report.components import theme_button
 from diagnose.report.document import theme
 from mjsim.models import shipped_models
+from mjsim.robot.scenario import shipped_robot_scenarios
 from mjsim.scenario import shipped_scenarios
 from simgap.app.answers import checked, compared, diagnosed
 from simgap.app.forms import Field, Form, Kind, forms
@@ -138,7 +139,7 @@ def _entry(run: Run, form: Form, f: Field, values: Mapping[str, Any]) -> Entry:
     if f.kind in FILES:
         automatic = run.automatic(form, f)
         empty = f"{_short(automatic[0])} (automatic)" if automatic else "choose" if f.required else "none"
-        shipped = [*shipped_models(), *shipped_scenarios()]
+        shipped = [*shipped_models(), *shipped_scenarios(), *shipped_robot_scenarios()]
         return Entry(f, value, empty, _grouped(run.candidates(f), shipped))
     if f.kind is Kind.CHOICE:
         empty = f"{f.default} (default)" if f.default is not None else "choose" if f.required else "default"

@@ -24,6 +24,7 @@ from typing import Any
 
 from mjsim.errors import InputError, nearest
 from mjsim.models import shipped_models
+from mjsim.robot.scenario import shipped_robot_scenarios
 from mjsim.scenario import shipped_scenarios
 from simgap.app.forms import LONGEST_TEXT, Field, Form, Kind, forms
 from simgap.app.uploads import (
@@ -226,7 +227,12 @@ class Run:
         if f.kind is Kind.MODEL:
             return self.models()
         if f.kind is Kind.SOURCE:
-            return [*self._uploaded("files", (BINDING,)), *(self.models() if f.models else ()), *shipped_scenarios()]
+            return [
+                *self._uploaded("files", (BINDING,)),
+                *(self.models() if f.models else ()),
+                *shipped_scenarios(),
+                *shipped_robot_scenarios(),
+            ]
         if f.kind is Kind.FILE:
             return [*self._uploaded("files", f.endings), *self._results(f.endings)]
         return [*(f"{RECORDINGS}/{n}" for n in self.recordings), *self._results(SIMPLE)]

@@ -13,7 +13,7 @@ from simgap.terminal import lines_wanted
 __all__ = ["command"]
 
 
-@click.command(epilog="Example: simgap crosscheck --out out/crosscheck")
+@click.command(epilog="Example: simgap crosscheck --out out/crosscheck; simgap crosscheck robot.xml")
 @click.argument("model", required=False, type=ModelFile())
 @model_root
 @click.option("--out", type=OutputFolder(), help="Directory for crosscheck.json and crosscheck.png.")
@@ -29,19 +29,25 @@ __all__ = ["command"]
 def command(model: Path | None, out: Path | None, duration: float, amplitude: float, as_json: bool) -> None:
     """Simulate every effect with MuJoCo (literal, accurate, batch) and the ODE; compare both with an exact reference.
 
-    MODEL is an MJCF of a single-axis chain or the name of a shipped model; default: robot_axis1.
+    MODEL is an MJCF of a single-axis chain or of a robot on a fixed base, or the name of a shipped model; default: robot_axis1.
+    Of a robot, torque, inertia and acceleration of each joint, servos and a free run are compared with recursive
+    Newton-Euler equations, along a trajectory of its own; --duration and --amplitude are of an axis.
     """
     from diagnose.json_file import json_text
-    from mjsim.crosscheck import Report, check_all, plot, table
+    from mjsim.crosscheck import Report, check_all, check_robot_model, plot, table
     from mjsim.errors import CheckError, InputError
     from mjsim.ode import DivergedError
+    from mjsim.robot.model import load_robot
+    from simgap.robot import is_robot_model
 
     if out is not None:
         take_folder(out)
     report = Report(())
     shown = not as_json and sys.stderr.isatty()
     try:
-        for item in check_all(model, duration=duration, amplitude=amplitude):
+        robot = load_robot(model) if model is not None and is_robot_model(model) else None
+        items = check_all(model, duration=duration, amplitude=amplitude) if robot is None else check_robot_model(robot)
+        for item in items:
             if isinstance(item, Report):
                 report = item
             else:
@@ -61,7 +67,7 @@ def command(model: Path | None, out: Path | None, duration: float, amplitude: fl
     if as_json:
         click.echo(json_text(report.as_dict()))
     else:
-        for line in table(report.rows):
+        for line in table(report.rows, robot=report.robot):
             click.echo(line)
         for name, why in report.skipped:
             click.echo(f"not compared: {name}: {why}")

@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from mjsim.axis import Axis
     from mjsim.ode import Trajectory
     from mjsim.render import Rig, Take
+    from mjsim.robot.scenario import RobotScenario
 
 __all__ = ["command"]
 
 SLOW = (0.3, 1.5)  # band of the chirp that moves a model [Hz]: seen at 25 pictures a second
 SEEN = 0.02  # deflection [rad | m] that a picture shows, see `_hidden`
+EXCITED = 10.0  # [s] of the trajectory of a robot: one period
 WIDE = (0.5, 15.0)  # and of the one that winds an elastic axis up
 
 
@@ -54,16 +56,18 @@ def _size(text: str) -> tuple[int, int]:
 def _is_model(source: str) -> bool:
     """Whether a name is that of a model: an MJCF file or a shipped model, and no scenario."""
     from mjsim.models import shipped_models
+    from mjsim.robot.scenario import shipped_robot_scenarios
     from mjsim.scenario import shipped_scenarios
 
     if source.endswith(".xml"):
         return True
     if source in shipped_models():
         return True
-    if not source.endswith(".toml") and source not in shipped_scenarios():
+    scenarios = [*shipped_scenarios(), *shipped_robot_scenarios()]
+    if not source.endswith(".toml") and source not in scenarios:
         from mjsim.errors import InputError, nearest
 
-        known = [*shipped_scenarios(), *shipped_models()]
+        known = [*scenarios, *shipped_models()]
         raise InputError(f"{source!r}", "no such file, scenario or model", f"an .xml or .toml file or one of: {', '.join(known)}",
                          nearest(source, known))  # fmt: skip
     return False
@@ -75,9 +79,12 @@ def _film_model(path: Path, out: Path, view: str, wanted: _Wanted) -> str:
 
     if view == "magnified":
         return _film_axis(path, out, wanted)
+    excited = None if wanted.recording is not None or wanted.simulation is not None else _excited(path)
     rig = Rig.of(path, wanted.joint)
-    takes = []
-    if wanted.simulation is not None:
+    takes: list[Take] = []
+    if excited is not None:
+        rig, takes = excited
+    elif wanted.simulation is not None:
         takes.append(recorded(rig, wanted.simulation, "simulation"))
     elif wanted.recording is not None or rig.axis is None:
         takes.append(simulated(rig, wanted.recording))
@@ -89,6 +96,29 @@ def _film_model(path: Path, out: Path, view: str, wanted: _Wanted) -> str:
     if _film_takes(rig, takes, out, wanted, needs_motion=view == "auto" and rig.axis is not None):
         return "the model's own geoms"
     return _film_axis(path, out, wanted)
+
+
+def _robot_take(scenario: RobotScenario) -> tuple[Rig, list[Take]]:
+    """The motion of a scenario of a robot, and its model."""
+    from mjsim.render import Rig
+    from mjsim.render.take import take_of_robot
+    from mjsim.robot.scenario import run_robot
+
+    rig = Rig.of(scenario.model_path)
+    return rig, [take_of_robot(rig, run_robot(scenario))]
+
+
+def _excited(path: Path) -> tuple[Rig, list[Take]] | None:
+    """A robot that no recording moves, on an exciting trajectory; None for what is no robot or cannot follow one."""
+    from mjsim.errors import InputError
+    from mjsim.robot.scenario import robot_scenario
+    from simgap.robot import is_robot_model
+
+    try:
+        scenario = robot_scenario(path, duration_s=EXCITED) if is_robot_model(path) else None
+        return None if scenario is None else _robot_take(scenario)
+    except InputError:
+        return None
 
 
 def _film_takes(rig: Rig, takes: list[Take], out: Path, wanted: _Wanted, *, needs_motion: bool) -> bool:
@@ -144,10 +174,15 @@ def _film_scenario(source: str, out: Path, view: str, wanted: _Wanted) -> str:
     from mjsim.errors import InputError
     from mjsim.render import Rig, film, shot_of_run
     from mjsim.render.take import take_of_run
+    from mjsim.robot.scenario import robot_scenario
     from mjsim.scenario import load_scenario, run
 
     if wanted.recording is not None or wanted.simulation is not None:
         raise InputError(source, "--recording and --simulation need a model", "MODEL.xml", "name the model")
+    robot = robot_scenario(source)
+    if robot is not None:
+        _film_takes(*_robot_take(robot), out, wanted, needs_motion=False)
+        return "the model's own geoms"
     scenario = load_scenario(source)
     log = run(scenario)
     if view == "model" or (view == "auto" and not _hidden(log.axis, log.motion)):

@@ -268,3 +268,26 @@ def test_a_robot_log_without_a_common_time(arm):
     (arm / "bad.csv").write_text("time_s,elbow.angle_rad\n" + "\n".join(f"{t},{t}" for t in (0, 1, 2, 9, 10)) + "\n")
     with pytest.raises(InputError, match="not uniform"):
         recorded(Rig.of(arm / "arm.xml"), arm / "bad.csv")
+
+
+def test_a_robots_scenario_and_a_robot_itself_are_filmed_in_motion(tmp_path: Path, screen: None) -> None:
+    for source in ("arm6_friction", "arm3"):
+        out = tmp_path / f"{source}.gif"
+        words = [source, "--out", str(out), "--duration", "2", "--fps", "1", "--size", "320x240"]
+        result = CliRunner().invoke(command, words, catch_exceptions=False)
+        assert result.output.strip() == f"{out}: the model's own geoms"
+        frames = iio.imread(out)[..., :3].astype(int)
+        assert len(frames) == 3
+        assert np.mean(np.abs(frames[-1] - frames[0])) > 1.0
+
+
+def test_the_film_of_a_torque_log_runs_all_joints_as_replay_does(tmp_path: Path) -> None:
+    """Torques alone would let the arm fall: held to the recording it stays beside it."""
+    from mjsim.models import shipped_model
+    from mjsim.robot.scenario import robot_scenario, run_robot, write_robot_log
+
+    log = run_robot(robot_scenario("arm6_friction", duration_s=4.0))
+    path, _ = write_robot_log(log, tmp_path)
+    rig = Rig.of(shipped_model("arm6"))
+    takes = simulated(rig, path), recorded(rig, path)
+    assert 1e-3 < np.max(np.abs(takes[0].qpos - takes[1].qpos)) < 0.1

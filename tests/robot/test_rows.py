@@ -43,6 +43,27 @@ def test_the_rows_are_those_of_mujoco(extra, count):
     assert check_rows(robot, 20) < 1e-12
 
 
+def test_a_joint_may_follow_one_that_follows_and_one_may_be_locked():
+    more = '<joint joint1="d" joint2="e" polycoef="0 .5 0 0 0"/><joint joint1="c" polycoef=".2 0 0 0 0"/></equality>'
+    robot = tree(TIE.replace("</equality>", more))
+    assert robot.joints == ("a", "b")
+    assert_allclose(robot.tie, [[1, 0], [0, 1], [0, 0], [0, -1], [0, -2]])
+    assert_allclose(robot.rest, [0, 0, 0.2, 0.05, 0.1])
+    assert check_rows(robot, 20) < 1e-12
+
+
+def test_a_tendon_of_tied_joints_drives_the_one_that_they_follow():
+    pull = FIXED.format('<joint joint="b" coef="3"/><joint joint="e" coef="1"/>').replace("<motor ", '<motor gear="2" ')
+    robot = tree(TIE + pull)
+    assert_allclose(robot.gear, [10, 2 * (3 - 2), 1, 1])
+    assert robot.actuators == (0, 1, -1, -1)
+    assert_allclose(robot.length, [0, 2 * 0.1, 0, 0])
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.tie @ [0.1, 0.2, 0.3, 0.4] + robot.rest
+    mujoco.mj_forward(robot.model, data)
+    assert data.actuator_length[1] == pytest.approx(2 * 0.2 + 2 * 0.1)
+
+
 @pytest.mark.parametrize("arm", [three_axes(), six_axes()], ids=["three", "six"])
 def test_the_rows_are_those_of_the_other_plant(arm):
     robot = robot_from(mujoco.MjModel.from_xml_string(arm.mjcf("arm")))
@@ -91,18 +112,39 @@ def test_inertial_parameters_come_back_from_each_form(seed):
     assert principal[1] + principal[2] >= principal[0]
 
 
-TENDON = '<tendon><fixed name="t"><joint joint="a" coef="1"/></fixed></tendon><actuator><motor tendon="t"/></actuator>'
+FIXED = '<tendon><fixed name="t">{}</fixed></tendon><actuator><motor name="m" tendon="t"/></actuator>'
+SPATIAL = FIXED.format('<site site="s"/><site site="u"/>').replace("fixed", "spatial")
 WORLD = "<mujoco><worldbody>{}</worldbody></mujoco>"
 BODY = '<body name="x"><{} name="j"/><geom size=".1"/></body>'
+HINGES = '<body name="x"><joint name="k"/><geom size=".1"/></body>' + BODY.replace('"x"', '"cube"').format("freejoint")
+# two levers on a hinge, whose tips a rod ties: joints b, c and d are in the loop, a carries it, e hangs on it
+LOOP = """<mujoco><worldbody><body><joint name="a"/><geom size=".1"/>
+<body><joint name="b"/><geom size=".1"/><body name="x"><joint name="c"/><geom size=".1"/>
+<body><joint name="e"/><geom size=".1"/></body></body></body>
+<body name="y"><joint name="d"/><geom size=".1"/></body></body></worldbody>
+<equality><weld name="rod" body1="x" body2="y"/></equality></mujoco>"""
+
+
+def sites(xml):
+    """The tree with a site at the base and one on its body c."""
+    return xml.replace("<worldbody>", '<worldbody><site name="s"/>').replace('<body name="c"', '<body name="c"', 1).replace(
+        '<geom size=".05" pos=".1 0 0"/>', '<geom size=".05" pos=".1 0 0"/><site name="u"/>'
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("xml", "said"),
     [
-        (WORLD.format(BODY.format("freejoint")), "'j' is a free joint"),
-        (WORLD.format(BODY.format('joint type="ball"')), "'j' is a ball joint"),
-        (TREE.format('<equality><connect body1="c" anchor="0 0 0"/></equality>'), "closes a chain"),
-        (TREE.format(TENDON), "drives no joint but a tendon"),
+        (WORLD.format(BODY.format("freejoint")), "'j' lets body 'x' float.*remove the joint.*where the base stands still"),
+        (WORLD.format(HINGES), "'j' lets body 'cube' float.*remove body 'cube' in a copy of the model; k can then be diagnosed"),
+        (WORLD.format(BODY.format('joint type="ball"')), "'j' is a ball joint.*--joint chooses"),
+        (LOOP, r"equality 'rod' \(weld\) closes a chain.*joints a, e can then be diagnosed, by --joint"),
+        (TREE.format('<equality><connect body1="c" anchor="0 0 0"/></equality>'), "closes a chain.*of a log of all joints e can"),
+        (TREE.format(FIXED.format('<joint joint="a" coef="1"/>')), "both move joint 'a'"),
+        (TREE.format(FIXED.format('<joint joint="b" coef="1"/><joint joint="d" coef="1"/>')), "'m' moves b, d.*2 independent"),
+        (sites(TREE.format(SPATIAL)), "'m' pulls the spatial tendon 't'"),
+        (TREE.format(TIE.replace("-2 0", "-2 1")), "ties joint 'e' to another one is no fixed ratio"),
+        (TREE.format(TIE.replace("</equality>", '<joint joint1="b" joint2="e"/></equality>')), "tie joint .* to itself"),
     ],
 )  # fmt: skip
 def test_what_is_outside_is_said_in_one_line(xml, said):
