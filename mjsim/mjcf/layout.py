@@ -109,11 +109,11 @@ def lay_out(model: mujoco.MjModel, source: object, actuator: str | None, frozen:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     tendons = _tendon_rows(model, data)
-    drive = _drive(model, source, actuator, tendons)
+    still = [_unit(model, j) for j in range(model.njnt) if model.joint(j).name in frozen]
+    drive = _drive(model, source, actuator, tendons, still)
     masses = (*_body_masses(model, data, source), *_armatures(model, tendons))
     passives = _passives(model, source, tendons, frozen)
-    ties = _ties(model, source, tendons)
-    ties += [_unit(model, j) for j in range(model.njnt) if model.joint(j).name in frozen]
+    ties = _ties(model, source, tendons) + still
     base = _null(ties, model.nv)
     slack = _slack(model, masses, passives, drive, base)
     base = _null(ties + [_unit(model, j) for j in slack], model.nv)
@@ -187,12 +187,14 @@ def _actuator_row(model: mujoco.MjModel, a: int, tendons: list[np.ndarray | None
     return None
 
 
-def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: list[np.ndarray | None]) -> Drive:
+def _drive(
+    model: mujoco.MjModel, source: object, wanted: str | None, tendons: list[np.ndarray | None], still: list[np.ndarray]
+) -> Drive:
     names = [model.actuator(a).name for a in range(model.nactuator)]
     inputs = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] > 0]
     choices = ", ".join(_label(names[a], a) for a in inputs) or "none"
     if not wanted and not inputs:
-        return Drive(-1, "", _undriven_row(model, source, tendons), 1.0)
+        return Drive(-1, "", _undriven_row(model, source, tendons, still), 1.0)
     if wanted is None:
         if len(inputs) != 1:
             raise InputError(
@@ -219,9 +221,9 @@ def _drive(model: mujoco.MjModel, source: object, wanted: str | None, tendons: l
     return Drive(chosen, names[chosen], row, 1.0 if servo else float(model.actuator_gainprm[chosen, 0]), servo)
 
 
-def _undriven_row(model: mujoco.MjModel, source: object, tendons: list[np.ndarray | None]) -> np.ndarray:
-    """Row of the joint that stands for a model without actuators: the only one that its ties leave free. Raises InputError."""
-    base = _null(_ties(model, source, tendons), model.nv)
+def _undriven_row(model: mujoco.MjModel, source: object, tendons: list[np.ndarray | None], still: list[np.ndarray]) -> np.ndarray:
+    """Row of the joint that stands for a model without actuators: the only one that ties and the joints ``still`` leave free."""
+    base = _null(_ties(model, source, tendons) + still, model.nv)
     if base.shape[1] != 1:
         raise InputError(
             source, f"0 actuators and none bound (there are: none), and {base.shape[1]} joints move", "one driven joint",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjsim.binding import Binding, Channel
+from mjsim.binding import OWN_KEYS, Binding, Channel
 from mjsim.errors import InputError, nearest
 from mjsim.experiment_table import (
     CHANNEL_KEYS,
@@ -68,7 +68,7 @@ class RobotBinding:
         """The binding that the tables of a TOML file state; ``path``: how messages name it. Raises InputError."""
         need_no_misspelt_table(table, path)
         recording, experiment = table_of(table, "recording", path), table_of(table, "experiment", path)
-        need_known(recording, (*Binding.CHANNELS, "dt", "hold", "jitter"), f"{path}: [recording]")
+        need_known(recording, (*Binding.CHANNELS, *OWN_KEYS), f"{path}: [recording]")
         need_known_experiment(experiment, path)
         if (
             "joints" not in table
@@ -76,6 +76,10 @@ class RobotBinding:
             and not {"payload", *Binding.KNOWN} & set(experiment)
         ):
             return None
+        if "input" in recording and "joints" in table:
+            raise InputError(
+                f"{path}: [recording] input", "it is used of one joint only", "a robot whose drives were on", "remove the key"
+            )
         joints: dict[str, dict[str, tuple[str, float, int | None]]] = {}
         for name, channels in table_of(table, "joints", path).items():
             where = f"{path}: [joints.{name}]"

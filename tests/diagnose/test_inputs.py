@@ -15,12 +15,13 @@ from diagnose.report.words import where
 from diagnose.result import Verdict
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
-from mjsim.mjcf import load_axis, load_model
+from mjsim.mjcf import load_axis, load_model, write_corrected
 from mjsim.mujoco_run import run_signals
 from mjsim.ode import simulate
 from mjsim.plant import MujocoPlant, Start
 from mjsim.recording import Recording
 from simgap.pipeline import diagnose_recordings
+from simgap.robot import is_robot
 
 DT, STEP = 0.01, 2 * np.pi / 4096
 FREE = """<mujoco><option timestep="0.001" integrator="RK4"{gravity}/><worldbody><body name="arm" pos="0 0 1">
@@ -66,6 +67,25 @@ def test_a_model_without_an_actuator_is_an_axis(free):
     assert chain.bodies[0].joint == "pivot"
     with pytest.raises(ValueError, match="no actuator drives"):
         effect_class("actuator_lag")(place="actuator", time_constant_s=0.1).ports(chain)
+
+
+def test_a_corrected_file_with_a_joint_more_is_read_without_an_actuator(free, tmp_path):
+    """The joint of a flexible mode, which the file names as added, does not stand for the drive."""
+    mode = effect_class("extra_flexible_mode")(place="arm", inertia_kgm2=0.002, stiffness_Nm_rad=4.0, damping_Nms_rad=0.01)
+    write_corrected(free, load_axis(free) + mode, tmp_path / "corrected.xml")
+    back = load_axis(tmp_path / "corrected.xml")
+    assert [b.joint for b in back.chain.bodies] == ["pivot"]
+    assert back.effects[-1] == mode
+
+
+@pytest.mark.parametrize("more", ["", "jitter = 0.1\n"])
+def test_a_model_without_an_actuator_may_state_that_the_drive_was_off(free, tmp_path, more):
+    swing(free, 1.2).save(tmp_path / "log.csv")
+    (tmp_path / "log.toml").write_text(f'[recording]\ninput = "none"\n{more}time = "time_s"\nangle = "angle_rad"\n')
+    assert not is_robot([tmp_path / "log.csv"], free)
+    (tmp_path / "log.toml").write_text('[recording]\ninput = "none"\n[joints.a]\nangle = "angle_rad"\n')
+    with pytest.raises(InputError, match="input: it is used of one joint only"):
+        is_robot([tmp_path / "log.csv"], free)
 
 
 def test_mujoco_and_the_equations_swing_alike(free):
