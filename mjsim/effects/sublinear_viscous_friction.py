@@ -1,6 +1,6 @@
 """Viscous friction that grows less than in proportion to speed, as greased gears have it.
 
-tau_f = c v (v^2 + V^2)^((n - 1) / 2),    0.3 <= n <= 0.8; V = 1e-3 rad/s (m/s) takes the infinite slope off the origin
+tau_f = c v (v^2 + V^2)^((n - 1) / 2),    0.1 <= n <= 0.9; V = 1e-3 rad/s (m/s) takes the infinite slope off the origin
 
 Below that range the law is that of Coulomb friction, above it that of viscous friction, as far as a recording tells.
 """
@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.coulomb_friction import CoulombFriction
 from mjsim.effects.law import RATE, law
@@ -50,11 +51,15 @@ class SublinearViscousFriction(Effect):
     refines: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
     coefficient: float = parameter(Quantity.TORQUE, "torque at a speed of 1", lower=0.0)
-    exponent: float = parameter(Quantity.RATIO, "power of the speed", lower=0.3, upper=0.8)
+    exponent: float = parameter(Quantity.RATIO, "power of the speed", lower=0.1, upper=0.9)
 
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         return (BodyTorque(need_body(chain, self.place), torque, (self.coefficient, self.exponent)),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        return (Range("exponent", self.exponent, 0.11, 0.89, "beyond which it is Coulomb or viscous friction"),)
 
     def nearest(self, chain: Chain, speed: float) -> tuple[Chain, tuple[Effect, ...]]:
         """Coulomb friction beside damping: the tangent at a speed V, c V^n ((1 - n) + n v / V)."""
