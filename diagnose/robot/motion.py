@@ -19,6 +19,7 @@ from mjsim.errors import InputError
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import inertia_along
+from mjsim.robot.touching import Touching, touching
 
 __all__ = ["ORDER", "RobotMotion", "clean_band", "moving_joints", "prepare"]
 
@@ -28,6 +29,7 @@ THINNED = 3  # samples of the coarse grid per period of the cutoff
 SLOW, REST = 0.005, 0.05  # of the rms speed, as diagnose.problem.view.ForceView counts
 SHARE = 1e-3  # of the torque's power that the encoder's noise may make below the cutoff
 LEAST_MOVED = 20.0  # times the encoder's noise: the travel of a joint that moves
+ENDS = 2.0  # periods of the cutoff: what the filter spreads of a step to either side
 LEAST_PERIODS = 20  # of the cutoff: the filter's ends take four
 BLOCKS, EVERY = 10, 3  # blocks of a recording, of which every third is held out
 
@@ -42,7 +44,7 @@ class RobotMotion:
     time (N,) [s]; z, dz, ddz (N, m): filtered once; torque (N, m): joint side, filtered twice, NaN for a joint without; counts
     (M, m): samples of a joint's row that are compared; held (M,): samples that are held out; sos: the filter on the fine
     grid; every:
-    samples of the fine grid per sample of the coarse one; dt: of the fine grid [s].
+    samples of the fine grid per sample of the coarse one; dt: of the fine grid [s]; touching: contact, on the fine grid.
     """
 
     source: str
@@ -59,6 +61,7 @@ class RobotMotion:
     every: int
     dt: float
     payload: tuple[int, np.ndarray] | None = None
+    touching: Touching | None = None
 
     def low_passed(self, columns: np.ndarray, times: int = 1) -> np.ndarray:
         """Columns (N, ...) of the fine grid behind the filter, ``times`` over."""
@@ -161,7 +164,9 @@ def prepare(
             raw = _earlier(raw, recording.dt)
         torque[:, j] = sosfiltfilt(sos, sosfiltfilt(first, raw)[::coarse])
     every = max(1, int(1 / (dt * THINNED * cutoff)))
-    counts = _counts(dz, dt, cutoff)[::every]
+    ddz, reach = derivative(z, dt, second=True), math.ceil(ENDS / (cutoff * dt))
+    contact = touching(robot, z, dz, ddz, dt)
+    counts = (_counts(dz, dt, cutoff) & ~contact.widened(reach, reach))[::every]
     for j, name in enumerate(robot.joints):
         counts[:, j] &= name in joints
     held = np.zeros(len(counts), bool)
@@ -176,8 +181,8 @@ def prepare(
         link, pos, quat = robot.link_of(recording.payload.body)
         payload = link, moved(point_mass(recording.payload.mass, np.array(recording.payload.pos)), pos, quat)
     return RobotMotion(
-        recording.source, recording.sha256, role, recording.time[::coarse], z, dz, derivative(z, dt, second=True), torque, counts,
-        held, sos, every, dt, payload,
+        recording.source, recording.sha256, role, recording.time[::coarse], z, dz, ddz, torque, counts,
+        held, sos, every, dt, payload, contact,
     )  # fmt: skip
 
 
@@ -193,7 +198,7 @@ def _counts(dz: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
     rms = np.sqrt(np.mean(dz**2, axis=0)) + 1e-300
     speed = np.abs(dz)
     rest = maximum_filter1d(speed, 2 * max(1, round(0.1 / dt)) + 1, axis=0) < REST * rms
-    edge = math.ceil(2.0 / (cutoff * dt))
+    edge = math.ceil(ENDS / (cutoff * dt))
     inside = np.zeros(len(dz), bool)
     inside[edge : len(dz) - edge] = True
     return np.asarray((speed > SLOW * rms) & ~rest & inside[:, None])

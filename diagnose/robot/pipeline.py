@@ -15,6 +15,7 @@ import numpy as np
 from diagnose.check.unused import unused_of_robot
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot import decide
+from diagnose.robot.contact import contact_notes
 from diagnose.robot.motion import clean_band, moving_joints, prepare
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.physical import consistent
@@ -31,8 +32,9 @@ from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
 
-__all__ = ["ORDER", "Outcome", "diagnose_robot", "overall", "summary"]
+__all__ = ["EXCLUDE", "ORDER", "Outcome", "diagnose_robot", "overall", "summary"]
 
+EXCLUDE = "record free motion, or <exclude> the bodies that touch in a copy of the model"
 SHOWN = 2  # changed numbers in the summary
 DRAWN = 20_000  # points of a trace at most
 ORDER = (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY, Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED)
@@ -105,9 +107,11 @@ def _enough(problem: Problem) -> None:
     for j in problem.joints:
         for parts, word in ((problem.fitted, "fitted"), (problem.held, "held-out")):
             if len(parts[j].y) < 30:
+                touched = any(m.touching is not None and m.touching.rows[:, j].any() for m in problem.motions)
+                free = " and out of contact" if touched else ""
                 raise InputError(
-                    problem.motions[0].source, f"{len(parts[j].y)} {word} samples of {problem.robot.joints[j]!r} in motion",
-                    "at least 30", "record longer, or name the other joints by --joint",
+                    problem.motions[0].source, f"{len(parts[j].y)} {word} samples of {problem.robot.joints[j]!r} in motion{free}",
+                    "at least 30", EXCLUDE if touched else "record longer, or name the other joints by --joint",
                 )  # fmt: skip
 
 
@@ -200,6 +204,7 @@ def overall(joints: Mapping[str, JointResult]) -> dict[str, FitFigures]:
 def _notes(search: Selection, recordings: Sequence[RobotRecording], joints: Mapping[str, JointResult]) -> tuple[str, ...]:
     p = search.problem
     notes = [*dict.fromkeys(note for r in recordings for note in r.notes), *unused_of_robot(recordings)]
+    notes += contact_notes(p.robot, [(m.source, m.touching, m.dt) for m in p.motions if m.touching is not None])
     for name, at in recordings[0].held_at:
         notes.append(f"Joint {name} is not in the log: it is held at {at:.4g}.")
     still = [n for n in recordings[0].joints if n not in joints]

@@ -15,7 +15,7 @@ from diagnose.check.types import Problem, Severity
 from diagnose.robot.servos.motion import resolution
 from mjsim.signals import Limit, limits
 
-__all__ = ["beyond_limits", "clipped", "clipped_torque", "coarse", "held_rows", "in_motion", "refreshed"]
+__all__ = ["MARKS", "beyond_limits", "clipped", "clipped_torque", "coarse", "held_rows", "in_motion", "refreshed"]
 
 SLOW = 0.05  # of the rms speed: below it a joint may be at rest
 WINDOW = 5  # samples before and after a row, in which a joint has to move the same way

@@ -21,7 +21,7 @@ from diagnose.check.faults.stamps import gaps, jitter
 from diagnose.check.machine import Machine
 from diagnose.check.thresholds import FOLLOWED, PARAMETER_FACTOR
 from diagnose.check.types import LogCheck, Problem, Severity
-from diagnose.robot.check.channels import beyond_limits, clipped, clipped_torque, coarse, held_rows, refreshed
+from diagnose.robot.check.channels import MARKS, beyond_limits, clipped, clipped_torque, coarse, held_rows, refreshed
 from diagnose.robot.check.faults import (
     ANGLES,
     LENGTHS,
@@ -36,6 +36,7 @@ from diagnose.robot.check.faults import (
     swapped,
 )
 from diagnose.robot.check.relations import Relation, correlations, relate
+from diagnose.robot.contact import contact_notes, stretches
 from diagnose.robot.servos.motion import moves, smoothed
 from mjsim.quantity import Motion
 from mjsim.robot.closed_loop import closed_loop
@@ -44,6 +45,7 @@ from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import ALIKE, UNLIKE, RobotRecording
 from mjsim.robot.rows import mujoco_torque
+from mjsim.robot.touching import touching
 
 __all__ = ["check_robot"]
 
@@ -92,7 +94,8 @@ def _asked(recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
     by_command, by_torque = (any(getattr(r, c) is not None for r in recordings) for c in ("command", "torque"))
     return (
         "Are the stamps uniform, without gaps, and in seconds?", "Does every row hold a measurement of its own?",
-        "Does each joint move, within its range?", "Are the channels off their limits, and finer than their steps?",
+        "Does each joint move, within its range?", "Is it free of contact?",
+        "Are the channels off their limits, and finer than their steps?",
         *(("Do the channels of each joint belong to it?",) if several else ()),
         *(("Does each position follow its command: sign, unit, delay?",) if by_command else ()),
         *(("Does each torque move its joint as the model does: sign, unit?",) if by_torque else ()),
@@ -101,7 +104,7 @@ def _asked(recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
 
 def _one(robot: Robot, r: RobotRecording) -> tuple[list[Problem], dict[str, str], dict[str, Any]]:
     log = Log(robot, r, *smoothed(robot, r))
-    problems = [*_stamps(r), *_swaps(log), *_held(log)]
+    problems = [*_stamps(r), *_swaps(log), *_held(log), *_contact(log)]
     crossed = {p.channel.rpartition(".")[0] for p in problems if p.problem == "swapped"}
     crossed |= {p.advice.rpartition(" ")[2] for p in problems if p.problem == "swapped"}
     size = f"{len(r)} samples, {1 / r.dt:.6g} samples/s, {len(r) * r.dt:.4g} s, input {r.hold} between samples."
@@ -129,6 +132,18 @@ def _stamps(r: RobotRecording) -> list[Problem]:
     context = Context(single, None)  # type: ignore[arg-type]
     machine: Machine = context.machine
     return [*jitter(single, machine, context), *gaps(single, machine, context)]
+
+
+def _contact(log: Log) -> list[Problem]:
+    """Samples with a contact force, which no diagnosis compares."""
+    found = touching(log.robot, log.z, log.dz, log.ddz, log.r.dt)
+    told = contact_notes(log.robot, [(log.r.source, dataclasses.replace(found, always=()), log.r.dt)])
+    at = np.asarray(found.rows.any(axis=1))
+    return [
+        Problem("time", "contact", float(at.mean()), "1", text, "record free motion, or exclude bodies that do not touch",
+                Severity.LIMITS, marks=tuple((a, b) for a, b in stretches(at, log.r.dt)[:MARKS]))
+        for text in told
+    ]  # fmt: skip
 
 
 def _swaps(log: Log) -> list[Problem]:

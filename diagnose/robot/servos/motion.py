@@ -23,6 +23,7 @@ from mjsim.robot.inertia import moved, point_mass
 from mjsim.robot.joint_kernel import SLOT, run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
+from mjsim.robot.touching import Touching, touching
 
 __all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution", "unit_payload"]
 
@@ -33,10 +34,10 @@ FASTEST = 0.2  # of the sampling rate: the highest cutoff, where an eighth-order
 STANDS_OUT = 4.0  # power of the position over that of its noise, up to which it is kept
 STEP = 5e-3  # [s]: longest step of the kernel, a twentieth of the period of a servo of 10 Hz
 FEWEST_STEPS = 4  # per sample, of the kernel
-EDGE = 0.1  # [s]: before the end of a series that is moved in time, what its low-pass reaches; not counted
+EDGE = 0.1  # [s]: what the low-pass reaches, before a contact or the end of a series that is moved in time; not counted
 RESTS = 0.01  # of the rms speed: the speed over which the sign of a motion turns
 WEIGHTLESS = 0.01  # of the torque of the links: the weight about an axis that is vertical to .01 rad
-WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what of each is not counted
+WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what of each, and behind a contact, is not counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,8 @@ class Motion:
     """One recording: what each joint carries, smooth positions and velocities (N, m), and its role.
 
     payload: what each joint carries more with a unit mass at the centre of the last link; drive (N, m): torque of each joint's
-    drive by the file, of links, armature and damping; late: seconds by which positions of joints are taken to be logged late.
+    drive by the file, of links, armature and damping; late: seconds by which positions of joints are taken to be logged late;
+    touching: contact.
     """
 
     recording: RobotRecording
@@ -55,6 +57,7 @@ class Motion:
     payload: Along
     drive: np.ndarray
     late: Mapping[str, float]
+    touching: Touching
 
 
 def resolution(q: np.ndarray) -> float:
@@ -128,7 +131,8 @@ def prepare(robot: Robot, recording: RobotRecording, held: bool, late: Mapping[s
     for j, d in enumerate(joint_drives(robot)):
         if d is not None:
             drive[:, j] += d.slots[SLOT["armature"]] * ddz[:, j] + d.slots[SLOT["damping"]] * dz[:, j]
-    return Motion(recording, held, z, dz, series, extra, drive, dict(late))
+    contact = touching(robot, z, dz, ddz, recording.dt)
+    return Motion(recording, held, z, dz, series, extra, drive, dict(late), contact)
 
 
 def unit_payload(robot: Robot) -> np.ndarray:
@@ -301,7 +305,7 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
             m.dz[:, j], m.payload.inertia[:, j], m.payload.bias[:, j], m.payload.by_position[:, j], *_others(m),
         ])  # fmt: skip
         one[0, 5] = q[0]  # the run starts where the joint is measured
-        counts = np.full(n, moves(q))
+        counts = np.full(n, moves(q)) & ~m.touching.widened(math.ceil(EDGE / dt), math.ceil(UNSETTLED / dt))[:, j]
         if m.late:
             counts[n - math.ceil((max(m.late.values()) + EDGE) / r.dt) :] = False
         apart = (np.arange(n) * BLOCKS // n) % EVERY == EVERY - 1 if split else np.full(n, m.held)

@@ -18,8 +18,9 @@ import numpy as np
 
 from diagnose.check.unused import unused_of_robot
 from diagnose.result import Estimate
+from diagnose.robot.contact import contact_notes
 from diagnose.robot.options import RobotOptions
-from diagnose.robot.pipeline import ORDER, overall, summary
+from diagnose.robot.pipeline import EXCLUDE, ORDER, overall, summary
 from diagnose.robot.result import RobotDiagnosis
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of, scale_of_fit
 from diagnose.robot.servos.clocks import clocks
@@ -36,6 +37,7 @@ from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
+from mjsim.robot.touching import Touching
 
 __all__ = ["ServoOutcome", "diagnose_servos"]
 
@@ -70,12 +72,19 @@ def diagnose_servos(
     everything = [*recordings, *held_out]
     names = _chosen(robot, everything, options)
 
+    contacts: list[tuple[str, Touching, float]] = []
+
     def series(lates: Mapping[str, float]) -> list[JointProblem]:
         motions = [prepare(robot, r, k >= len(recordings), lates) for k, r in enumerate(everything)]
+        contacts[:] = [(m.recording.source, m.touching, m.recording.dt) for m in motions]
         problems = [joint_problem(robot, motions, n, not held_out) for n in names]
-        return [p for p in problems if _enough(p, len(names))]
+        touched = np.any([t.rows.any(axis=0) for _, t, _ in contacts], axis=0)
+        return [p for p in problems if _enough(p, len(names), touched=bool(touched[p.joint]))]
 
     problems = series({})
+    if not problems:
+        raise InputError(recordings[0].source, "no joint has enough samples out of contact", f"{FEWEST} fitted and held out each",
+                         EXCLUDE)  # fmt: skip
     say(f"{len(problems)} joints by command and position, {sum(len(r) for r in everything)} samples")
     searches = _searched(problems, options, jobs, say)
     searches = _by_clock(searches, series, options, jobs, say)
@@ -83,6 +92,7 @@ def diagnose_servos(
     scales = {s.problem.name: scale_of(s) for s in searches}
     borrowed = _borrow(searches, scales)
     diagnosis = _told(robot, searches, scales, borrowed, payload, recordings, held_out, begun)
+    diagnosis = dataclasses.replace(diagnosis, notes=(*contact_notes(robot, contacts), *diagnosis.notes))
     return ServoOutcome(diagnosis, searches, payload.value if payload is not None else 0.0)
 
 
@@ -147,14 +157,15 @@ def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOp
     return tuple(n for n in robot.joints if n in (options.joints or found))
 
 
-def _enough(p: JointProblem, count: int) -> bool:
+def _enough(p: JointProblem, count: int, *, touched: bool) -> bool:
     """Whether a joint moves in fitted and held-out samples; raises InputError where it is the only one."""
     enough = min(int(p.fitted.sum()), int(p.held.sum())) >= FEWEST
     if not enough and count == 1:
         raise InputError(
             p.sources[0][0],
             f"{int(p.fitted.sum())} fitted and {int(p.held.sum())} held-out samples of {p.name!r} in recordings in which it "
-            "moves", f"at least {FEWEST} each", "give recordings in which it moves on both sides",
+            f"moves{' and nothing touches' if touched else ''}", f"at least {FEWEST} each",
+            EXCLUDE if touched else "give recordings in which it moves on both sides",
         )  # fmt: skip
     return enough
 
