@@ -31,7 +31,7 @@ from mjsim.binding import (
 from mjsim.errors import InputError, nearest
 from mjsim.hold import HOLDS
 from mjsim.readers import Table, digest, need_source, part_of, read_table
-from mjsim.timebase import need_numbers, noise_after, onto_stamps, resample, sample_time, unrounded
+from mjsim.timebase import need_numbers, noise_after, off_by, onto_stamps, resample, sample_time, unrounded
 from mjsim.toml import lies_at
 from mjsim.unbound import by_headers, completed, guesses, without_input
 
@@ -66,7 +66,8 @@ class Recording:
     this experiment; columns: every numeric column as it stands in the file; units: SI unit of a role (torque, velocity, ...)
     where the binding tells it; dt [s]; source: file name; sha256 of the file; loop, judge: what the binding states; notes:
     what reading changed; noise: rms of the noise of a channel, where reading changed it; driven: False where the drive was
-    off and the torque is zero; control_column: name of the column of ``control``; hold_stated: whether the binding states hold.
+    off and the torque is zero; control_column: name of the column of ``control``; hold_stated: whether the binding states hold;
+    missing (N,) bool: samples that lie in gaps of the stamps and were not measured, None where there are none.
 
     >>> import numpy as np
     >>> t = np.arange(5) * 0.01
@@ -107,6 +108,7 @@ class Recording:
     driven: bool = True
     hold_stated: bool = False
     temperature: np.ndarray | None = None
+    missing: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -155,7 +157,8 @@ class Recording:
         cut = slice(start, stop)
         arrays: dict[str, Any] = {name: None if getattr(self, name) is None else getattr(self, name)[cut] for name in ARRAYS}
         columns = {k: v[cut] for k, v in self.columns.items()}
-        return dataclasses.replace(self, **arrays, columns=columns)
+        missing = None if self.missing is None else self.missing[cut]
+        return dataclasses.replace(self, **arrays, columns=columns, missing=missing)
 
     def signals(self) -> dict[str, np.ndarray]:
         """Time, input and outputs by their default column names, SI unit included: what `load` reads without a binding."""
@@ -224,8 +227,8 @@ def from_table(
     arrays["time"], note = unrounded(arrays["time"])
     notes += [note] if note else []
     flat, noise = table.of_length(count), dict[str, float]()
-    dt = sample_time(path, arrays["time"], binding.jitter, uniform=uniform)
-    if binding.jitter:
+    dt = sample_time(path, arrays["time"], binding.jitter, uniform=uniform, gaps=True)
+    if binding.jitter and off_by(arrays["time"], dt, gaps=True) <= binding.jitter:
         stamps, before = arrays["time"], arrays
         arrays, note = resample(arrays, binding.hold, dt)
         if note:
@@ -240,7 +243,7 @@ def from_table(
         loop=binding.loop, judge=binding.judge if has_input else "motion", driven=has_input,
         control_column=column, varies=binding.varies, units=units, hold=binding.hold,
         hold_stated=binding.hold_stated, joint=joint or "",
-        known=binding.known, notes=tuple(notes), noise=noise,
+        known=binding.known, notes=tuple(notes), noise=noise, missing=arrays.get("missing"),
         **{name: arrays.get(name) for name in ARRAYS if name != "torque"},  # type: ignore[arg-type]
         torque=arrays.get("torque", np.full(len(arrays["time"]), np.nan)),
     )  # fmt: skip

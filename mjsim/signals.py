@@ -1,4 +1,4 @@
-"""Sampled signals: rational filters as compiled recursions, power densities, limits that they are clipped at.
+"""Sampled signals: rational filters as compiled recursions, power densities, limits that clip them, steps of their values.
 
 `scipy.signal` has them too, and takes longer to load than a short diagnosis to search (docs/decisions/dependencies.md).
 """
@@ -12,7 +12,20 @@ from numpy.typing import ArrayLike
 
 from mjsim.compiled import compiled
 
-__all__ = ["Limit", "coherence", "filter_into", "freqz", "lfilter", "limits", "transforms", "weigh_into", "welch"]
+__all__ = [
+    "Limit",
+    "coherence",
+    "filter_into",
+    "freqz",
+    "lfilter",
+    "limits",
+    "plain_step",
+    "transforms",
+    "value_step",
+    "weigh_into",
+    "welch",
+    "whole_step",
+]
 
 FEW_LEVELS = 12  # of a signal that is binary or coarsely quantised
 
@@ -158,3 +171,29 @@ def limits(x: np.ndarray) -> list[Limit]:
         if float(np.median(np.abs(x[entries + 1] - x[entries]))) > 1.5 * step:
             found.append(Limit(value, share, int(runs[0]), int(entries.size)))
     return found
+
+
+def plain_step(v: np.ndarray) -> float:
+    """The step of a signal that mostly stands still between steps, so that differences see no noise in it; else 0.
+
+    It may move by several steps at once: where all moves are multiples of the smallest, that is the step, else their median.
+    """
+    steps = np.abs(np.diff(v))
+    moved = steps[steps > 0]
+    if len(moved) == 0 or len(moved) > 0.7 * len(steps):
+        return 0.0
+    return whole_step(moved) or float(np.median(moved))
+
+
+def whole_step(moves: np.ndarray) -> float:
+    """The smallest of some moves (N,) > 0 where all are multiples of it, refined by their sum; 0 where they are not."""
+    if len(moves) == 0 or np.min(moves) < np.finfo(float).eps * np.max(moves):  # any multiple is whole there, by rounding
+        return 0.0
+    times = moves / np.min(moves)
+    whole = np.round(times)
+    return float(np.sum(moves) / np.sum(whole)) if np.max(np.abs(times - whole)) < 0.1 else 0.0
+
+
+def value_step(values: np.ndarray) -> float:
+    """The step in which values (N,) come: `plain_step`, else that of a grid on which all of them lie; 0 where there is none."""
+    return plain_step(values) or whole_step(np.diff(np.unique(np.round(values, 12))))

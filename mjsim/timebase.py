@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.signals import value_step
 
 __all__ = [
+    "grid_of",
     "grid_step",
     "lacking",
     "noise_after",
+    "off_by",
     "onto_stamps",
     "rate_of",
     "resample",
@@ -107,11 +110,11 @@ def need_numbers(path: Path, name: str, values: np.ndarray) -> None:
         raise InputError(path, said, f"1e-{DIGITS} to 1e{DIGITS} in SI units", "check unit and gain")
 
 
-def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: bool = True) -> float:
+def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: bool = True, gaps: bool = False) -> float:
     """The uniform sample time [s] of stamps (N,), or an InputError that names the row at which it is not.
 
-    ``jitter``: part of the sample time by which a step may be off; ``uniform``: refuse others, else the mean step is taken of
-    those that lack no sample (`rate_of`).
+    ``jitter``: part of the sample time by which a step may be off; ``gaps``: where a jitter is declared, steps that lack samples
+    are let through; ``uniform``: refuse others. Where steps are off, the mean is taken of those that lack no sample (`rate_of`).
     """
     if len(time) < 2:
         raise InputError(path, f"{len(time)} samples", "at least two", "record longer")
@@ -122,17 +125,28 @@ def sample_time(path: Path, time: np.ndarray, jitter: float = 0.0, *, uniform: b
             path, f"time does not increase at {where_in(path, back[0] + 1)}", "increasing time", "sort or remove these rows"
         )
     dt = float((time[-1] - time[0]) / (len(time) - 1))
-    off = np.flatnonzero(np.abs(step - dt) > max(UNIFORM, jitter) * dt)
-    if len(off) and not uniform:
-        return float(f"{rate_of(time):.9g}")
-    if len(off):
-        most = float(np.max(np.abs(step - dt))) / dt
-        raise InputError(
-            path, f"sample time {step[off[0]]:.6g} s at {where_in(path, off[0] + 1)}, elsewhere {dt:.6g} s", "uniform sampling",
-            "resample to a uniform grid first; if only the stamps jitter, give [recording] dt in the binding, and no time; "
-            f"if the samples were taken at these times, jitter = {rounded_up(most):g} resamples them",
-        )  # fmt: skip
-    return float(f"{dt:.9g}")
+    off = np.flatnonzero(np.abs(step - dt) > UNIFORM * dt)
+    if not len(off):
+        return float(f"{dt:.9g}")
+    rate = rate_of(time)
+    most = off_by(time, rate, gaps=gaps)
+    if not uniform or (jitter and most <= jitter):
+        return float(f"{rate:.9g}")
+    number = len(lacking(time, rate)) if gaps else 0
+    raise InputError(
+        path, f"sample time {step[off[0]]:.6g} s at {where_in(path, off[0] + 1)}, elsewhere {rate:.6g} s", "uniform sampling",
+        "resample to a uniform grid first; if only the stamps jitter, give [recording] dt in the binding, and no time; "
+        f"if the samples were taken at these times, jitter = {rounded_up(max(most, UNIFORM)):g} resamples them"
+        + (f", and what lies in the {number} gaps is not compared" if number else ""),
+    )  # fmt: skip
+
+
+def off_by(time: np.ndarray, dt: float, *, gaps: bool) -> float:
+    """The largest part of the sample time by which a step is off; ``gaps``: of those that lack no sample."""
+    off = np.abs(np.diff(time) - dt) / dt
+    if gaps:
+        off = np.delete(off, lacking(time, dt))
+    return float(np.max(off, initial=0.0))
 
 
 def rounded_up(x: float) -> float:
@@ -162,16 +176,26 @@ def onto_stamps(path: Path, values: np.ndarray, stamps: np.ndarray, time: np.nda
     return np.interp(time, stamps, values), note
 
 
+def grid_of(time: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """The uniform grid (M,) [s] from the first to the last of the stamps (N,), and which of it (M,) lies where samples lack."""
+    grid = time[0] + dt * np.arange(math.floor((time[-1] - time[0]) / dt + 0.01) + 1)
+    missing = np.zeros(len(grid), bool)
+    for i in lacking(time, dt):
+        missing |= (grid > time[i] + 0.5 * dt) & (grid < time[i + 1] - 0.5 * dt)
+    return grid, missing
+
+
 def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[str, np.ndarray], str]:
-    """Channels (N,) at jittered stamps ``time`` on the uniform grid of the same ends, and a note; () where stamps are uniform.
+    """Channels (N,) at jittered stamps ``time`` on the uniform grid of the same ends, and a note; "" where stamps are uniform.
 
     Inputs are resampled exactly for how they are held: of a held or averaged input the mean over each new sample is kept, a
-    linear one is read off its lines. Outputs are read off a cubic spline.
+    linear one is read off its lines. Outputs are read off a cubic spline. ``missing`` (M,) bool is among the channels where
+    samples lack (`grid_of`): what the others are there is no measurement.
     """
     time = arrays["time"]
-    grid = time[0] + dt * np.arange(len(time))
-    worst = float(np.max(np.abs(time - grid)))
-    if worst < 1e-6 * dt:
+    grid, missing = grid_of(time, dt)
+    worst = 0.0 if missing.any() else float(np.max(np.abs(time - grid)))
+    if worst < 1e-6 * dt and not missing.any():
         return arrays, ""
     out = {}
     for name, y in arrays.items():
@@ -183,11 +207,17 @@ def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[
             out[name] = np.interp(grid, time, y)
         else:
             out[name] = _spline(time, y, np.clip(grid, time[0], time[-1]))
-    steps = np.abs(np.diff(time) - dt)
+    gaps = lacking(time, dt)
+    jitter = float(np.max(np.abs(np.delete(np.diff(time), gaps) - dt), initial=0.0))
+    onto = f"to {'a grid' if len(gaps) else 'one'} of {1e3 * dt:.6g} ms"
+    stray = "" if len(gaps) else f" and stray up to {1e3 * worst:.3g} ms from a uniform grid"
     note = (
-        f"The time stamps jitter by up to {1e3 * float(np.max(steps)):.3g} ms a step and stray up to {1e3 * worst:.3g} ms from a "
-        f"uniform grid: all channels were resampled to one of {1e3 * dt:.6g} ms, the input for being {hold}."
+        f"The time stamps jitter by up to {1e3 * jitter:.3g} ms a step{stray}: all channels were resampled {onto}, the input for "
+        f"being {hold}."
     )
+    if missing.any():
+        out["missing"] = missing
+        note += f" {int(missing.sum())} of its {len(grid)} samples lie in {len(gaps)} gaps of the stamps, and are not compared."
     return out, note
 
 
@@ -203,7 +233,8 @@ def noise_after(time: np.ndarray, arrays: Mapping[str, np.ndarray], dt: float) -
 
         d_i = sum_k w_ik y_(i+k) / sqrt(sum_k w_ik^2),    w_ik = 1 / prod_(m != k) (t_(i+k) - t_(i+m)),
 
-    whose rms is s for white noise and that is 0 for a polynomial of degree 5; and times the rms of resampled noise of rms 1.
+    whose rms is s for white noise and that is 0 for a polynomial of degree 5; at least that of rounding to the steps in which
+    all values of a channel lie; and times the rms of resampled noise of rms 1.
     """
     if len(time) < 2 * ORDER:
         return {}
@@ -214,12 +245,13 @@ def noise_after(time: np.ndarray, arrays: Mapping[str, np.ndarray], dt: float) -
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     rng = np.random.default_rng(0)
     draws = rng.standard_normal((len(time), -(-DRAWS // len(time))))
-    grid = np.clip(time[0] + dt * np.arange(len(time)), time[0], time[-1])
-    gain = float(np.sqrt(np.mean(_spline(time, draws, grid) ** 2)))
+    grid, missing = grid_of(time, dt)
+    gain = float(np.sqrt(np.mean(_spline(time, draws, np.clip(grid, time[0], time[-1]))[~missing] ** 2)))
     out = {}
     for name, y in arrays.items():
         d = np.sum(weights * np.lib.stride_tricks.sliding_window_view(y, ORDER + 1), axis=1)
-        out[name] = gain * float(1.4826 * np.median(np.abs(d - np.median(d))))
+        white = float(1.4826 * np.median(np.abs(d - np.median(d))))
+        out[name] = gain * max(white, value_step(y) / math.sqrt(12.0))
     return out
 
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from diagnose.check.content import content_end
-from diagnose.data.experiment import plain_step
 from diagnose.data.noise import white_noise_level
 from diagnose.thresholds import FAR, FEWEST, MATERIAL
 from mjsim.recording import ARRAYS, Recording
+from mjsim.signals import plain_step
 
 __all__ = ["at_content_rate", "decimated"]
 
@@ -55,6 +55,8 @@ def decimated(recording: Recording, every: int) -> Recording:
                 x = 0.5 * (x + np.append(x[1:], x[-1]))
             arrays[name] = x[: n * every].reshape(n, every).mean(axis=1)
     columns = {k: cut(v) for k, v in recording.columns.items()}
+    if recording.missing is not None:
+        arrays["missing"] = cut(recording.missing)
     return dataclasses.replace(recording, **arrays, columns=columns, dt=recording.dt * every, hold="mean")
 
 

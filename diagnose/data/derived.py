@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 
 from diagnose.check.content import content_end
-from diagnose.data.experiment import angle_noise_level, plain_step
+from diagnose.data.experiment import angle_noise_level
 from diagnose.data.noise import white_noise_level
 from diagnose.thresholds import LEAST_SAMPLES, MOST, SMALL, TAPS
 from mjsim.recording import Recording
+from mjsim.signals import plain_step
 
 __all__ = ["without_derived_velocity"]
 

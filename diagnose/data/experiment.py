@@ -13,7 +13,7 @@ from diagnose.data.noise import channel_noise, coloured_noise_level, white_noise
 from diagnose.thresholds import FAR, FEWEST, ROUNDING, SMALL
 from mjsim.errors import InputError
 from mjsim.recording import Recording
-from mjsim.signals import limits
+from mjsim.signals import limits, plain_step, value_step
 
 __all__ = [
     "Experiment",
@@ -25,10 +25,8 @@ __all__ = [
     "measured_angle",
     "measured_velocity",
     "middle",
-    "plain_step",
     "prepare",
     "smooth_velocity",
-    "whole_step",
 ]
 
 
@@ -127,9 +125,7 @@ def first_angle(recording: Recording) -> tuple[float, float]:
 
 def angle_noise_level(q: np.ndarray) -> float:
     """Noise rms of an angle (N,): that of its sixth differences, at least that of rounding where all values lie on a grid."""
-    levels = np.unique(np.round(q, 12))
-    step = plain_step(q) or whole_step(np.diff(levels))
-    return max(white_noise_level(q), step / math.sqrt(12.0))
+    return max(white_noise_level(q), value_step(q) / math.sqrt(12.0))
 
 
 def measured_angle(recording: Recording) -> np.ndarray:
@@ -138,27 +134,6 @@ def measured_angle(recording: Recording) -> np.ndarray:
         return recording.angle
     v = measured_velocity(recording)
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * recording.dt])
-
-
-def plain_step(v: np.ndarray) -> float:
-    """The step of a signal that mostly stands still between steps, so that differences see no noise in it; else 0.
-
-    It may move by several steps at once: where all moves are multiples of the smallest, that is the step, else their median.
-    """
-    steps = np.abs(np.diff(v))
-    moved = steps[steps > 0]
-    if len(moved) == 0 or len(moved) > 0.7 * len(steps):
-        return 0.0
-    return whole_step(moved) or float(np.median(moved))
-
-
-def whole_step(moves: np.ndarray) -> float:
-    """The smallest of some moves (N,) > 0 where all are multiples of it, refined by their sum; 0 where they are not."""
-    if len(moves) == 0:
-        return 0.0
-    times = moves / np.min(moves)
-    whole = np.round(times)
-    return float(np.sum(moves) / np.sum(whole)) if np.max(np.abs(times - whole)) < 0.1 else 0.0
 
 
 def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
@@ -188,7 +163,8 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     Raises InputError when it is too short, does not move, or is clipped flat for much of its length.
     """
     v = measured_velocity(recording)
-    n = len(v)
+    missing = np.zeros(len(v), bool) if recording.missing is None else recording.missing
+    n = int(np.sum(~missing))
     if n < minimum:
         raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
     white = white_noise_level(v) if recording.velocity is None else channel_noise(recording, "velocity")
@@ -220,7 +196,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
         q = recording.angle
         angle_noise = max(channel_noise(recording, "angle"), plain_step(q) / np.sqrt(12.0))
         noise = coloured_noise_level(v, q, recording.dt, noise, angle_noise)
-    counts = ~held & (True if counts is None else counts)
+    counts = ~held & ~missing & (True if counts is None else counts)
     of_angle = 0.0
     if recording.angle is not None:
         of_angle = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))

@@ -15,11 +15,7 @@ __all__ = ["channel_noise", "coloured_noise_level", "white_noise_level"]
 
 def channel_noise(recording: Recording, name: str) -> float:
     """Noise rms of the velocity or angle of a recording: its white noise, or what reading found where it was resampled."""
-    y = getattr(recording, name)
-    level = white_noise_level(y)
-    if name not in recording.noise or level == 0.0:
-        return level
-    return max(level, recording.noise[name])
+    return max(white_noise_level(getattr(recording, name)), recording.noise.get(name, 0.0))
 
 
 def white_noise_level(y: np.ndarray) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from diagnose.check.stops import stops_of
-from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, plain_step, smooth_velocity, whole_step
+from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, smooth_velocity
 from diagnose.data.runs import free_run
 from diagnose.thresholds import LINE, TURNS
 from mjsim.axis import Axis
@@ -13,6 +13,7 @@ from mjsim.effects import Scales
 from mjsim.ode import DivergedError, Trajectory
 from mjsim.quantity import Motion
 from mjsim.recording import Recording
+from mjsim.signals import plain_step, whole_step
 from mjsim.system import assemble
 
 __all__ = ["PLACES", "reversals", "scales_by_place", "value_steps"]

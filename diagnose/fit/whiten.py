@@ -83,6 +83,12 @@ def _stretches(counts: np.ndarray, least: int) -> list[slice]:
     return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
 
 
+def _order_left(counts: np.ndarray, largest: int) -> int:
+    """The highest order of a filter, up to ``largest``, that leaves half of the samples that count (N,) bool."""
+    lengths = np.array([s.stop - s.start for s in _stretches(counts, 1)])
+    return next((p for p in range(largest, 0, -1) if 2 * int(np.sum(np.maximum(lengths - p, 0))) >= int(counts.sum())), 0)
+
+
 def effective_share(fitter: Fitter, fitted: Fitted, lags: int = 200) -> float:
     """Effective sample size over the number of samples, 1 / (1 + 2 sum rho_k^2), from the residual of the first experiment.
 
@@ -144,7 +150,14 @@ def _correlation(e: np.ndarray, lags: int) -> np.ndarray:
 
 
 def whitening_filter(fitter: Fitter, fitted: Fitted, largest: int = 24, material: float = MATERIAL) -> np.ndarray | None:
-    """The filter for the residual of a fitted model, or None when it is white to within ``material`` of its variance."""
+    """The filter for the residual of a fitted model, or None when it is white to within ``material`` of its variance.
+
+    Its order is at most ``largest``, and so low that half of the samples that count are left: a filter of order p takes the
+    first p of every stretch of them.
+    """
+    largest = min(_order_left(fitter.counted(e), largest) for e in fitter.experiments)
+    if largest == 0:
+        return None
     total = np.zeros((largest + 1, largest + 1))
     n = 0
     for i, experiment in enumerate(fitter.experiments):

@@ -20,7 +20,6 @@ from diagnose.data.experiment import (
     first_angle,
     hold_out_blocks,
     measured_velocity,
-    plain_step,
     prepare,
     smooth_velocity,
 )
@@ -29,6 +28,7 @@ from diagnose.result import FitFigures
 from diagnose.thresholds import SIGMAS, SMALL, TWICE
 from mjsim.plant import Hold, Start
 from mjsim.recording import Recording
+from mjsim.signals import plain_step
 
 __all__ = [
     "Case",

@@ -20,7 +20,7 @@ from mjsim.quantity import Motion
 from mjsim.readers import Table, digest, is_source, need_source, read_table
 from mjsim.robot.binding import CHANNELS, Payload, RobotBinding, find_robot_binding
 from mjsim.robot.model import Robot
-from mjsim.timebase import need_numbers, resample, sample_time, unrounded, where_in
+from mjsim.timebase import need_numbers, off_by, resample, sample_time, unrounded, where_in
 
 __all__ = ["RobotRecording", "joints_in_table", "joints_named", "load_robot_recording", "robot_from_table"]
 
@@ -143,7 +143,7 @@ def robot_from_table(
     time, note = unrounded(time)
     notes += [note] if note else []
     dt = sample_time(path, time, jitter, uniform=checked)
-    if jitter:
+    if jitter and off_by(time, dt, gaps=False) <= jitter:
         time, arrays, told = _resampled(time, arrays, binding.hold if binding else "held", dt)
         notes += told
     matrices: dict[str, np.ndarray] = {}

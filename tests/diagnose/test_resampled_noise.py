@@ -47,6 +47,30 @@ def test_the_noise_of_a_resampled_channel_is_known(name, channel):
     assert log.slice(0, N // 2).noise == log.noise
 
 
+def test_rounding_is_noise_of_a_resampled_channel_that_mostly_rests():
+    """A servo that steps twice and rests: all differences are zero, before and after."""
+    stamps = DT * (np.arange(N) + uniform(0.2))
+    step = 2 * np.pi / 3600
+    moved = 0.2 * (np.tanh(100 * (stamps - 2.0)) - np.tanh(100 * (stamps - 8.0)))
+    columns = {"time_s": stamps, "command_rad": 0.4 * ((stamps > 2) & (stamps < 8)), "angle_rad": step * np.round(moved / step)}
+    binding = {"time": "time_s", "command": "command_rad", "angle": "angle_rad", "jitter": 1.0}
+    log = simgap.load(columns, binding={"recording": binding})
+    assert 0.7 < log.noise["angle"] / (step / np.sqrt(12)) < 1.1
+    assert prepare(log).angle_noise == pytest.approx(log.noise["angle"])
+
+
+def test_samples_in_gaps_do_not_count():
+    k = np.arange(N)
+    stamps = DT * (k + uniform(0.1))[k % 13 < 8]
+    binding = {"recording": BINDING["recording"] | {"velocity": "velocity_rad_s"}}
+    log = simgap.load({"time_s": stamps, "torque_Nm": np.cos(20.0 * stamps), "velocity_rad_s": motion(stamps)}, binding=binding)
+    assert len(log) == pytest.approx(N, rel=0.005)
+    e = prepare(log)
+    assert not np.any(e.counts & log.missing)
+    assert np.sum(e.counts) == pytest.approx(8 / 13 * N, rel=0.01)
+    assert log.slice(5, 50).missing.tolist() == log.missing[5:50].tolist()
+
+
 def test_a_uniform_log_has_no_noise_of_its_own():
     t = DT * np.arange(N)
     binding = {"recording": BINDING["recording"] | {"velocity": "velocity_rad_s"}}

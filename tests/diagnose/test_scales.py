@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagnose.data.experiment import plain_step, whole_step
 from diagnose.data.scales import value_steps
 from diagnose.pipeline import Options, diagnose
 from diagnose.result import Verdict
+from mjsim.signals import plain_step, whole_step
 
 
 def motion(seed: int) -> np.ndarray:

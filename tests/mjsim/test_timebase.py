@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mjsim.errors import InputError
-from mjsim.timebase import grid_step, rate_of, rounded_up, sample_time, unrounded
+from mjsim.timebase import grid_step, rate_of, resample, rounded_up, sample_time, unrounded
 
 PATH = Path("log.csv")
 DT = 1 / 417  # s
@@ -73,6 +73,42 @@ def test_the_jitter_that_a_refusal_advises_is_accepted(seed):
         sample_time(PATH, time)
     advised = float(re.search(r"jitter = ([\d.e-]+)", str(refused.value)).group(1))
     assert sample_time(PATH, time, advised) == pytest.approx(DT, rel=0.01)
+
+
+def late_rows(n=400, of=13, logged=8):
+    """Stamps of a logger that is held up: so many rows at the sample time, each off by up to a tenth, then a gap."""
+    k = np.arange(n)
+    return DT * (k + np.random.default_rng(0).uniform(-0.1, 0.1, n))[k % of < logged]
+
+
+def test_gaps_are_let_through_where_a_jitter_is_declared():
+    time = late_rows()
+    with pytest.raises(
+        InputError, match=r"jitter = 0\.\d+ resamples them, and what lies in the 30 gaps is not compared"
+    ) as refused:
+        sample_time(PATH, time, gaps=True)
+    advised = float(re.search(r"jitter = ([\d.]+)", str(refused.value)).group(1))
+    assert advised < 0.25, "that of the rows between the gaps"
+    assert sample_time(PATH, time, advised, gaps=True) == pytest.approx(DT, rel=0.01)
+    with pytest.raises(InputError):
+        sample_time(PATH, time, advised)
+
+
+def test_a_log_with_gaps_is_resampled_from_end_to_end():
+    time = late_rows()
+    held = np.repeat(np.arange(40.0), 13)[:400][np.round(time / DT).astype(int)]
+    out, note = resample({"time": time, "torque": held, "angle": np.sin(7 * time)}, "held", DT)
+    missing = out.pop("missing")
+    assert {len(x) for x in out.values()} == {len(missing)}
+    assert out["time"][-1] == pytest.approx(time[-1], abs=DT)
+    assert 0.3 < missing.mean() < 5 / 13 + 0.01
+    assert np.min(np.abs(out["time"][missing][:, None] - time)) > 0.4 * DT
+    np.testing.assert_allclose(out["angle"][~missing], np.sin(7 * out["time"][~missing]), atol=1e-5)
+    last = np.searchsorted(time, out["time"][missing], side="right") - 1
+    whole = time[last + 1] >= out["time"][missing] + DT  # the sample ends before the next row
+    np.testing.assert_allclose(out["torque"][missing][whole], held[last[whole]], atol=1e-9)
+    assert whole.sum() > 3 * 30
+    assert f"{missing.sum()} of its {len(missing)} samples lie in 30 gaps" in note
 
 
 @pytest.mark.parametrize(("x", "up"), [(0.0826, 0.083), (0.082, 0.083), (0.0999, 0.1), (1.21, 1.3), (0.5, 0.51)])

@@ -8,8 +8,9 @@ from diagnose.check.context import Context, torque_of
 from diagnose.check.machine import Machine
 from diagnose.check.registry import check
 from diagnose.check.types import Problem, Severity
-from diagnose.data.experiment import held_rows, plain_step
+from diagnose.data.experiment import held_rows
 from mjsim.recording import Recording
+from mjsim.signals import plain_step
 
 __all__ = ["duplicated_rows"]
 

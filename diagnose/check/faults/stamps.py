@@ -49,12 +49,14 @@ def gaps(recording: Recording, machine: Machine, context: Context) -> list[Probl
     if not len(at):
         return []
     longest = float(np.max(steps[at]))
+    worst = float(np.max(np.abs(np.delete(steps, at) / dt - 1), initial=0.0))
     return [
         Problem(
             "time", "gap", longest, "s",
             f"{len(at)} gaps in the stamps; the longest is {longest:.6g} s, {longest / dt:.3g} samples, "
             f"at {recording.time[at[np.argmax(steps[at])]]:.6g} s.",
-            "cut the recording at the gaps and give the parts as recordings of their own", Severity.FIX,
+            "cut the recording at the gaps and give the parts as recordings of their own; where the input was held over them, "
+            f"[recording] jitter = {rounded_up(max(worst, JITTER_LIMIT)):g} resamples the rest and leaves them out", Severity.FIX,
             marks=_marks(recording, at),
         )
     ]  # fmt: skip
