@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import time
 from dataclasses import dataclass
 
 __all__ = ["Options"]
@@ -13,7 +15,8 @@ class Options:
     """Options of a diagnosis.
 
     judge: "motion", "force" or None (what the binding says, else by the channels); effects: identifiers to consider, all when
-    empty; jobs: threads; seconds: budget of time; effort: of simulations, times `RUNS`; depth: most effects. structure_share,
+    empty; jobs: threads; seconds: budget of time, at whose end the
+    search ends; effort: of simulations, times `RUNS`; depth: most effects. structure_share,
     structure_p: least part of the held-out squared error that must be predictable, and its p-value, for structure to remain;
     missed: least mean square of missed motion over that of the noise; left: least part of the mismatch that must be left where
     the noise is not known, closed: of the rms error above the noise, the part that must be closed where it is
@@ -33,3 +36,7 @@ class Options:
     left: float = 0.01
     closed: float = 0.97
     by_recording: bool = False
+
+    def since(self, began: float) -> Options:
+        """These options with what is left of the budget of time, of which the clock runs since ``began`` (monotonic, [s])."""
+        return dataclasses.replace(self, seconds=max(0.0, self.seconds - (time.monotonic() - began)))

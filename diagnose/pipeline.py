@@ -67,7 +67,7 @@ def diagnose(
         fitted, held = (corrected(group, corrections or {}) for group in experiments)
         judged = with_samples(view, (*fitted, *held), nominal, options.judge)
         fitter = Fitter(nominal, judged, fitted, held, options.jobs, _varies(nominal, recordings[0]), ledger=ledger)
-        fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS))
+        fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS), began + options.seconds)
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
                 return _diagnose(fitter, options, Progress(progress), began)
@@ -78,7 +78,7 @@ def diagnose(
     result = by(split(recordings, held_out))
     said = (*alike, *said, *((DERIVED,) if derived else ()))
     result = dataclasses.replace(result, notes=(*said, *result.notes))
-    if held_out and _only_held_out_shows(result):
+    if held_out and options.since(began).seconds and _only_held_out_shows(result):
         shared = by(split((*recordings, *held_out), ()))
         if shared.verdict is Verdict.MISSING_PHYSICS:
             return dataclasses.replace(shared, notes=(*said, SHARED, *shared.notes))
@@ -87,7 +87,8 @@ def diagnose(
 
 def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
-    search, best, whitened = searched(fitter, options, progress, began)
+    search, best, whitened = searched(fitter, options, progress)
+    late = fitter.late
     fitter = search.fitter
     base = search.nominal()
     progress.stage("validate", "residual, intervals, rivals")
@@ -98,9 +99,15 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     found = findings(search, best)
     remaining = remaining_error(search, base, best, structure, options)
     verdict = decide(search, base, best, remaining)
-    mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
+    mapped = (
+        fit_map(fitter, (base, best), search.held_out(best), progress)
+        if verdict is Verdict.UNEXPLAINED and not fitter.late
+        else None
+    )
     rows = repeated_rows(fitter, best)
-    outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined)
+    outcome = Outcome(
+        search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined, late
+    )
     return diagnosis(outcome, base, mapped, mismatches, options, began)
 
 

@@ -36,11 +36,10 @@ def by_either_numerics(
     first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections())
     best, n = (given, first), sum(int(c.estimation.sum()) for c in given.cases)
     for why, other in _others(given, first):
-        left = options.seconds - (time.monotonic() - began)
-        if left <= 0:
+        within = options.since(began)
+        if not within.seconds:
             break
         say(Step("search", f"again with {why}"))
-        within = dataclasses.replace(options, seconds=left)
         second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections())
         if _better(second, best[1], n):
             best = other, second

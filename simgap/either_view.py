@@ -47,11 +47,11 @@ def by_motion_too(
     began = time.monotonic()
     if not (_is_open(first, recordings[0], options) and _follows_freely(nominal, first, recordings, held_out, options)):
         return nominal, None, first
-    left = options.seconds - (time.monotonic() - began)
-    if left <= 0:
+    left = options.since(began)
+    if not left.seconds:
         return nominal, None, first
     say(Step("reference", "again by motion, which a free run of the answer follows"))
-    free = dataclasses.replace(options, judge="motion", seconds=left)
+    free = dataclasses.replace(left, judge="motion")
     given = before_search(model, nominal, recordings, held_out, free)
     if given is None:  # a known torque, which a file does not hold
         return nominal, None, first

@@ -152,7 +152,7 @@ def diagnose_recordings(
     said += [*alike, *derived, *slower]
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     with following(progress, ledger.recalled) as say:
-        nominal, given, result = _searched(model, nominal, recordings, held_out, options, say, ledger)
+        nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)
         result = dataclasses.replace(
             result,
             log=log,
@@ -173,6 +173,7 @@ def _searched(
 
     Raises InputError for a nominal model whose simulation diverges.
     """
+    began = time.monotonic()
     try:
         with _compiling_told(say):
             by_motion = recordings[0].velocity is not None or recordings[0].command is not None
@@ -180,10 +181,10 @@ def _searched(
                 _load_kernels(len(nominal.chain.bodies))
             say(Step("reference", "the nominal file in plain MuJoCo"))
             given = before_search(model, nominal, recordings, held_out, options)
-            if given is None:
-                result = diagnose(nominal, recordings, held_out, options, say, ledger)
-                return by_motion_too(model, nominal, result, recordings, held_out, options, say)
-            return by_either_numerics(given, recordings, held_out, options, say, ledger)
+            if given is not None:
+                return by_either_numerics(given, recordings, held_out, options.since(began), say, ledger)
+            result = diagnose(nominal, recordings, held_out, options.since(began), say, ledger)
+            return by_motion_too(model, nominal, result, recordings, held_out, options.since(began), say)
     except InputError:
         ledger.discard()
         raise

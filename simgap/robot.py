@@ -73,6 +73,12 @@ def is_robot(recordings: Sequence[object], model: Path) -> bool:
 WRONG = ("gear", "sign", "swapped", "unit")  # faults of a log with which every number of a diagnosis would be wrong
 
 
+LATE = (
+    "The budget of time (--budget) was used up when the search ended: effects may be left untried at some joints. A larger "
+    "budget looks further."
+)
+
+
 def checked(robot: Robot, recordings: Sequence[RobotRecording], accept_log: bool = False) -> LogCheck:
     """What is wrong with the log.
 
@@ -128,7 +134,7 @@ def diagnose_robot_recordings(
 
     The log is checked first; ``accept_log``: search even where a channel is in another unit or direction.
     """
-    began = time.monotonic()
+    began, options = time.monotonic(), options or RobotOptions()
     if not is_whole(model):
         model = write_whole(model, out / WRITTEN)
         bring_assets(model)
@@ -144,10 +150,12 @@ def diagnose_robot_recordings(
         from diagnose.robot.servos.pipeline import diagnose_servos
 
         found = diagnose_servos(robot, recordings, held_out, options, say)
+        late = options.late
         out.mkdir(parents=True, exist_ok=True)
         result = _servos_by_mujoco(found, model, robot, corrected, (recordings, held_out), say)
     else:
         outcome = diagnose_robot(robot, recordings, held_out, options, say)
+        late = options.late
         out.mkdir(parents=True, exist_ok=True)
         _write_corrected(model, robot, outcome, corrected)
         from simgap.robot_tracking import with_tracking
@@ -155,7 +163,8 @@ def diagnose_robot_recordings(
         say("all joints together in MuJoCo")
         result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
     bring_assets(corrected)
-    result = dataclasses.replace(result, log=log, notes=(*_told(log), *result.notes), seconds=time.monotonic() - began)
+    said = (LATE,) if late else ()
+    result = dataclasses.replace(result, log=log, notes=(*_told(log), *said, *result.notes), seconds=time.monotonic() - began)
     if page:
         from diagnose.robot.page import write_page
         from diagnose.robot.picture import picture

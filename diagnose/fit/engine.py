@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from typing import Any, final
 
 from diagnose.fit.ledger import Ledger
@@ -37,13 +38,15 @@ class Engine:
     """Threads, ledger and budget.
 
     unit: products of a step in a run of the nominal model with friction on all estimation recordings; most_runs: such runs that
-    may be taken; own, pooled, observed: numbers of held-out recordings, fits to all recordings, fits under an observer gain.
+    may be taken; until: end of the budget of time, by the monotonic clock [s];
+    own, pooled, observed: numbers of held-out recordings, fits to all recordings, fits under an observer gain.
     """
 
     def __init__(self, threads: WorkerPool, unit: int, ledger: Ledger | None = None, counter: Counter | None = None) -> None:
         self.threads, self.unit, self.ledger = threads, unit, ledger
         self.counter = counter or Counter()
         self.most_runs = math.inf
+        self.until = math.inf
         self.closed = False
         self.own: dict[tuple[object, ...], Any] = {}
         self.pooled: dict[tuple[object, ...], Any] = {}
@@ -65,8 +68,14 @@ class Engine:
 
     @property
     def spent(self) -> bool:
-        """Whether the runs that a diagnosis may take are used up: the same on every machine, with any number of threads."""
-        return self.runs > self.most_runs
+        """Whether the budget is used up: the runs that a diagnosis may take (the same on every machine, with any number of
+        threads), or its time."""
+        return self.runs > self.most_runs or self.late
+
+    @property
+    def late(self) -> bool:
+        """Whether the budget of time is used up."""
+        return time.monotonic() > self.until
 
     def close(self) -> None:
         """Stop the threads: what they are at comes to nothing, and is not remembered."""

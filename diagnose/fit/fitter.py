@@ -142,12 +142,18 @@ class Fitter:
 
     @property
     def spent(self) -> bool:
-        """Whether the runs that may be taken are used up."""
+        """Whether the runs that may be taken, or the time, are used up."""
         return self.engine.spent
 
-    def allow(self, runs: float) -> None:
-        """Set how many runs may be taken."""
+    @property
+    def late(self) -> bool:
+        """Whether the budget of time is used up."""
+        return self.engine.late
+
+    def allow(self, runs: float, until: float | None = None) -> None:
+        """Set how many runs may be taken, and by which time of the monotonic clock [s] the search ends (None: as it is)."""
         self.engine.most_runs = runs
+        self.engine.until = self.engine.until if until is None else until
 
     def count_work(self, work: int) -> None:
         """Count what was simulated, in products of a step."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import dataclass
 
 __all__ = ["RobotOptions"]
@@ -19,7 +21,7 @@ class RobotOptions:
     predict: above it
     structure remains (where none does, a black-box model predicts less than nothing of samples that it was not fitted to);
     seed: kept for
-    the record.
+    the record; until: when the search ends, by the monotonic clock [s].
     """
 
     joints: tuple[str, ...] = ()
@@ -30,3 +32,9 @@ class RobotOptions:
     material: float = 0.02
     remains: float = 0.05
     seed: int = 0
+    until: float = math.inf
+
+    @property
+    def late(self) -> bool:
+        """Whether the budget of time is used up."""
+        return time.monotonic() > self.until

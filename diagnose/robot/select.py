@@ -38,6 +38,8 @@ def select(problem: Problem, options: RobotOptions) -> Selection:
     solution = physical(problem, solution, weights)
     found = Selection(problem, options, problem.rows(solution.theta), weights, solution)
     for _ in range(ROUNDS):
+        if options.late:
+            break
         found.visited.add(frozenset(t.key for t in found.solution.terms))
         if not (
             _enter(found, simple=True) or _enter(found, simple=False) or _exchange(found) or _remove(found) or _reduce(found)
@@ -70,7 +72,7 @@ def _enter(s: Selection, simple: bool) -> bool:
     entry = 2.0 * math.log(s.candidates)
     entered = False
     for joint in s.problem.joints:
-        if len(s.solution.terms) >= s.options.most:
+        if len(s.solution.terms) >= s.options.most or s.options.late:
             break
         ranked = [
             x for x in screen(s, s.solution, joint) if (not simple or _eligible(s, joint, x[1].law)) and x[1].key not in s.removed

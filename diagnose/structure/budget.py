@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from diagnose.problem.noise_model import KnownNoise, Prices
@@ -16,8 +15,7 @@ class SearchOptions:
 
     price: of a parameter in C; entry: least gain of C (after the price) for an effect to enter; material: least relative gain of
     held-out squared error; p_enter: largest one-sided p-value of the held-out gain, times the number of structures asked about;
-    depth: most effects; width: rivals fitted in full at each move;
-    seconds: elapsed time after which no further structure is tried.
+    depth: most effects; width: rivals fitted in full at each move.
     """
 
     price: float = KnownNoise.prices.price
@@ -27,7 +25,6 @@ class SearchOptions:
     depth: int = 3
     width: int = 10
     only: tuple[str, ...] = ()
-    seconds: float = math.inf
 
     @property
     def prices(self) -> Prices:

@@ -50,13 +50,13 @@ class Halving:
         state.progress.rivals(len(neighbours))
         screening, far = self.screening(base), base.chi2 > LARGE * base.n
         screening.prepare([s.candidate.id for _, s in neighbours if far or effect_class(s.candidate.id).family in NONLINEAR])
-        first = state.fitter.map([partial(self._counted, partial(screening.start, e, s, far)) for e, s in neighbours])
+        first = state.fitter.map([partial(self._counted, partial(screening.start, e, s, far), None) for e, s in neighbours])
         screening.count()
         running: list[Fitted] = []
         for (_, s), f in zip(neighbours, first, strict=True):
             state.failed.pop(s.candidate.key, None)
             if f is None:
-                state.failed[s.candidate.key] = "no start could be run"
+                state.failed[s.candidate.key] = "the time was used up" if state.fitter.late else "no start could be run"
             else:
                 running.append(f)
         for rung, halving in enumerate(HALVINGS):
@@ -89,7 +89,7 @@ class Halving:
         tasks = [
             partial(self._counted, partial(
                 further, f.hypothesis, f.fit.x, neighbour=f if lends and not f.rough else None
-            ))
+            ), f)
             for f in (running[k] for k in on)
         ]  # fmt: skip
         lengths = fitter.lengths([running[k] for k in on])
@@ -107,7 +107,7 @@ class Halving:
             for e in f.effects if e.key not in base.key and type(e).family == NONLINEAR[0]
         ]  # fmt: skip
         for f, effect in new:
-            if self.state.once("restart", f.key):
+            if not fitter.late and self.state.once("restart", f.key):
                 self.state.keep(multistart(fitter, f, effect))
 
     def may_gain(self, base: Fitted, f: Fitted, floor: float) -> bool:
@@ -121,8 +121,8 @@ class Halving:
         left = f.chi2 - TWICE * (f.chi2 - unexplained_squares(f.fit.residual, orthonormal(f.fit.J)))
         return left <= 0.0 or self.state.context.gain(base, f) + f.n * math.log(f.chi2 / left) > floor
 
-    def _counted(self, task: Callable[[], T]) -> T:
-        """The outcome of a fit, counted for the progress line."""
-        outcome = task()
+    def _counted(self, task: Callable[[], T], late: T) -> T:
+        """The outcome of a fit, counted for the progress line; ``late`` once the budget of time is used up."""
+        outcome = late if self.state.fitter.late else task()
         self.state.progress.rival()
         return outcome

@@ -6,7 +6,6 @@ Which filter is the noise's is a question of its own: a residual is coloured by 
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -70,13 +69,11 @@ def _search(
     fitter: Fitter,
     options: Options,
     progress: Progress,
-    began: float,
     leaves_noise_by: Callable[[Fitter, Fitted], bool] | None = None,
     known: Fitted | None = None,
 ) -> tuple[Search, Fitted]:
     """One search by the fitter's present weights; ``known``: a structure of an earlier one, which is a rival from the start."""
-    left = options.seconds - (time.monotonic() - began)
-    chosen = SearchOptions(only=options.effects, depth=options.depth, seconds=left)
+    chosen = SearchOptions(only=options.effects, depth=options.depth)
     chosen = dataclasses.replace(chosen, **dataclasses.asdict(fitter.noise.prices))
     search = Search(fitter, chosen, progress=progress, leaves_noise_by=leaves_noise_by)
     base = search.nominal()
@@ -188,7 +185,7 @@ def _leaves_coloured_noise(fitter: Fitter, f: Fitted, missed: float) -> bool:
     return may_be_noise and _whitened_from_nominal(fitter, f, surely) is not None
 
 
-def searched(fitter: Fitter, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted, bool]:
+def searched(fitter: Fitter, options: Options, progress: Progress) -> tuple[Search, Fitted, bool]:
     """The search on plain errors and, where these are coloured by noise, again on whitened ones; whether they were whitened.
 
     A residual is coloured by its noise or by motion that the model misses; only noise may be whitened away. Once the angle shows
@@ -199,8 +196,8 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     """
     known = fitter.noise.absolute
     alone = partial(_leaves_coloured_noise, missed=options.missed) if known else None
-    search, best = _search(fitter, options, progress, began, alone)
-    search, best = _or_tied(search, best, options, progress, began)
+    search, best = _search(fitter, options, progress, alone)
+    search, best = _or_tied(search, best, options, progress)
     fitter = search.fitter
     noise_only = _NoiseOnly(options.missed, unknown=True)
     if not known or not (noise_only(fitter, best) or noise_only(fitter, pooled(fitter, best))):
@@ -221,7 +218,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
         progress.stage("search", "again on whitened errors, since the residual is coloured")
         before, found = search, best
         whitened = fitter.relax(whitening=_scaled(fitter, best, filter_))
-        search, best = _search(whitened, options, progress, began, known=best if again or own_filter else None)
+        search, best = _search(whitened, options, progress, known=best if again or own_filter else None)
         fitter = search.fitter
         search.state.tested += before.tested
         if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
@@ -230,7 +227,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress, began: float)
     return search, best, len(search.fitter.whitening) > 1
 
 
-def _or_tied(search: Search, best: Fitted, options: Options, progress: Progress, began: float) -> tuple[Search, Fitted]:
+def _or_tied(search: Search, best: Fitted, options: Options, progress: Progress) -> tuple[Search, Fitted]:
     """The search, or where it leaves much the one from what is found with gravity and springs at the recorded angle, if better.
 
     A model whose physics is far off swings otherwise than the recording, and what it lacks is then judged about a wrong motion.
@@ -239,13 +236,13 @@ def _or_tied(search: Search, best: Fitted, options: Options, progress: Progress,
     if not fitter.problem.holds or not fitter.above(best, FAR):
         return search, best
     part, more = fitter.related(fitter.problem.tied()), SECOND_SPLIT * fitter.most_runs
-    part.allow(more)
-    _, found = _search(part, options, progress, began)
+    part.allow(more, fitter.engine.until)
+    _, found = _search(part, options, progress)
     fitter.count_work(part.work)
     if not found.ok or not found.effects:
         return search, best
     fitter.allow(fitter.runs + more)
-    other, again = _search(fitter, options, progress, began, known=found)
+    other, again = _search(fitter, options, progress, known=found)
     if not again.ok or search.criterion(again) >= search.criterion(best):
         return search, best
     other.state.tested += search.tested

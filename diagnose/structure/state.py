@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -46,9 +45,6 @@ class State:
     refusals: dict[Key, Refusal] = field(default_factory=dict)
     tried: set[tuple[object, ...]] = field(default_factory=set)
 
-    def __post_init__(self) -> None:
-        self._start = time.monotonic()
-
     @property
     def fitter(self) -> Fitter:
         """The fitter by the present weights."""
@@ -70,7 +66,7 @@ class State:
 
     def spent(self) -> bool:
         """Whether the budget is used up, in simulations (the same on every machine) or in time."""
-        return self.fitter.spent or time.monotonic() - self._start > self.options.seconds
+        return self.fitter.spent
 
     def once(self, *move: object) -> bool:
         """Whether a move was not made before; it counts as made from now on."""

@@ -48,9 +48,10 @@ def diagnosis(
     verdict = Verdict.UNEXPLAINED if by_rows else outcome.verdict
     said = notes(outcome, options)
     fits, gap = _figures(outcome, base, mapped)
+    answer = summary(verdict, found, fits, gap, fitter.noise.absolute, outcome.unit, outcome.late)
     return Diagnosis(
         verdict=verdict,
-        summary=REPEATED_ROWS if by_rows else summary(verdict, found, fits, gap, fitter.noise.absolute, outcome.unit),
+        summary=REPEATED_ROWS if by_rows else answer,
         findings=found if verdict in (Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED) else (),
         mismatch=mismatches[0],
         mismatches=mismatches,

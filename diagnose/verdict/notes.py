@@ -22,11 +22,16 @@ from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.effects.registry import registered
 
-__all__ = ["DERIVED", "SHARED", "Outcome", "notes", "unphysical"]
+__all__ = ["DERIVED", "LATE", "SHARED", "Outcome", "notes", "unphysical"]
 
 SHARED = (
     "The estimation recordings fit without it: they hardly exercise what is missing, and the held-out ones do. So all recordings "
     "were fitted over two thirds of their length, in blocks, and judged on the rest. Record an estimation run that exercises it."
+)
+
+LATE = (
+    "The budget of time (--budget) was used up when the search ended: structures may be left untried, and no torque map was "
+    "sought. A larger budget looks further; --effort limits the search in the same way on every machine."
 )
 
 DERIVED = (
@@ -39,7 +44,8 @@ DERIVED = (
 class Outcome:
     """What the stages before the report have come to.
 
-    whitened: whether errors were whitened; mapped: whether a torque map is given; unit: of the judged channel.
+    whitened: whether errors were whitened; mapped: whether a torque map is given; unit: of the judged channel; late: whether
+    the search ended with the budget of time.
     """
 
     search: Search
@@ -52,6 +58,7 @@ class Outcome:
     mapped: bool
     unit: str
     undetermined: tuple[str, ...] = ()
+    late: bool = False
 
 
 def notes(outcome: Outcome, options: Options) -> tuple[str, ...]:
@@ -165,7 +172,9 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
 
 def _of_the_search(outcome: Outcome, options: Options) -> Iterator[str]:
     search, fitter, best = outcome.search, outcome.search.fitter, outcome.best
-    if fitter.spent and outcome.verdict is Verdict.UNEXPLAINED:
+    if outcome.late:
+        yield LATE
+    elif fitter.spent and not fitter.late and outcome.verdict is Verdict.UNEXPLAINED:
         yield (
             f"The search ended once it had taken {fitter.most_runs:.0f} simulations, and left structures untried: "
             f"--effort {4 * options.effort:g} looks four times as long."

@@ -16,18 +16,20 @@ REPEATED_ROWS = (
 
 
 def summary(
-    verdict: Verdict, findings: Sequence[Finding], fits: Mapping[str, FitFigures], gap: float, known: bool, unit: str
-) -> str:
-    """The answer in one sentence."""
+    verdict: Verdict, findings: Sequence[Finding], fits: Mapping[str, FitFigures], gap: float, known: bool, unit: str,
+    late: bool = False,
+) -> str:  # fmt: skip
+    """The answer in one sentence; ``late``: whether the budget of time ended the search."""
     before, after = fits["refitted"].held_out_rms, fits["corrected"].held_out_rms
     names = " and ".join(f"{f.effect.replace('_', ' ').replace('coulomb', 'Coulomb')} at the {f.place}" for f in findings)
+    none = "no effect that was tried in the time" if late else "no known effect"
     match verdict:
         case Verdict.NO_MISMATCH:
             return "Nothing is missing: the nominal model agrees with the recording to within its noise."
         case Verdict.PARAMETERS_ONLY if not known:  # by force: how much of the residual is noise is not known
             return (
                 "No missing physics can be named: with its parameters adjusted the nominal structure misses the held-out force "
-                f"by {100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and no known effect reliably lowers that."
+                f"by {100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and {none} reliably lowers that."
             )
         case Verdict.PARAMETERS_ONLY:
             return "No physics is missing: the nominal structure fits once its parameters are adjusted."
@@ -42,9 +44,10 @@ def summary(
         case Verdict.UNEXPLAINED if not known and not findings:
             return (
                 "The mismatch is not explained: with its parameters adjusted the nominal structure misses the held-out force by "
-                f"{100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and no known effect reliably lowers that."
+                f"{100 * fits['corrected'].held_out_nrmse:.3g} % of its variation, and {none} reliably lowers that."
             )
         case Verdict.UNEXPLAINED:
             accounts = "accounts" if len(findings) == 1 else "account"
             part = f" {names} {accounts} for part of it (held-out error {before:.4g} to {after:.4g}), but" if findings else ""
-            return f"The mismatch is not explained:{part} structure remains that none of the known effects accounts for."
+            none = "no effect that was tried in the time" if late else "none of the known effects"
+            return f"The mismatch is not explained:{part} structure remains that {none} accounts for."

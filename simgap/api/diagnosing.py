@@ -6,6 +6,7 @@ import gc
 import json
 import math
 import shutil
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -16,6 +17,7 @@ from diagnose.check.types import LogCheck
 from diagnose.pipeline import Options
 from diagnose.result import Diagnosis as AxisResult
 from diagnose.result import Estimate, Finding, FitFigures, Verdict
+from diagnose.robot.options import RobotOptions
 from diagnose.robot.result import JointResult, RobotDiagnosis, RobotFinding
 from mjsim.effects import registered
 from mjsim.effects.registry import named_instead
@@ -252,9 +254,10 @@ def diagnose(
     ``held_out``, blocks of the recordings are held out. ``out``: a folder for diagnosis.json, corrected.xml and report.html;
     without it nothing is kept but what the result has. ``judge``: compare ``"motion"`` or ``"force"``, by default as the
     recording's binding says. ``effects``: identifiers to consider, all when empty. ``joints``: of a robot, those to diagnose, all
-    that move when empty; of one axis, the one of a log that holds several. ``jobs``: threads. ``budget`` [s]: after which no
-    further fit starts. ``effort``: limit of the simulations, 0 for none. ``accept_log``: search even where the check of
-    the log says that it has to be fixed. ``progress``: on standard error; None: only that something is compiled.
+    that move when empty; of one axis, the one of a log that holds several. ``jobs``: threads. ``budget`` [s]: after which
+    the search ends; validation, runs in plain MuJoCo and the report come on top. ``effort``: limit of the simulations of one
+    axis, 0 for none. ``accept_log``: search even where the check of the log says that it has to be fixed. ``progress``: on
+    standard error; None: only that something is compiled.
 
     Raises `InputError` for recordings or a model that cannot be used, and where another run writes into ``out``.
 
@@ -268,6 +271,7 @@ def diagnose(
     >>> simgap.diagnose(log, "pendulum", effects=["torque_offset"]).verdict.value
     'no_mismatch'
     """
+    began = time.monotonic()
     subject, given, held = Model(model), listed(recordings), listed(held_out)
     if judge not in (None, "motion", "force"):
         raise InputError("judge", repr(judge), "motion or force", nearest(str(judge), ("motion", "force"), "correct it"))
@@ -288,12 +292,11 @@ def diagnose(
     with sole_in_python(folder):
         if robot:
             group, kept = ([loaded(r, subject, robot=True) for r in x] for x in (given, held))
-            result = _robot(
-                group, subject, folder, kept, joints, effects, seed, progress=progress, page=drawn, accept_log=accept_log
-            )
+            asked = RobotOptions(tuple(joints), tuple(effects), seed=seed, until=began + options.seconds)
+            result = _robot(group, subject, folder, kept, asked, progress=progress, page=drawn, accept_log=accept_log)
         else:
             read = _loaded(given, held, subject, joint)
-            result = _axis(read, subject, folder, options, progress, accept_log, drawn)
+            result = _axis(read, subject, folder, options.since(began), progress, accept_log, drawn)
     gc.collect()  # of many diagnoses in one process: else cyclic garbage waits until a quarter of all objects is new
     return Diagnosis(result, subject, folder, scratch)
 
@@ -322,16 +325,14 @@ def _axis(
 
 def _robot(
     recordings: Sequence[Recording | RobotRecording], model: Model, out: Path, held: Sequence[Recording | RobotRecording],
-    joints: Sequence[str], effects: Sequence[str], seed: int, *, progress: bool | None, page: bool, accept_log: bool,
+    options: RobotOptions, *, progress: bool | None, page: bool, accept_log: bool,
 ) -> RobotDiagnosis:  # fmt: skip
     import sys
 
-    from diagnose.robot.options import RobotOptions
     from simgap.robot import diagnose_robot_recordings
 
     group, kept = ([r for r in x if isinstance(r, RobotRecording)] for x in (recordings, held))
     say: Callable[[str], None] = (lambda line: print(line, file=sys.stderr)) if progress else (lambda line: None)
-    options = RobotOptions(tuple(joints), tuple(effects), seed=seed)
     return diagnose_robot_recordings(group, model.path, out, kept, options, say, page=page, accept_log=accept_log)
 
 

@@ -36,7 +36,13 @@ __all__ = ["command"]
     "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
 )
 @click.option("--seed", default=0, show_default=True, type=int, help="Seed of the random generators.")
-@click.option("--budget", default=0.0, type=float, help="Seconds after which the search starts no further fit (0: no limit).")
+@click.option(
+    "--budget",
+    default=0.0,
+    type=click.FloatRange(0.0),
+    help="Seconds after which the search ends (0: no limit). Validation, runs of the files in plain MuJoCo and the report "
+    "come on top.",
+)
 @click.option(
     "--effort",
     default=1.0,

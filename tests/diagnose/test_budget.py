@@ -1,63 +1,69 @@
-"""How many simulations a diagnosis may take, counted the same with any number of threads."""
+"""The budget of time: what ends with it, and what is said of an answer whose search it ended."""
 
 from __future__ import annotations
 
-import dataclasses
+import math
+import time
 
-import numpy as np
 import pytest
+from robot_axis import effect
 
-from diagnose.pipeline import Options, diagnose
+from diagnose.data.experiment import prepare
+from diagnose.fit.engine import Engine
+from diagnose.fit.fitter import Fitter
+from diagnose.options import Options
+from diagnose.pipeline import diagnose
+from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
-from mjsim.effects import effect_class
-from mjsim.excitation import chirp
-from mjsim.ode import simulate, work_done
-from mjsim.recording import Recording
+from diagnose.structure.budget import SearchOptions
+from diagnose.structure.search import Search
+from diagnose.verdict.notes import LATE
 
-DT, N, NOISE = 1e-3, 4_000, 0.05
-STICTION = {"torque_Nm": 0.06, "peak": 3.6}
-PAIR = ("coulomb_friction", "static_friction", "stribeck_friction", "sensor_lag", "hysteresis")
-
-
-def recorded(plant, seed: int, amplitude: float = 0.6) -> Recording:
-    """A chirp of an axis that sticks at each reversal."""
-    torque = chirp(N * DT, DT, amplitude, 0.5, 25.0)
-    run = simulate(plant, torque, DT)
-    rng = np.random.default_rng(seed)
-    return Recording(
-        run.time, torque, run.velocity + NOISE * rng.standard_normal(N), run.angle + 1e-4 * rng.standard_normal(N), DT
-    )
+EFFECTS = ("coulomb_friction", "torque_offset", "quadratic_friction")
 
 
 @pytest.fixture(scope="module")
-def plant(robot):
-    """Static friction behind a sensor that lags: neither is seen for what it is without the other."""
-    changed = robot.with_linear({p.name: 1.05 * p.value for p in robot.chain.linear_parameters() if p.name != "dg"})
-    return changed + effect_class("static_friction")(**STICTION) + effect_class("sensor_lag")(time_constant_s=2e-3)
+def rubbing(pair):
+    return pair(effect("coulomb_friction", torque_Nm=0.3))
 
 
-def test_a_run_is_counted_in_products_of_a_step(robot):
-    """One a step where all is affine between events, four by RK4; the same each time."""
-    torque = np.full(1001, 0.2)
-
-    def took(axis) -> int:
-        before = work_done()
-        simulate(axis, torque, DT, substeps=2)
-        return work_done() - before
-
-    assert took(robot) == 2000
-    smooth = robot + effect_class("quadratic_friction")(coefficient_Nm_s2_rad2=1e-6)
-    assert took(smooth) == 4 * 2000
-    sticking = robot + effect_class("static_friction")(**STICTION)
-    assert took(sticking) == took(sticking) >= 2000
+def test_what_is_left_of_the_budget():
+    began = time.monotonic() - 10.0
+    assert Options().since(began).seconds == math.inf
+    assert Options(seconds=60.0).since(began).seconds == pytest.approx(50.0, abs=0.5)
+    assert Options(seconds=5.0).since(began).seconds == 0.0
 
 
-def test_a_search_that_has_spent_its_budget_says_so_with_any_number_of_threads(robot, plant):
-    estimation, held_out = recorded(plant, 1), recorded(plant, 2, 0.5)
-    few = Options(jobs=1, effects=PAIR, effort=0.02)
-    one, two = (diagnose(robot, [estimation], [held_out], dataclasses.replace(few, jobs=jobs)) for jobs in (1, 2))
-    assert one.verdict is Verdict.UNEXPLAINED
-    assert any("--effort" in note for note in one.notes)
-    assert [(f.effect, f.place) for f in one.findings] == [(f.effect, f.place) for f in two.findings]
-    assert one.fit["corrected"].rms == two.fit["corrected"].rms
-    assert one.rivals == two.rivals
+def test_an_answer_without_the_time_to_search_says_so(robot, rubbing):
+    first, other = rubbing
+    late = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS, seconds=1e-6))
+    assert late.verdict is Verdict.UNEXPLAINED
+    assert not late.findings
+    assert LATE in late.notes
+    assert late.map is None
+    assert "no effect that was tried in the time" in late.summary
+    found = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS, seconds=3600.0))
+    assert [f.effect for f in found.findings] == ["coulomb_friction"]
+    assert LATE not in found.notes
+
+
+@pytest.mark.parametrize("in_time", [1, 4])
+def test_a_move_ends_with_the_budget(robot, rubbing, monkeypatch, in_time):
+    """The candidates that are left when the time is used up are not fitted; those before are."""
+    fitter = Fitter(robot, MotionView(), *((prepare(r),) for r in rubbing), 1)
+    search = Search(fitter, SearchOptions(only=EFFECTS))
+    base = search.nominal()
+    search.state.consider([c for c in _candidates(fitter) if c.id in EFFECTS])
+    move = search.moves.add(base)
+    assert move is not None
+    left = iter([False] * in_time)  # asked before the move, and before each candidate
+    monkeypatch.setattr(Engine, "late", property(lambda engine: next(left, True)))
+    fitted = search.halving.run(base, move.neighbours, -math.inf)
+    assert len(fitted) == in_time - 1 < len(move.neighbours)
+    assert list(search.state.failed.values()) == ["the time was used up"] * (len(move.neighbours) - len(fitted))
+
+
+def _candidates(fitter):
+    from diagnose.structure.candidates import candidates
+
+    return candidates(fitter, EFFECTS)

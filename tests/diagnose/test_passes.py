@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -145,7 +144,7 @@ def is_sought_on_whitened_errors_only(fitter, monkeypatch):
     """Search by a fitter, and find nothing."""
     searched_by = []
     monkeypatch.setattr(Moves, "add", lambda self, base: searched_by.append(len(self.state.fitter.whitening)))
-    _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress(), time.monotonic())
+    _, best, whitened = passes.searched(fitter, Options(jobs=1), Progress())
     assert whitened
     assert 1 not in searched_by, "nothing is sought on plain errors"
     assert not best.effects
@@ -195,7 +194,7 @@ def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkey
 
     monkeypatch.setattr(passes, "_search", answer)
     monkeypatch.setattr(passes, "_whitening", lambda *asked: (np.array([1.0, -0.1 * len(answers)]), False))
-    by, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
+    by, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None))
     assert found is (both if spent else one)
     assert whitened is not spent
     assert len(by.fitter.whitening) == (1 if spent else 2)
@@ -226,6 +225,6 @@ def test_what_is_found_with_the_last_simulation_must_earn_its_filter(search_of, 
     assert fitter.spent
     monkeypatch.setattr(passes, "_search", lambda by, *asked, **known: (Search(by, SearchOptions()), answers.pop(0)))
     monkeypatch.setattr(passes, "_whitening", lambda *asked: (np.array([1.0, -0.5]), own_filter))
-    _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None), time.monotonic())
+    _, found, whitened = passes.searched(fitter, Options(jobs=1), Progress(lambda step: None))
     assert found is (one if own_filter else none)
     assert whitened is not own_filter

@@ -28,7 +28,7 @@ from mjsim.robot.recording import load_robot_recording
 from mjsim.robot.write import carried_effects
 from simgap.commands.gate import command as gate
 from simgap.commands.replay import command as replay
-from simgap.robot import diagnose_robot_files, is_robot
+from simgap.robot import LATE, diagnose_robot_files, is_robot
 
 LAWS = ("coulomb_friction", "torque_offset", "quadratic_friction", "load_dependent_friction")
 
@@ -173,6 +173,15 @@ def test_blocks_are_held_out_where_there_is_no_other_recording(case):
     assert m.held.mean() == pytest.approx(0.3, abs=0.02)
     d = diagnose_robot(robot, [r], options=RobotOptions(effects=LAWS)).diagnosis
     assert d.verdict is Verdict.NO_MISMATCH
+
+
+def test_the_budget_of_time_ends_the_search(case, rubbing):
+    folder, whole = rubbing
+    options = RobotOptions(effects=LAWS, until=0.0)
+    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "late", [folder / "b.csv"], options)
+    assert not d.findings
+    assert LATE in d.notes
+    assert LATE not in whole.notes
 
 
 def test_joints_are_chosen_by_name(case):

@@ -30,7 +30,7 @@ from mjsim.robot.recording import RobotRecording, load_robot_recording
 from mjsim.robot.rows import link_rows
 from mjsim.robot.write import carried_effects, write_robot
 from simgap.commands.gate import command as gate
-from simgap.robot import diagnose_robot_files
+from simgap.robot import LATE, diagnose_robot_files
 
 NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
 LAWS = ("coulomb_friction", "servo_deadband", "load_dependent_friction")
@@ -103,6 +103,15 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     assert "&lt;section" not in page
     assert page.count('data-explorer="joint-') == 3
     assert "All joints together" in page
+
+
+def test_the_budget_of_time_ends_the_search(rubbing):
+    where, whole = rubbing
+    late = RobotOptions(effects=LAWS, until=0.0)
+    d = diagnose_robot_files([where / "a.csv"], where / "arm.xml", where / "late", [where / "b.csv"], late)
+    assert not d.findings
+    assert LATE in d.notes
+    assert LATE not in whole.notes
 
 
 def test_a_gate_compares_the_position_of_each_joint(rubbing):

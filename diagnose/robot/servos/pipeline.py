@@ -132,7 +132,7 @@ def _by_clock(
     without = {s.problem.name: x.key for s in searches for x in s.laws if x.is_delay and s.problem.name in own
                and x.is_logged != own[s.problem.name].log}  # fmt: skip
     again = lates or any(law.is_logged and not own[s.problem.name].log for s in searches for law in s.now.laws)
-    if again:
+    if again and not options.late:
         searches = _searched(series(lates), options, jobs, say, without)
     for s in searches:
         if s.problem.name in own:

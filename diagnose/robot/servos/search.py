@@ -46,14 +46,18 @@ def search_joint(
     s = JointSearch(problem, options, numbers, start, start, laws, joints)
     for _ in range(ROUNDS):
         s.visited.add(s.now.key)
-        if not laws or not (
-            _enter(s, _is_common)
-            or _enter(s, functools.partial(_eligible, s))
-            or _enter(s, _any)
-            or _exchange(s)
-            or _merge(s)
-            or _remove(s)
-            or _reduce(s)
+        if (
+            options.late
+            or not laws
+            or not (
+                _enter(s, _is_common)
+                or _enter(s, functools.partial(_eligible, s))
+                or _enter(s, _any)
+                or _exchange(s)
+                or _merge(s)
+                or _remove(s)
+                or _reduce(s)
+            )
         ):
             break
         _settle(s)
