@@ -89,9 +89,10 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     progress.stage("compare", "refitting the nominal model")
     search, best, whitened = searched(fitter, options, progress)
     late = fitter.late
+    when = "the budget of time is used up; " if late else ""
     fitter = search.fitter
     base = search.nominal()
-    progress.stage("validate", "residual, intervals, rivals")
+    progress.stage("validate", f"{when}residual, intervals, rivals")
     best = search.polish(merged(search, best))
     best, undetermined = determined(search, fitter.refined(best))
     structure = remaining_structure(fitter, best)
