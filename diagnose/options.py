@@ -38,5 +38,5 @@ class Options:
     by_recording: bool = False
 
     def since(self, began: float) -> Options:
-        """These options with what is left of the budget of time, of which the clock runs since ``began`` (monotonic, [s])."""
+        """These options with the rest of the budget of time at this moment; ``began``: its start (monotonic, [s])."""
         return dataclasses.replace(self, seconds=max(0.0, self.seconds - (time.monotonic() - began)))

@@ -88,11 +88,9 @@ def diagnose(
 def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
     search, best, whitened = searched(fitter, options, progress)
-    late = fitter.late
-    when = "the budget of time is used up; " if late else ""
     fitter = search.fitter
     base = search.nominal()
-    progress.stage("validate", f"{when}residual, intervals, rivals")
+    progress.stage("validate", "residual, intervals, rivals")
     best = search.polish(merged(search, best))
     best, undetermined = determined(search, fitter.refined(best))
     structure = remaining_structure(fitter, best)
@@ -100,15 +98,9 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     found = findings(search, best)
     remaining = remaining_error(search, base, best, structure, options)
     verdict = decide(search, base, best, remaining)
-    mapped = (
-        fit_map(fitter, (base, best), search.held_out(best), progress)
-        if verdict is Verdict.UNEXPLAINED and not fitter.late
-        else None
-    )
+    mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     rows = repeated_rows(fitter, best)
-    outcome = Outcome(
-        search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined, late
-    )
+    outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined)
     return diagnosis(outcome, base, mapped, mismatches, options, began)
 
 

@@ -18,8 +18,11 @@ __all__ = ["Cascade", "Grid", "chirp", "close_loop", "multisine", "samples", "st
 
 
 def samples(duration: float, dt: float) -> int:
-    """Number of samples of a record of this length [s]."""
-    return round(duration / dt)
+    """Number of samples of a record of this length [s]. Raises InputError for one that no array can hold."""
+    count = duration / dt
+    if not count <= np.iinfo(np.intp).max // np.dtype(float).itemsize:
+        raise InputError("duration", f"{duration:g} s in samples of {dt:g} s", "fewer samples", "shorten it")
+    return round(count)
 
 
 def chirp(duration: float, dt: float, amplitude: float, low: float, high: float) -> np.ndarray:

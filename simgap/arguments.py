@@ -7,6 +7,7 @@ A type says what a path is for: a recording or another file that is read, a fold
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 __all__ = [
+    "Amount",
     "Choice",
     "InputFile",
     "InputPattern",
@@ -91,6 +93,18 @@ def complete_effects(context: click.Context, parameter: click.Parameter, incompl
     before, comma, last = incomplete.rpartition(",")
     names = dict.fromkeys(cls.name() for cls in registered().values())
     return [CompletionItem(f"{before}{comma}{n}") for n in names if n.startswith(last)]
+
+
+@final
+class Amount(click.FloatRange):
+    """A finite number in a range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number. Fails for one outside the range, for infinity, and for NaN, that compares with no bound."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is no finite number", param, ctx)
+        return number
 
 
 @final

@@ -253,6 +253,33 @@ def test_bad_usage_names_the_help(simgap, words):
     assert re.search(r"Usage:|--help", outcome.err)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("diagnose", "log.csv", "--model", "robot_axis1", "--out", "out", "--budget"),
+        ("diagnose", "log.csv", "--model", "robot_axis1", "--out", "out", "--effort"),
+        ("gate", "robot_axis1", "log.csv", "--baseline", "diagnosis.json", "--tolerance"),
+        ("fleet", "*.csv", "--model", "robot_axis1", "--out", "out", "--effort"),
+        ("render", "step", "--out", "film.mp4", "--speed"),
+        ("crosscheck", "--duration"),
+    ],
+)
+def test_a_number_that_is_not_finite(simgap, words):
+    """NaN lies in every range, since it compares with no bound."""
+    for given in ("nan", "inf"):
+        outcome = simgap(*words, given)
+        assert outcome.code == 2
+        assert re.search(rf"'{words[-1]}': (inf|nan) is (no finite number|not in the range)", outcome.err)
+
+
+def test_a_duration_of_more_samples_than_an_array_can_hold(simgap):
+    for words in (("crosscheck", "--duration", "1e300"), ("run", "step", "--out", "out", "--duration", "1e300")):
+        outcome = simgap(*words)
+        assert outcome.code == 2
+        assert len(outcome.err.splitlines()) == 1
+        assert "1e+300 s in samples of 0.0005 s" in outcome.err
+
+
 def test_a_place_that_cannot_be_written(simgap):
     Path("log.csv").write_text(GOOD)
     Path("report").write_text("a file stands where the folder should")

@@ -83,9 +83,9 @@ def fit_map(fitter: Fitter, starts: Sequence[Fitted], before: HeldOut | None, pr
     """The map that lowers the held-out error significantly, or None.
 
     ``starts``: models that it may be laid on, the refitted nominal one and the best that was found (named effects may have stood
-    in for what is mapped); ``before``: what it must beat.
+    in for what is mapped); ``before``: what it must beat. None is sought once the budget of time is used up.
     """
-    if before is None or any(isinstance(e, TorqueMap) for e in fitter.nominal.effects):
+    if before is None or fitter.late or any(isinstance(e, TorqueMap) for e in fitter.nominal.effects):
         return None
     progress = progress or Progress()
     progress.stage("map", "the residual, over each state variable")

@@ -97,7 +97,11 @@ def _search(
         search.context.effective = effective_share(fitter, base)
         search.effective_of = effective_share
         search.context.share_between = partial(effective_share_between, fitter)
-    return search, search.run()
+    found = search.run()
+    if fitter.late:
+        search.state.late = True
+        progress.stage("search", "the budget of time is used up")
+    return search, found
 
 
 def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:

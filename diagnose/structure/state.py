@@ -32,7 +32,8 @@ class State:
 
     candidates: effects and places that it considers; requires: an effect that may only stand beside another, and that one;
     failed: why candidates were not fitted; tested: hypotheses so far; refusals: by structure, the last test that refused it;
-    tried: moves that were made, each with the structure and the error from which it was made.
+    tried: moves that were made, each with the structure and the error from which it was made; late: whether the budget of time
+    was used up when the search ended.
     """
 
     context: Context
@@ -44,6 +45,7 @@ class State:
     tested: int = 0
     refusals: dict[Key, Refusal] = field(default_factory=dict)
     tried: set[tuple[object, ...]] = field(default_factory=set)
+    late: bool = False
 
     @property
     def fitter(self) -> Fitter:

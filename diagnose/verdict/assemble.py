@@ -48,7 +48,7 @@ def diagnosis(
     verdict = Verdict.UNEXPLAINED if by_rows else outcome.verdict
     said = notes(outcome, options)
     fits, gap = _figures(outcome, base, mapped)
-    answer = summary(verdict, found, fits, gap, fitter.noise.absolute, outcome.unit, outcome.late)
+    answer = summary(verdict, found, fits, gap, fitter.noise.absolute, outcome.unit, search.state.late)
     return Diagnosis(
         verdict=verdict,
         summary=REPEATED_ROWS if by_rows else answer,

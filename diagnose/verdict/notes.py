@@ -44,8 +44,7 @@ DERIVED = (
 class Outcome:
     """What the stages before the report have come to.
 
-    whitened: whether errors were whitened; mapped: whether a torque map is given; unit: of the judged channel; late: whether
-    the search ended with the budget of time.
+    whitened: whether errors were whitened; mapped: whether a torque map is given; unit: of the judged channel.
     """
 
     search: Search
@@ -58,7 +57,6 @@ class Outcome:
     mapped: bool
     unit: str
     undetermined: tuple[str, ...] = ()
-    late: bool = False
 
 
 def notes(outcome: Outcome, options: Options) -> tuple[str, ...]:
@@ -172,7 +170,7 @@ def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:
 
 def _of_the_search(outcome: Outcome, options: Options) -> Iterator[str]:
     search, fitter, best = outcome.search, outcome.search.fitter, outcome.best
-    if outcome.late:
+    if search.state.late:
         yield LATE
     elif fitter.spent and not fitter.late and outcome.verdict is Verdict.UNEXPLAINED:
         yield (

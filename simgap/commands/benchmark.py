@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, OutputFolder, take_file, take_folder
+from simgap.arguments import Amount, Choice, OutputFolder, take_file, take_folder
 
 if TYPE_CHECKING:
     from lab.benchmark.arms import Arm
@@ -37,7 +37,7 @@ Work = Callable[[Path, str, float, int], dict[str, Any]]  # (recordings, case, s
 @click.option("--levels", help="Only these levels: LEVEL or LEVEL:COUNT with commas, e.g. plain:4,nothing:2.")
 @click.option(
     "--budget",
-    type=click.FloatRange(0),
+    type=Amount(0),
     help="Seconds after which the search of a case starts no further fit, 0: no limit (default: 120 for quick, none for full).",
 )
 @click.option(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import ModelFile, OutputFolder, model_root, take_folder
+from simgap.arguments import Amount, ModelFile, OutputFolder, model_root, take_folder
 from simgap.terminal import lines_wanted
 
 __all__ = ["command"]
@@ -17,10 +17,10 @@ __all__ = ["command"]
 @click.argument("model", required=False, type=ModelFile())
 @model_root
 @click.option("--out", type=OutputFolder(), help="Directory for crosscheck.json and crosscheck.png.")
-@click.option("--duration", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="Duration of the chirp [s].")
+@click.option("--duration", type=Amount(min=0.5), default=10.0, show_default=True, help="Duration of the chirp [s].")
 @click.option(
     "--amplitude",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Amount(min=0, min_open=True),
     default=1.0,
     show_default=True,
     help="Amplitude of the chirp [N m | N].",

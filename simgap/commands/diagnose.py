@@ -6,7 +6,17 @@ from pathlib import Path
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFolder, complete_effects, model_root, spare_inputs, take_folder
+from simgap.arguments import (
+    Amount,
+    Choice,
+    InputFile,
+    ModelFile,
+    OutputFolder,
+    complete_effects,
+    model_root,
+    spare_inputs,
+    take_folder,
+)
 
 __all__ = ["command"]
 
@@ -39,7 +49,7 @@ __all__ = ["command"]
 @click.option(
     "--budget",
     default=0.0,
-    type=click.FloatRange(0.0),
+    type=Amount(0.0),
     help="Seconds after which the search ends (0: no limit). Validation, runs of the files in plain MuJoCo and the report "
     "come on top.",
 )
@@ -47,7 +57,7 @@ __all__ = ["command"]
     "--effort",
     default=1.0,
     show_default=True,
-    type=click.FloatRange(0.0),
+    type=Amount(0.0),
     help="Limit of the simulations in the search: 1 takes about half a minute for 10 s at 2 kHz on two cores; 0: no limit. "
     "Unlike --budget, it gives the same answer on every machine.",
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from simgap.arguments import InputPattern, ModelFile, OutputFolder, complete_effects, model_root, take_folder
+from simgap.arguments import Amount, InputPattern, ModelFile, OutputFolder, complete_effects, model_root, take_folder
 
 __all__ = ["command"]
 
@@ -29,9 +29,7 @@ __all__ = ["command"]
     "--effects", default="", shell_complete=complete_effects, help="Consider only these effects: identifiers with commas."
 )
 @click.option("--joint", "joints", multiple=True, help="The joints to diagnose (repeatable); default: all that move.")
-@click.option(
-    "--effort", default=1.0, show_default=True, type=click.FloatRange(0.0), help="Limit of the simulations, as for diagnose."
-)
+@click.option("--effort", default=1.0, show_default=True, type=Amount(0.0), help="Limit of the simulations, as for diagnose.")
 @click.option("--seed", default=0, show_default=True, type=int, help="Seed of the random generators.")
 @click.option("--reports", is_flag=True, help="Write diagnosis.json, corrected.xml and report.html of each recording too.")
 @click.option("--accept-log", is_flag=True, help="Search even where the check of a log says that it has to be fixed first.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, OutputFile, model_root, spare_inputs, take_file
+from simgap.arguments import Amount, Choice, InputFile, ModelFile, OutputFile, model_root, spare_inputs, take_file
 
 if TYPE_CHECKING:
     from simgap.gating.check import Check
@@ -85,7 +85,7 @@ def as_markdown(model: Path, checks: Sequence[Check], tolerance: float) -> str:
     help="Figures of the baseline: those of the model that was diagnosed, or of its corrected.xml.",
 )  # fmt: skip
 @click.option(
-    "--tolerance", type=click.FloatRange(min=0), default=0.02, show_default=True,
+    "--tolerance", type=Amount(min=0), default=0.02, show_default=True,
     help="Allowed growth of the rms error, as a fraction of the baseline's.",
 )  # fmt: skip
 @click.option("--markdown", type=OutputFile(".md"), help="Write the comparison as Markdown too, such as for a job summary.")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simgap.arguments import Choice, InputFile, ModelFile, NamedSource, OutputFile, model_root, spare_inputs, take_file
+from simgap.arguments import Amount, Choice, InputFile, ModelFile, NamedSource, OutputFile, model_root, spare_inputs, take_file
 from simgap.terminal import lines_wanted, printable
 
 if TYPE_CHECKING:
@@ -280,12 +280,12 @@ def _bar(frames: Iterable[int], count: int) -> Iterator[int]:
 @click.option("--joint", help="Joint that the recording measures, where the model has several.")
 @click.option("--view", type=Choice(["auto", "model", "magnified"]), default="auto", show_default=True,
               help="model: the file's own geoms. magnified: a drawn axis with wind-up and gap enlarged.")  # fmt: skip
-@click.option("--magnify", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True,
+@click.option("--magnify", type=Amount(min=0, min_open=True), default=1.0, show_default=True,
               help="Enlarge the motion of the model's own geoms about the first pose.")  # fmt: skip
 @click.option("--start", type=float, help="First moment shown [s]; of a png, the moment (default: the largest motion).")
-@click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="Length of the motion shown [s].")
-@click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="0.2 is slow motion.")
-@click.option("--fps", type=click.FloatRange(1, 120), default=25.0, show_default=True, help="Pictures a second.")
+@click.option("--duration", type=Amount(min=0, min_open=True), help="Length of the motion shown [s].")
+@click.option("--speed", type=Amount(1e-3, 1e3), default=1.0, show_default=True, help="0.2 is slow motion.")
+@click.option("--fps", type=Amount(1, 120), default=25.0, show_default=True, help="Pictures a second.")
 @click.option("--size", default="960x720", show_default=True, help="Size of each picture with its traces [pixels].")
 @click.option("--json", "as_json", is_flag=True, help="Print the file and what it shows as JSON.")
 def command(

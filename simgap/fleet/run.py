@@ -104,6 +104,17 @@ def _results(client: Any, todo: Sequence[Job], out: str) -> Iterator[tuple[str, 
         yield key, error
 
 
+def _need_memory(memory: str) -> None:
+    """Check a memory limit of workers: ``auto``, or what Dask reads as bytes. Raises InputError."""
+    from dask.utils import parse_bytes
+
+    if memory != "auto":
+        with contextlib.suppress(ValueError, OverflowError):
+            if parse_bytes(memory) >= 0:
+                return
+        raise InputError("--memory", f"{memory!r}", "auto, or a size such as 2GB or 500MB", "correct it")
+
+
 @contextlib.contextmanager
 def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
     """A Dask client of a running scheduler or of a local cluster: processes of one thread each."""
@@ -114,6 +125,7 @@ def _client(scheduler: str, workers: int, memory: str) -> Iterator[Any]:
         raise InputError(
             "simgap fleet", "the package 'distributed' is not installed", "it", "pip install 'simgap[fleet]'"
         ) from None
+    _need_memory(memory)
     options = {
         "distributed.scheduler.allowed-failures": LOSSES, "distributed.logging.distributed": "error",
         "distributed.worker.daemon": False, "distributed.comm.timeouts.connect": "10s",

@@ -165,6 +165,17 @@ def test_a_run_stops_where_its_folder_cannot_be_written(tmp_path, monkeypatch):
     assert not done(tmp_path / "out")
 
 
+@pytest.mark.parametrize("memory", ["lots", "-1", "nan"])
+def test_a_limit_of_memory_that_is_none(simgap, tmp_path, memory):
+    pytest.importorskip("distributed")
+    (tmp_path / "a.csv").write_text("a")
+    model_in(tmp_path)
+    refused(
+        simgap("fleet", "a.csv", "--model", "pendulum.xml", "--out", "out", "--quiet", "--memory", memory),
+        f"--memory: {memory!r}",
+    )
+
+
 def recorded(tmp_path: Path, *without: str) -> list[Job]:
     """A fleet of two recordings with records: those named in ``without`` have a reason in place of a diagnosis."""
     model = model_in(tmp_path)

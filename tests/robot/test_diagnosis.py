@@ -29,6 +29,7 @@ from mjsim.robot.write import carried_effects
 from simgap.commands.gate import command as gate
 from simgap.commands.replay import command as replay
 from simgap.robot import LATE, diagnose_robot_files, is_robot
+from tests.commands import refused
 
 LAWS = ("coulomb_friction", "torque_offset", "quadratic_friction", "load_dependent_friction")
 
@@ -182,6 +183,16 @@ def test_the_budget_of_time_ends_the_search(case, rubbing):
     assert not d.findings
     assert LATE in d.notes
     assert LATE not in whole.notes
+
+
+@pytest.mark.parametrize("rows", [2, 15])
+def test_a_log_of_few_rows_is_refused(simgap, case, rows):
+    """Fewer samples than the low-pass of the check needs."""
+    folder = case()
+    short = folder / f"short{rows}.csv"
+    short.write_text("".join((folder / "a.csv").read_text().splitlines(keepends=True)[: rows + 1]))
+    for words in (("check",), ("diagnose", "--out", "out", "--quiet")):
+        refused(simgap(words[0], str(short), "--model", str(folder / "arm.xml"), *words[1:]), f"{rows} samples", "more than 15")
 
 
 def test_joints_are_chosen_by_name(case):

@@ -114,6 +114,14 @@ def test_the_budget_of_time_ends_the_search(rubbing):
     assert LATE not in whole.notes
 
 
+def test_joints_that_hardly_move_are_refused_in_one_line(rubbing, tmp_path):
+    where, _ = rubbing
+    rows = (where / "a.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "short.csv").write_text("".join(rows[:131]))
+    with pytest.raises(InputError, match=r"short.csv: no joint has enough samples in motion; expected 200 fitted and held out each"):
+        diagnose_robot_files([tmp_path / "short.csv"], where / "arm.xml", tmp_path / "out")
+
+
 def test_a_gate_compares_the_position_of_each_joint(rubbing):
     where, _ = rubbing
     words = [str(where / "a.csv"), str(where / "b.csv"), "--baseline", str(where / "out" / "diagnosis.json"), "--json"]

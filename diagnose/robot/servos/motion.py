@@ -109,7 +109,11 @@ def smoothed(
         if len(clear):
             cutoff = max(cutoff, float(f[clear[-1]]))
     cutoff = min(max(cutoff, 0.02 / r.dt), FASTEST / r.dt)
-    z = sosfiltfilt(butter(ORDER, 2 * cutoff * r.dt, output="sos"), raw, axis=0)
+    low_pass = butter(ORDER, 2 * cutoff * r.dt, output="sos")
+    padding = 3 * (2 * len(low_pass) + 1)  # samples that sosfiltfilt adds at both ends
+    if len(raw) <= padding:
+        raise InputError(r.source, f"{len(raw)} samples", f"more than {padding}", "record longer")
+    z = sosfiltfilt(low_pass, raw, axis=0)
     return z, derivative(z, r.dt), derivative(z, r.dt, second=True)
 
 

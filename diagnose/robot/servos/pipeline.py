@@ -83,8 +83,11 @@ def diagnose_servos(
 
     problems = series({})
     if not problems:
-        raise InputError(recordings[0].source, "no joint has enough samples out of contact", f"{FEWEST} fitted and held out each",
-                         EXCLUDE)  # fmt: skip
+        touch = any(t.rows.any() for _, t, _ in contacts)
+        raise InputError(
+            recordings[0].source, f"no joint has enough samples in motion{' and out of contact' if touch else ''}",
+            f"{FEWEST} fitted and held out each", EXCLUDE if touch else "record longer",
+        )  # fmt: skip
     say(f"{len(problems)} joints by command and position, {sum(len(r) for r in everything)} samples")
     searches = _searched(problems, options, jobs, say)
     searches = _by_clock(searches, series, options, jobs, say)
