@@ -263,6 +263,8 @@ def _spline(time: np.ndarray, y: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 def _means(time: np.ndarray, u: np.ndarray, grid: np.ndarray, dt: float) -> np.ndarray:
     """Means over the samples of a grid of an input that is constant from each stamp to the next."""
+    if np.ptp(u) == 0:  # to the last digit
+        return np.full(len(grid), u[0])
     edges = np.append(time, max(time[-1], grid[-1]) + 2.0 * dt)
     area = np.concatenate([[0.0], np.cumsum(u * np.diff(edges))])
     total = np.interp(np.append(grid, grid[-1] + dt), edges, area)

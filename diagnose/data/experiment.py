@@ -170,9 +170,11 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     white = white_noise_level(v) if recording.velocity is None else channel_noise(recording, "velocity")
     noise = max(white, plain_step(v) / np.sqrt(12.0))
     spread = float(np.std(v))
-    name = "torque" if recording.command is None else "command"
-    if recording.driven and np.ptp(recording.input) == 0:
-        raise InputError(recording.source, f"the {name} is constant", "an input that varies", "excite the axis")
+    if recording.driven and np.ptp(recording.input) == 0 and not steps_from_rest(recording):
+        name = "torque" if recording.command is None else "command"
+        raise InputError(
+            recording.source, f"the {name} is constant", "an input that varies, or a step from rest", "excite the axis"
+        )
     if spread == 0 or spread < 1.5 * noise:
         raise InputError(
             recording.source, f"the motion (rms {spread:.3g}) does not rise above its noise (rms {noise:.3g})",
@@ -210,6 +212,23 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     sigma = max(noise, math.sqrt(ROUNDING) * spread)
     return Experiment(
         recording, counts, sigma, moving, before, speed=speed, angle=angle, angle_error=angle_error, angle_noise=of_angle
+    )
+
+
+def steps_from_rest(recording: Recording) -> bool:
+    """Whether a constant torque is a step with the first sample: the axis is at rest there, and then goes the way of the torque.
+
+    It may ring back by a small part of its travel. Of an axis that swings under a constant torque nothing tells that the torque
+    is not the wrong column.
+    """
+    u = float(recording.torque[0])
+    v = measured_velocity(recording)
+    noise, spread = max(white_noise_level(v), plain_step(v) / math.sqrt(12.0)), float(np.std(v))
+    if recording.command is not None or u == 0.0 or spread == 0.0 or spread < 1.5 * noise:
+        return False
+    gone = math.copysign(1.0, u) * (measured_angle(recording) - measured_angle(recording)[0])
+    return not _starts_in_motion(recording, v, noise, spread) and bool(
+        np.max(np.maximum.accumulate(gone) - gone) <= SMALL * np.ptp(gone) and gone[-1] > 0.0
     )
 
 

@@ -111,6 +111,12 @@ def test_a_log_with_gaps_is_resampled_from_end_to_end():
     assert f"{missing.sum()} of its {len(missing)} samples lie in 30 gaps" in note
 
 
+def test_a_constant_input_stays_constant_when_it_is_resampled():
+    time = late_rows()
+    out, _ = resample({"time": time, "torque": np.full(len(time), 0.6)}, "held", DT)
+    assert set(out["torque"]) == {0.6}
+
+
 @pytest.mark.parametrize(("x", "up"), [(0.0826, 0.083), (0.082, 0.083), (0.0999, 0.1), (1.21, 1.3), (0.5, 0.51)])
 def test_rounded_up_is_never_below(x, up):
     assert rounded_up(x) in (pytest.approx(up), pytest.approx(x))
