@@ -1,7 +1,9 @@
-"""A log of torque and position compared by force, and by motion where a free run of the answer follows it.
+"""A log compared both ways where one is not enough: by force, and by motion.
 
 A comparison by force needs the acceleration, whose noise biases what it fits; it holds where unknown torques make a free run
-drift. Where they do not, motion is compared (docs/decisions/motion-and-force.md).
+drift. A log of torque and position is compared by force, and by motion where a free run of the answer follows it. A log with a
+velocity is compared by motion, and by force where a free run leaves the mismatch unexplained and names nothing
+(docs/decisions/motion-and-force.md).
 """
 
 from __future__ import annotations
@@ -14,11 +16,14 @@ from pathlib import Path
 from diagnose.data.split import split
 from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
+from diagnose.pipeline import diagnose
 from diagnose.problem.view import MotionView
 from diagnose.progress import Step
 from diagnose.result import Diagnosis, Verdict
-from diagnose.thresholds import FAR
+from diagnose.thresholds import FAR, MOST
+from diagnose.verdict.reference import at_noise
 from diagnose.verdict.reference_stage import Nominal
+from diagnose.verdict.summary import summary
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.errors import InputError
@@ -27,11 +32,16 @@ from simgap.either_numerics import by_either_numerics
 from simgap.found import as_fitted, physics_found
 from simgap.judging import before_search
 
-__all__ = ["by_motion_too"]
+__all__ = ["by_force_too", "by_motion_too"]
 
 BY_MOTION = (
     "The log has no velocity. Compared by force first, then by motion, by the rate of the angle on both sides: a free run of "
     "what was found by force follows the recordings."
+)
+BY_FORCE = (
+    "Compared by motion, no effect was found that takes most of the error: what a free run misses adds up. What is named is "
+    "found by the force that the recorded motion needs, where each sample counts for itself. The mismatch of the free run stays "
+    "unexplained."
 )
 
 
@@ -59,6 +69,37 @@ def by_motion_too(
     if second.verdict is Verdict.UNEXPLAINED:
         return nominal, None, first
     return axis, runs, dataclasses.replace(second, notes=(BY_MOTION, *second.notes))
+
+
+def by_force_too(
+    nominal: Axis, first: Diagnosis, given: Nominal, recordings: Sequence[Recording], held_out: Sequence[Recording],
+    options: Options, say: Callable[[Step], None],
+) -> Diagnosis:  # fmt: skip
+    """The diagnosis by force where that by motion is unexplained and names nothing that takes most of the error.
+
+    ``first``: the diagnosis by motion, ``given``: the nominal file in MuJoCo. The verdict stays ``unexplained``. As given where
+    options or bindings choose the comparison, under a servo, where MuJoCo follows the recordings, or where force finds nothing.
+    """
+    chosen = options.judge or recordings[0].judge or nominal.chain.servo
+    if first.verdict is not Verdict.UNEXPLAINED or chosen is not None or (first.findings and _explains_most(first)):
+        return first
+    if not options.seconds or at_noise(given.cases, given.runs, angles=True):
+        return first
+    say(Step("reference", "again by force, since a free run names nothing that takes most of the error"))
+    try:
+        second = diagnose(nominal, recordings, held_out, dataclasses.replace(options, judge="force"), say)
+    except InputError:  # too few samples count, or the chain swings up when its motion is imposed
+        return first
+    if not second.findings:
+        return first
+    said = summary(Verdict.UNEXPLAINED, second.findings, second.fit, second.gap_closed, False, second.unit)
+    return dataclasses.replace(second, verdict=Verdict.UNEXPLAINED, summary=said, notes=(BY_FORCE, *second.notes))
+
+
+def _explains_most(result: Diagnosis) -> bool:
+    """Whether what was found takes more than `MOST` of the held-out squared error of the refitted nominal model."""
+    before, after = (result.fit[name].held_out_rms for name in ("refitted", "corrected"))
+    return after**2 < (1.0 - MOST) * before**2
 
 
 def _is_open(result: Diagnosis, first: Recording, options: Options) -> bool:

@@ -52,8 +52,8 @@ def with_nearest(
         with contextlib.suppress(InputError, ValueError):
             other, after = settle(dataclasses.replace(bench, axis=native, out=trial))
             if not other.lacks and _chi2(cases, after) < _chi2(cases, runs):
-                note = (_in_place(bench.axis, load_axis(trial)),)
-                carry(trial, bench.axis, lacks, note[0])
+                note = _in_place(bench.axis, load_axis(trial))
+                carry(trial, bench.axis, lacks, " ".join(note))
                 trial.replace(out)
                 form, runs = dataclasses.replace(other, lacks=form.lacks), after
     finally:
@@ -75,8 +75,8 @@ def _speed(cases: Sequence[Case]) -> float:
     return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
 
-def _in_place(found: Axis, native: Axis) -> str:
-    """What a file's own elements have otherwise than the axis that it carries."""
+def _in_place(found: Axis, native: Axis) -> tuple[str, ...]:
+    """A note on what a file's own elements have otherwise than the axis that it carries; none where that is nothing."""
     motion, there = native.chain.motion, {e.key for e in found.effects}
     parts = [e.describe(motion).rstrip(".") for e in native.effects if e.key not in there]
     now = {p.name: p.value for p in found.chain.linear_parameters()}
@@ -85,7 +85,8 @@ def _in_place(found: Axis, native: Axis) -> str:
         for p in native.chain.linear_parameters()
         if p.name in now and not math.isclose(p.value, now[p.name], rel_tol=1e-6, abs_tol=1e-12)
     ]
-    return (
-        f"In corrected.xml, plain MuJoCo has in place of what MJCF lacks, refitted in MuJoCo: {'; '.join(parts) or 'nothing'}. "
-        "What was found is carried for simgap replay."
+    said = (
+        f"In corrected.xml, plain MuJoCo has in place of what MJCF lacks, refitted in MuJoCo: {'; '.join(parts)}. What was found "
+        "is carried for simgap replay."
     )
+    return (said,) if parts else ()

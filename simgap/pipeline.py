@@ -44,7 +44,7 @@ from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
 from mjsim.system import UNROLLED
 from simgap.either_numerics import by_either_numerics
-from simgap.either_view import by_motion_too
+from simgap.either_view import by_force_too, by_motion_too
 from simgap.following import following
 from simgap.found import corrected_axis
 from simgap.judging import before_search, write_judged
@@ -182,7 +182,8 @@ def _searched(
             say(Step("reference", "the nominal file in plain MuJoCo"))
             given = before_search(model, nominal, recordings, held_out, options)
             if given is not None:
-                return by_either_numerics(given, recordings, held_out, options.since(began), say, ledger)
+                axis, runs, result = by_either_numerics(given, recordings, held_out, options.since(began), say, ledger)
+                return axis, runs, by_force_too(nominal, result, runs, recordings, held_out, options.since(began), say)
             result = diagnose(nominal, recordings, held_out, options.since(began), say, ledger)
             return by_motion_too(model, nominal, result, recordings, held_out, options.since(began), say)
     except InputError:

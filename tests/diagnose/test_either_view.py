@@ -13,7 +13,7 @@ import pytest
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
 from diagnose.result import Verdict
-from diagnose.thresholds import FAR
+from diagnose.thresholds import FAR, MOST
 from mjsim.axis import Axis, Body, Chain
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
@@ -22,7 +22,7 @@ from mjsim.ode import simulate
 from mjsim.recording import Recording
 from mjsim.system import assemble
 from simgap import either_view
-from simgap.either_view import _follows_freely, _is_open, by_motion_too
+from simgap.either_view import _follows_freely, _is_open, by_force_too, by_motion_too
 from simgap.pipeline import diagnose_files
 
 MODEL = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="rotor">
@@ -204,3 +204,90 @@ def test_who_chooses_the_comparison(changed, is_open):
     assert (
         _is_open(SimpleNamespace(channel=changed.get("channel", "torque")), first, Options(judge=changed.get("asked"))) is is_open
     )
+
+
+class Free:
+    """A diagnosis by motion that stays unexplained, and one by force, around made-up steps."""
+
+    def __init__(self, monkeypatch, *, findings=(), after=1.0, quiet=False, found=("friction",), refuse=False):
+        self.asked = []
+        fit = {"refitted": SimpleNamespace(held_out_rms=1.0), "corrected": SimpleNamespace(held_out_rms=after)}
+        self.first = SimpleNamespace(verdict=Verdict.UNEXPLAINED, findings=findings, fit=fit)
+
+        def by_force(nominal, recordings, held_out, options, say):
+            self.asked.append(options)
+            if refuse:
+                raise InputError("log", "few samples", "more", "record")
+            return self.second
+
+        monkeypatch.setattr(either_view, "diagnose", by_force)
+        monkeypatch.setattr(either_view, "at_noise", lambda *_, angles: quiet)
+        monkeypatch.setattr(either_view, "summary", lambda verdict, *_: verdict)
+        self.second = Second(found)
+
+    def ask(self, options=None, nominal=NOMINAL, judge=None):
+        given = SimpleNamespace(cases=(), runs=())
+        logs = [SimpleNamespace(judge=judge)]
+        return by_force_too(nominal, self.first, given, logs, [], options or Options(), lambda _: None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Second:
+    findings: tuple[str, ...]
+    verdict: Verdict = Verdict.MISSING_PHYSICS
+    summary: object = None
+    fit: object = None
+    gap_closed: float = 0.5
+    unit: str = "N m"
+    notes: tuple[str, ...] = ("kept",)
+
+
+MOST_TAKEN = math.sqrt(1.0 - MOST)
+
+
+@pytest.mark.parametrize(("findings", "after"), [((), 1.0), (("inertia",), 1.001 * MOST_TAKEN)])
+def test_force_names_what_a_free_run_does_not_and_the_verdict_stays(monkeypatch, findings, after):
+    free = Free(monkeypatch, findings=findings, after=after)
+    said = free.ask(Options(seconds=50.0))
+    assert (said.findings, said.verdict, said.summary) == (("friction",), Verdict.UNEXPLAINED, Verdict.UNEXPLAINED)
+    assert said.notes == (either_view.BY_FORCE, "kept")
+    assert (free.asked[0].judge, free.asked[0].seconds) == ("force", 50.0)
+
+
+@pytest.mark.parametrize(
+    ("made", "asked"),
+    [({"findings": ("inertia",), "after": 0.999 * MOST_TAKEN}, {}), ({"quiet": True}, {}), ({"found": ()}, {}),
+     ({"refuse": True}, {}), ({}, {"options": Options(judge="motion")}), ({}, {"judge": "motion"}),
+     ({}, {"options": Options(seconds=0.0)}), ({}, {"nominal": SimpleNamespace(chain=SimpleNamespace(servo="law"))})],
+)  # fmt: skip
+def test_the_free_run_counts_where_force_is_not_asked_for_or_finds_nothing(monkeypatch, made, asked):
+    free = Free(monkeypatch, **made)
+    assert free.ask(**asked) is free.first
+
+
+def test_an_answer_by_motion_is_not_asked_again(monkeypatch):
+    free = Free(monkeypatch)
+    free.first.verdict = Verdict.MISSING_PHYSICS
+    assert free.ask() is free.first
+    assert not free.asked
+
+
+def test_friction_is_named_beside_a_slow_unknown_torque(tmp_path):
+    """A free run adds the unknown torque up; by force each sample counts for itself."""
+    model, files = tmp_path / "rotor.xml", []
+    model.write_text(MODEL, encoding="utf-8")
+    for seed in (1, 2):
+        r = log(seed, 0.3)
+        velocity = np.gradient(r.angle, DT) + 0.01 * np.random.default_rng(seed).standard_normal(len(r.time))
+        files.append(tmp_path / r.source)
+        table = np.column_stack([r.time, r.torque, velocity, r.angle])
+        np.savetxt(files[-1], table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s,angle_rad", comments="")
+    options = Options(jobs=1, effects=("coulomb_friction",))
+    diagnose_files(files[:1], model, tmp_path / "out", files[1:], options, progress=False, accept_log=True)
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert said["verdict"] == "unexplained"
+    (found,) = said["findings"]
+    assert found["effect"] == "coulomb_friction"
+    assert 0.2 < found["parameters"]["torque_Nm"]["value"] < 0.6
+    assert said["judged_on"]["channel"] == "torque"
+    assert either_view.BY_FORCE in said["notes"]
