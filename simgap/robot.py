@@ -32,6 +32,7 @@ from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording, joints_in_table, joints_named, load_robot_recording
 from mjsim.robot.rows import mujoco_torque
 from mjsim.robot.write import check_writable, write_robot
+from mjsim.threads import one_thread
 
 if TYPE_CHECKING:
     from diagnose.robot.servos.pipeline import ServoOutcome
@@ -100,6 +101,15 @@ def _told(log: LogCheck) -> tuple[str, ...]:
     return tuple(f"The log, to be fixed: {p.sentence} {p.advice}." for p in log.problems if p.severity is Severity.FIX)
 
 
+def _with_log(result: RobotDiagnosis, log: LogCheck, said: tuple[str, ...]) -> RobotDiagnosis:
+    """The diagnosis with what is wrong with the log and what is ``said`` of it; the summary names a joint that moved unseen."""
+    moved = [p.channel.rpartition(".")[0] for p in log.problems if p.problem == "not_logged" and p.severity is Severity.FIX]
+    held = tuple(f"Joint {name} is not in the log" for name in moved)
+    notes = (*_told(log), *said, *(n for n in result.notes if not (held and n.startswith(held))))
+    cause = f"{', '.join(moved)} is not in the log and moved, the likely cause of what is found beside it. " if moved else ""
+    return dataclasses.replace(result, log=log, notes=notes, summary=cause + result.summary)
+
+
 def by_servo(robot: Robot, recordings: Sequence[RobotRecording]) -> bool:
     """Whether the log is diagnosed by commands and positions: servos in the model, and no torque of any joint in the log."""
     return has_servos(robot) and not any(r.has("torque", n) for r in recordings for n in r.joints)
@@ -119,6 +129,7 @@ def diagnose_robot_files(
     return diagnose_robot_recordings(loaded, model, out, held, options, say)
 
 
+@one_thread
 def diagnose_robot_recordings(
     recordings: Sequence[RobotRecording],
     model: Path,
@@ -163,8 +174,8 @@ def diagnose_robot_recordings(
         say("all joints together in MuJoCo")
         result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
     bring_assets(corrected)
-    said = (LATE,) if late else ()
-    result = dataclasses.replace(result, log=log, notes=(*_told(log), *said, *result.notes), seconds=time.monotonic() - began)
+    result = _with_log(result, log, (LATE,) if late else ())
+    result = dataclasses.replace(result, seconds=time.monotonic() - began)
     if page:
         from diagnose.robot.page import write_page
         from diagnose.robot.picture import picture

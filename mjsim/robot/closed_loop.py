@@ -179,13 +179,14 @@ class _Run:
         state, out, loop = np.zeros((m, 4)), np.zeros((m, 5)), np.zeros(m)
         z[0], dz[0], tracking[0] = d.qpos[lead], d.qvel[lead], loop
         if self.sampled:
-            tracking[0] = stiff * (followed[0] - z[0]) + damp * (slope[0] - dz[0])
+            tracking[0] = self._computed(followed[0], slope[0])
         u, applied = self.u, np.zeros(m)
         for i in range(len(self.t)):
             q, v = d.qpos[lead], d.qvel[lead]
-            if self.torque.any() and (not self.sampled or i % per == 0):
-                to, at_rate = (followed[i // per], slope[i // per]) if self.sampled else (where[i], rate[i])
-                loop = np.where(self.torque, stiff * (to - q) + damp * (at_rate - v), 0.0)
+            if self.sampled and i % per == 0:
+                loop = self._computed(followed[i // per], slope[i // per])
+            elif self.torque.any() and not self.sampled:
+                loop = np.where(self.torque, stiff * (where[i] - q) + damp * (rate[i] - v), 0.0)
             applied = loop
             inputs = u[i]
             if self.carried:
@@ -206,7 +207,7 @@ class _Run:
                 row = (i + 1) // per
                 z[row], dz[row], tracking[row] = d.qpos[lead], d.qvel[lead], loop
                 if self.sampled:
-                    tracking[row] = stiff * (followed[row] - z[row]) + damp * (slope[row] - dz[row])
+                    tracking[row] = self._computed(followed[row], slope[row])
                 if not np.isfinite(z[row]).all():
                     break
         return z, dz, np.where(self.torque, tracking, np.nan)
@@ -226,6 +227,16 @@ class _Run:
         inertia = np.einsum("im,ij,jm->m", self.robot.tie, M, self.robot.tie)
         w = 2 * math.pi * TRACKING
         return inertia * w**2, 2 * inertia * w
+
+    def _computed(self, to: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Torque (m,) of the sampled loop, M (w^2 e + 2 w e') with M of the present pose: all joints alike, and stable where
+        2 w dt is below 2, which is why w is at most half the sampling rate."""
+        M = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, M)
+        w = min(2 * math.pi * TRACKING, 0.5 / (self.each * self.h))
+        e, v = to - self.data.qpos[self.lead], rate - self.data.qvel[self.lead]
+        wanted = np.where(self.torque, w**2 * e + 2 * w * v, 0.0)
+        return np.where(self.torque, (self.robot.tie.T @ M @ self.robot.tie) @ wanted, 0.0)
 
     def _load(self) -> np.ndarray:
         """Torque (m,) that the links need: gravity and velocity terms, and inertia without the joint's armature."""

@@ -20,6 +20,7 @@ from mjsim.errors import InputError
 from mjsim.quantity import Motion
 from mjsim.robot.model import Robot
 from mjsim.robot.rows import link_rows, nominal_torque
+from mjsim.threads import one_thread
 
 __all__ = ["Excitation", "Limits", "exciting"]
 
@@ -55,6 +56,7 @@ class Excitation:
     shrunk: float
 
 
+@one_thread
 def exciting(
     robot: Robot,
     rng: np.random.Generator,

@@ -21,6 +21,7 @@ from diagnose.check.faults.stamps import gaps, jitter
 from diagnose.check.machine import Machine
 from diagnose.check.thresholds import FOLLOWED, PARAMETER_FACTOR
 from diagnose.check.types import LogCheck, Problem, Severity
+from diagnose.robot.check.absent import not_logged
 from diagnose.robot.check.channels import MARKS, beyond_limits, clipped, clipped_torque, coarse, held_rows, refreshed
 from diagnose.robot.check.faults import (
     ANGLES,
@@ -46,6 +47,7 @@ from mjsim.robot.model import Robot
 from mjsim.robot.recording import ALIKE, UNLIKE, RobotRecording
 from mjsim.robot.rows import mujoco_torque
 from mjsim.robot.touching import touching
+from mjsim.threads import one_thread
 
 __all__ = ["check_robot"]
 
@@ -73,6 +75,7 @@ class Log:
         return self.robot.motions[self.robot.joints.index(joint)] is Motion.SLIDE
 
 
+@one_thread
 def check_robot(robot: Robot, recordings: Sequence[RobotRecording]) -> LogCheck:
     """Check recordings of a robot against its nominal model; problems that must be fixed come first."""
     began = time.monotonic()
@@ -104,13 +107,13 @@ def _asked(recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
 
 def _one(robot: Robot, r: RobotRecording) -> tuple[list[Problem], dict[str, str], dict[str, Any]]:
     log = Log(robot, r, *smoothed(robot, r))
-    problems = [*_stamps(r), *_swaps(log), *_held(log), *_contact(log)]
+    problems = [*_stamps(r), *_swaps(log), *_held(log), *_contact(log), *not_logged(log.robot, r, log.z, log.dz, log.ddz)]
     crossed = {p.channel.rpartition(".")[0] for p in problems if p.problem == "swapped"}
     crossed |= {p.advice.rpartition(" ")[2] for p in problems if p.problem == "swapped"}
     size = f"{len(r)} samples, {1 / r.dt:.6g} samples/s, {len(r) * r.dt:.4g} s, input {r.hold} between samples."
     told = {"log": " ".join((size, *r.notes))}
     if r.held_at:
-        told["not in the log"] = ", ".join(f"{name} (held at {at:.4g})" for name, at in r.held_at)
+        told["not in the log"] = ", ".join(f"{name} (taken to be held at {at:.4g})" for name, at in r.held_at)
     numbers: dict[str, Any] = {"sample_time_s": r.dt}
     sound = not crossed
     for name in r.joints:
