@@ -167,8 +167,7 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     n = int(np.sum(~missing))
     if n < minimum:
         raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
-    white = white_noise_level(v) if recording.velocity is None else channel_noise(recording, "velocity")
-    noise = max(white, plain_step(v) / np.sqrt(12.0))
+    noise = _velocity_noise(recording, v)
     spread = float(np.std(v))
     if recording.driven and np.ptp(recording.input) == 0 and not steps_from_rest(recording):
         name = "torque" if recording.command is None else "command"
@@ -215,6 +214,12 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     )
 
 
+def _velocity_noise(recording: Recording, v: np.ndarray) -> float:
+    """Noise rms of `measured_velocity`, at least that of its steps."""
+    white = white_noise_level(v) if recording.velocity is None else channel_noise(recording, "velocity")
+    return float(max(white, plain_step(v) / math.sqrt(12.0)))
+
+
 def steps_from_rest(recording: Recording) -> bool:
     """Whether a constant torque is a step with the first sample: the axis is at rest there, and then goes the way of the torque.
 
@@ -223,7 +228,7 @@ def steps_from_rest(recording: Recording) -> bool:
     """
     u = float(recording.torque[0])
     v = measured_velocity(recording)
-    noise, spread = max(white_noise_level(v), plain_step(v) / math.sqrt(12.0)), float(np.std(v))
+    noise, spread = _velocity_noise(recording, v), float(np.std(v))
     if recording.command is not None or u == 0.0 or spread == 0.0 or spread < 1.5 * noise:
         return False
     gone = math.copysign(1.0, u) * (measured_angle(recording) - measured_angle(recording)[0])
@@ -275,16 +280,23 @@ def hold_out_blocks(recording: Recording, blocks: int = 10) -> tuple[np.ndarray,
 def _starts_in_motion(recording: Recording, v: np.ndarray, noise: float, spread: float) -> bool:
     """Whether rest at the first sample cannot be taken for granted.
 
-    By a parabola through the first samples the speed there exceeds its noise and is not negligible; or the axis gains speed
-    against the torque, as an elastic deflection or gravity makes it. Without a drive a motion does not start from rest, except by
-    chance.
+    By a parabola through the first samples, the most that it fits to their noise, the speed there exceeds its noise and is not
+    negligible; or the axis gains speed against the torque, as an elastic deflection or gravity makes it. Without a drive a motion
+    does not start from rest, except by chance.
     """
     if not recording.driven:
         return True
     count = min(10, len(v) // 4)  # short: an excitation of 40 Hz turns within 20 samples at 2 kHz
-    k = np.arange(count)
-    basis = np.vander(k / count, 3, increasing=True)
-    start, gained = np.linalg.lstsq(basis, v[:count], rcond=None)[0][:2]
+    while True:
+        basis = np.vander(np.arange(count) / count, 3, increasing=True)
+        fit = np.linalg.lstsq(basis, v[:count], rcond=None)[0]
+        left = math.sqrt(float(np.sum((v[:count] - basis @ fit) ** 2)) / max(count - 3, 1))
+        if count <= 4 or left <= noise * (
+            1.0 + 1.0 / math.sqrt(2.0 * (count - 3))
+        ):  # a standard error above it: it bends otherwise
+            break
+        count -= 1
+    start, gained = fit[:2]
     covariance = noise**2 * np.linalg.inv(basis.T @ basis)
     if abs(start) > 5 * math.sqrt(covariance[0, 0]) + 0.02 * spread:
         return True

@@ -22,7 +22,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.problem.problem import bounded
 from diagnose.problem.view import ForceView
-from diagnose.thresholds import INTERVALS, SIGMAS, TWICE, WINDOWS
+from diagnose.thresholds import BLOCKS, INTERVALS, SIGMAS, TWICE, WINDOWS
 from mjsim.axis import Axis
 from mjsim.ode import DivergedError
 from mjsim.quantity import Motion
@@ -181,8 +181,7 @@ def motion_error(
             cyclic = _encoder_error(error, r.angle, experiment.counts, r.dt)
             error, angle_error = error - np.diff(cyclic) / r.dt, angle_error - cyclic
         runs.append((error, angle_error, experiment.counts, r.dt))
-    found = [_shared(runs, window) for window in windows]
-    return max((x for x in found if x is not None), default=None)
+    return _most_shared(runs, windows)
 
 
 def _angle_error(fitter: Fitter, fitted: Fitted, on: Sequence[Experiment]) -> float | None:
@@ -256,9 +255,27 @@ def _encoder_error(error: np.ndarray, angle: np.ndarray, counts: np.ndarray, dt:
     return np.asarray(waves @ np.linalg.lstsq(rates[keep], error[keep], rcond=1e-8)[0])
 
 
+def _most_shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], windows: Sequence[float]) -> float | None:
+    """The most that any of ``windows`` [s] shows (`_shared`); where none tells, what the longest one shows that does.
+
+    The rate of a coarse angle is noisy: by steps s over a window T its rms is s / (sqrt(6) T), which falls faster than the noise
+    of a mean.
+    """
+    found = [x for window in windows if (x := _shared(runs, window)) is not None]
+    window = sum(float(np.sum(counts)) * dt for _, _, counts, dt in runs) / BLOCKS
+    while not found and window > max(windows):
+        found = [x] if (x := _shared(runs, window)) is not None else []
+        window /= 2
+    return max(found, default=None)
+
+
 def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], window: float) -> float | None:
-    """What velocity errors and angle errors share over one window, per run: (N - 1,), (N,), the samples that count, dt."""
+    """What velocity errors and angle errors share over one window, per run: (N - 1,), (N,), the samples that count, dt.
+
+    None where too few windows count, or their noise is such that the velocity errors would not stand out if all were motion.
+    """
     products: list[float] = []
+    speeds: list[float] = []
     noise: list[float] = []
     apart: list[float] = []
     for error, angle_error, counts, dt in runs:
@@ -269,6 +286,7 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
         angle = np.diff(angle_error[: count * k + 1 : k]) / (k * dt)
         keep = counts[: count * k].reshape(count, k).all(axis=1)
         products += list((speed * angle)[keep])
+        speeds += list(speed[keep])
         d2 = (speed - angle)[keep] ** 2  # in which shared motion cancels
         apart += list(d2)
         # the noise of single samples: what varies within a window, and what the window's mean shows beside the angle
@@ -280,6 +298,7 @@ def _shared(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]], wi
     # the spread of the products is as large as they are where the motion is a short burst; that of independent noises alone is at
     # most half the root of E d^4 >= (E d^2)^2 >= 4 var(speed) var(angle)
     spread = min(float(np.std(p, ddof=1)), 0.5 * float(np.sqrt(np.mean(np.square(apart)))))
-    if np.mean(p) <= SIGMAS * spread / np.sqrt(len(p)):
-        return 0.0
+    least = SIGMAS * spread / np.sqrt(len(p))
+    if np.mean(p) <= least:
+        return 0.0 if np.mean(np.square(speeds)) > least else None
     return float(np.mean(p) / np.mean(noise))

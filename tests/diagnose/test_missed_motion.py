@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnose.evidence.predictable import _shared
+from diagnose.evidence.predictable import _most_shared, _shared
 from diagnose.thresholds import WINDOWS
 
 DT, N, VELOCITY, ANGLE = 5e-4, 20_000, 0.05, 1e-4
@@ -56,3 +56,21 @@ def test_what_does_not_count_is_no_noise():
     wild = np.where(np.arange(N - 1) < N // 2 + 200, error, 1e4 * rng.standard_normal(N - 1))
     assert [_shared([(wild, angle_error, counts, dt)], window) for window in WINDOWS] == clean
     assert min(clean) > 1.0
+
+
+@pytest.mark.parametrize("missed", [0.0, 0.5])
+def test_a_coarse_angle_tells_by_longer_windows(missed):
+    """Two short steps at 160 samples a second, angle in steps of five degrees: its rate over 20 ms tells nothing."""
+    dt, n, step = 1 / 160, 200, np.deg2rad(5.0)
+    runs = []
+    for sign, seed in ((1, 0), (-1, 1)):
+        rng = np.random.default_rng(seed)
+        late = sign * missed * dt * np.arange(n) + step * rng.uniform(-0.5, 0.5, n)
+        speed = sign * missed + 0.05 * rng.standard_normal(n - 1)
+        runs.append((speed, late, np.ones(n, bool), dt))
+    found = _most_shared(runs, WINDOWS)
+    if missed:
+        assert [_shared(runs, window) for window in WINDOWS] == [None] * len(WINDOWS)
+        assert found == pytest.approx(0.25 / (2 * 0.05**2 + (step / (np.sqrt(6) * 10 * dt)) ** 2), rel=0.5)
+    else:
+        assert not found

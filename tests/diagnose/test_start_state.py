@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import simgap
 from diagnose.data.experiment import prepare
 from diagnose.data.split import split
 from diagnose.fit.fitter import Fitter
@@ -171,3 +173,16 @@ def test_both_plants_start_from_a_deflection(tmp_path):
     literal, analytic = (plant.run(u, DT, start=start) for plant in (MujocoPlant.load(path), ChainPlant(load_axis(path))))
     assert np.ptp(literal[:, 0]) > 1.0
     np.testing.assert_allclose(literal, analytic, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_response_that_begins_late_starts_from_rest(seed):
+    """No parabola through ten samples, of which six are at rest, has their speed at the first."""
+    t = 0.006 * np.arange(300)
+    speed = np.where(t > 0.037, 8.0 * (1 - np.exp(-8.0 * (t - 0.037))), 0.0) + 0.02 * np.random.default_rng(seed).standard_normal(
+        300
+    )
+    torque = 0.5 + 0.1 * np.sin(5 * t)
+    r = simgap.load({"time_s": t, "torque_Nm": torque, "velocity_rad_s": speed})
+    assert not prepare(r).moving
+    assert prepare(dataclasses.replace(r, velocity=speed + 2.0)).moving
