@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.robot.servos.motion import unit_payload
+from diagnose.robot.servos.bodies import changes
 from diagnose.robot.servos.pipeline import ServoOutcome
 from diagnose.robot.servos.state import JointSearch
 from mjsim.robot.drives import JointDrive
@@ -39,8 +39,8 @@ def write_corrected_servos(
         carried += own
         d = s.problem.drive
         servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, any("forcerange" in x.native for x in s.now.laws))))
-    links = robot.nominal - robot.fixed
-    links[-1] += outcome.payload * unit_payload(robot)
+    m = outcome.masses
+    links = robot.nominal - robot.fixed + np.einsum("clk,c->lk", changes(robot, m.numbers), m.x)
     write_robot(model, robot, path, links, joints, carried, servos)
 
 

@@ -77,4 +77,5 @@ def _bare(robot: Robot, links: np.ndarray | None) -> mujoco.MjModel:
             mass, centre, quat, principal = to_body(links[at])
             model.body_mass[body], model.body_ipos[body] = mass, centre
             model.body_iquat[body], model.body_inertia[body] = quat, principal
+            model.body_sameframe[body] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo takes the body's own axes
     return model

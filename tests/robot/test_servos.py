@@ -180,7 +180,7 @@ def test_a_payload_is_a_number_of_the_robot_and_no_physics(folder):
     d = diagnosed(where, (*LAWS, "gravity_load"))
     assert d.verdict is Verdict.PARAMETERS_ONLY
     assert not d.findings
-    assert d.changed[0].startswith("payload or mass of forearm: +0.5")
+    assert d.changed[0].startswith("payload on forearm: +0.")
     e = d.links["forearm.payload"]
     assert e.ci95[0] < 0.5 < e.ci95[1]
     assert e.ci95[1] - e.ci95[0] < 0.1

@@ -67,27 +67,22 @@ def diagnosed(folder, centre=0.0, mass=1.0):
     return diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "out", [folder / "b.csv"], options)
 
 
-def test_a_centre_that_lies_elsewhere_is_a_number(tmp_path):
-    """A weight at joint2 alone, of another phase than the file's."""
-    d = diagnosed(tmp_path, centre=0.05)
+@pytest.mark.parametrize(("centre", "mass"), [(0.05, 1.0), (0.08, 1.2)])
+def test_first_moment_and_inertia_of_a_link_are_found_and_no_weight_at_its_joint(tmp_path, centre, mass):
+    """Its mass is not told: motion shows it by the first moment and the inertia alone."""
+    d = diagnosed(tmp_path, centre, mass)
     assert not d.findings
     assert d.verdict is Verdict.PARAMETERS_ONLY
-    (line,) = [x for x in d.changed if x.startswith("weight behind joint2: ")]
-    assert "mass or centre of a link or a payload; which link" in line
-    fit = d.joints["joint2"].fit
-    assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
-    assert fit["refitted"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
-
-
-def test_gains_follow_a_mass_that_the_robot_carries(tmp_path):
-    """A heavier link before the last one is a lighter last link and softer servos as well; corrected.xml has both."""
-    d = diagnosed(tmp_path, centre=0.08, mass=1.2)
-    assert not d.findings
-    assert d.verdict is Verdict.PARAMETERS_ONLY
-    (line,) = [x for x in d.changed if x.startswith("payload or mass of forearm: -")]
-    assert "a factor common to masses and gains is not told" in line
-    softer = [d.joints[j].linear_parameters["kp"].value / NOMINAL.servos[i].kp for i, j in enumerate(d.joints)]
-    assert softer[1] == pytest.approx(softer[2], rel=0.05)
-    assert any(x.startswith("kp of joint3: ") for x in d.changed)
+    link = NOMINAL.arm.links[1]
+    x, _, z = link.centre
+    moment = d.links["upper_arm.mz"]
+    assert moment.value == pytest.approx(mass * link.mass * (z + centre), rel=0.01)
+    assert moment.unit == "kg m"
+    before, after = (link.inertia[1] + m * link.mass * (x**2 + c**2) for m, c in ((1.0, z), (mass, z + centre)))
+    ratio = d.links["upper_arm.inertia / that of the file"]
+    assert ratio.value == pytest.approx(after / before, rel=0.05)
+    assert "upper_arm.mass" not in d.links
+    assert any(x.startswith("first moment mz of upper_arm: 0.476 -> ") for x in d.changed)
+    assert not any("kp of joint" in x for x in d.changed)
     for joint in d.joints.values():
-        assert joint.fit["corrected"].held_out_rms < 1.5e-3
+        assert joint.fit["corrected"].held_out_rms < 3e-4

@@ -68,7 +68,7 @@ def scale_of_fit(p: JointProblem, found: Fit) -> Scale:
 def nominal_fit(s: JointSearch) -> Fit:
     """The file as given, counted in the weights of the search."""
     p = s.problem
-    return Fit((), np.zeros(0), p.nominal, p.error(p.nominal), math.nan, s.weights)
+    return Fit((), np.zeros(0), p.nominal, p.as_given.error(p.nominal), math.nan, s.weights)
 
 
 def figures(s: JointSearch, fit: Fit) -> FitFigures:
@@ -117,8 +117,8 @@ def answer(s: JointSearch, scale: Scale, borrowed: str) -> JointResult:
         # no number that can be told differs, and the file leaves noise, or nothing that a black-box model predicts
         told = _sentence(STARTS[Verdict.NO_MISMATCH], errors["nominal"], remains, borrowed, p.slide)
         return dataclasses.replace(result, verdict=Verdict.NO_MISMATCH, summary=told)
-    if verdict is Verdict.NO_MISMATCH and s.now.fit.slots[SLOT["payload"]] != 0.0:
-        # the joint alone tells no difference, but under the mass that the robot carries its numbers are others
+    if verdict is Verdict.NO_MISMATCH and np.any(s.problem.masses):
+        # the joint alone tells no difference, but under the masses that the robot carries its numbers are others
         other = dataclasses.replace(
             result, verdict=Verdict.PARAMETERS_ONLY,
             summary=_sentence(STARTS[Verdict.PARAMETERS_ONLY], errors["corrected"], remains, borrowed, p.slide),

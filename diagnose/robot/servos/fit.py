@@ -35,6 +35,7 @@ __all__ = [
     "fit",
     "independent",
     "jacobian",
+    "prior_errors",
     "slots_of",
     "start_of",
 ]
@@ -182,7 +183,8 @@ def _weighted(problem: JointProblem, error: np.ndarray, weights: np.ndarray) -> 
     return np.asarray((weights * error)[problem.fitted])
 
 
-def _prior(numbers: Sequence[Number], x: np.ndarray) -> np.ndarray:
+def prior_errors(numbers: Sequence[Number], x: np.ndarray) -> np.ndarray:
+    """Errors of coded numbers (P,) from their priors, over the standard deviations, of those that have one."""
     return np.array([(v - n.prior[0]) / n.prior[1] for n, v in zip(numbers, x, strict=True) if n.prior is not None])
 
 
@@ -225,7 +227,7 @@ def fit(
     center = start_of(numbers, base)
 
     def residual(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([_weighted(part, part.error(slots_of(part, numbers, x, base)), own), _prior(numbers, x)])
+        return np.concatenate([_weighted(part, part.error(slots_of(part, numbers, x, base)), own), prior_errors(numbers, x)])
 
     x, r = center.copy(), residual(center)
     best, damping = float(r @ r), 1e-2
@@ -255,7 +257,7 @@ def _within(numbers: Sequence[Number], x: np.ndarray, center: np.ndarray) -> np.
 
 def counted(problem: JointProblem, found: Fit, weights: np.ndarray) -> Fit:
     """The fit counted in other weights, its numbers kept."""
-    r = np.concatenate([_weighted(problem, found.error, weights), _prior(found.numbers, found.x)])
+    r = np.concatenate([_weighted(problem, found.error, weights), prior_errors(found.numbers, found.x)])
     return dataclasses.replace(found, weights=weights, sse=float(r @ r))
 
 
@@ -269,6 +271,9 @@ def determined(problem: JointProblem, found: Fit) -> Conditioning:
 def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
     """Covariance (P, P) of the coded numbers, cluster-robust over blocks of `BLOCK`, prior included; at least that of the
     weights.
+
+    The uncertainty of the masses that the joint carries is added: H^-1 J' C V C' J H^-1, with C the derivative of the errors by
+    the masses and V their covariance.
 
     Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13.
     """
@@ -288,4 +293,16 @@ def covariance(problem: JointProblem, found: Fit) -> np.ndarray:
     robust = inverted @ (few * scores.T @ scores + prior) @ inverted
     least = np.diag(inverted)
     larger = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-12 * least), 1.0))
-    return np.asarray(robust * np.outer(larger, larger))
+    G = inverted @ J[:n].T @ _by_masses(part, found, own)
+    return np.asarray(robust * np.outer(larger, larger) + G @ part.masses_variance @ G.T)
+
+
+def _by_masses(part: JointProblem, found: Fit, weights: np.ndarray) -> np.ndarray:
+    """Derivatives (n, C) of the weighted errors by the masses; zero for those without a variance."""
+    out = np.zeros((int(part.fitted.sum()), len(part.masses)))
+    for k in np.flatnonzero(np.diag(part.masses_variance) > 0.0):
+        step = np.zeros(len(part.masses))
+        step[k] = math.sqrt(part.masses_variance[k, k])
+        ends = [_weighted(part, part.with_masses(part.masses + s * step).error(found.slots), weights) for s in (1.0, -1.0)]
+        out[:, k] = (ends[0] - ends[1]) / (2.0 * step[k])
+    return out

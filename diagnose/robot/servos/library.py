@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from diagnose.robot.servos.bodies import PAYLOAD
 from diagnose.robot.servos.fit import Number
 from diagnose.robot.servos.motion import OWN, JointProblem
 from mjsim.quantity import Motion, Quantity
@@ -20,7 +21,6 @@ __all__ = ["DELAY", "PAYLOAD", "PLAIN", "WEIGHT", "ServoLaw", "identifiers", "se
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
-PAYLOAD = "payload"
 DELAY = "time_delay"
 WEIGHT = "gravity_load"  # a number of the robot where the file has a weight about the joint
 LOGGED = "position_late"  # form of a delay that is of the log

@@ -14,6 +14,7 @@ import numpy as np
 
 from diagnose.data.noise import white_noise_level
 from diagnose.robot.motion import BLOCKS, EVERY, LEAST_MOVED, derivative
+from diagnose.robot.servos.bodies import body_numbers, changes
 from mjsim.errors import InputError
 from mjsim.hold import between, delayed
 from mjsim.quantity import Motion as Kind
@@ -23,10 +24,12 @@ from mjsim.robot.inertia import moved, point_mass
 from mjsim.robot.joint_kernel import SLOT, run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
+from mjsim.robot.shares import SERIES, shares
 from mjsim.robot.touching import Touching, touching
 
-__all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution", "unit_payload"]
+__all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution"]
 
+COLUMN = {"inertia": 0, "bias": 1, "by_position": 2, "torque": 4}  # of a series, see `run_joint`
 DIVERGED = 1e3  # times the travel: the largest error of a run, whose square stays a number
 OWN = 10  # columns of a series that are of the joint itself; three of each joint follow
 ORDER = 4  # of the low-pass, run both ways
@@ -44,9 +47,9 @@ WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what
 class Motion:
     """One recording: what each joint carries, smooth positions and velocities (N, m), and its role.
 
-    payload: what each joint carries more with a unit mass at the centre of the last link; drive (N, m): torque of each joint's
-    drive by the file, of links, armature and damping; late: seconds by which positions of joints are taken to be logged late;
-    touching: contact.
+    shares (N, m, C, 5): what each joint carries more by one unit of each of the C numbers of `body_numbers`; drive (N, m):
+    torque of each joint's drive by the file, of links, armature and damping; late: seconds by which positions of joints are taken
+    to be logged late; touching: contact.
     """
 
     recording: RobotRecording
@@ -54,7 +57,7 @@ class Motion:
     z: np.ndarray
     dz: np.ndarray
     series: Along
-    payload: Along
+    shares: np.ndarray
     drive: np.ndarray
     late: Mapping[str, float]
     touching: Touching
@@ -127,22 +130,13 @@ def prepare(robot: Robot, recording: RobotRecording, held: bool, late: Mapping[s
         at, pos, quat = robot.link_of(known.body)
         links[at] += moved(point_mass(known.mass, np.array(known.pos)), pos, quat)
     series = along(robot, z, dz, ddz, links if known is not None else None)
-    more = links.copy()
-    more[-1] += unit_payload(robot)
-    loaded = along(robot, z, dz, ddz, more)
-    extra = Along(*(getattr(loaded, x.name) - getattr(series, x.name) for x in dataclasses.fields(Along)))
+    extra = shares(robot, z, dz, ddz, changes(robot, body_numbers(robot)))
     drive = series.torque.copy()
     for j, d in enumerate(joint_drives(robot)):
         if d is not None:
             drive[:, j] += d.slots[SLOT["armature"]] * ddz[:, j] + d.slots[SLOT["damping"]] * dz[:, j]
     contact = touching(robot, z, dz, ddz, recording.dt)
     return Motion(recording, held, z, dz, series, extra, drive, dict(late), contact)
-
-
-def unit_payload(robot: Robot) -> np.ndarray:
-    """Inertial parameters (10,) of a mass of 1 kg at the centre of mass of the last link, in its frame."""
-    last = robot.nominal[-1]
-    return point_mass(1.0, last[1:4] / last[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +146,9 @@ class JointProblem:
     starts (R + 1,): where each begins; first, slope (N,): the target of the servo between samples; series (N, 10 + 3 m):
     see `run_joint`; angle (N,): measured position; fitted, held (N,): samples that count; noise: rms of the angle; nominal (K,):
     the file's
-    slots; weight (N,): torque of gravity about the joint by the file;
+    slots; weight (N,): torque of gravity about the joint; masses (C,): the numbers of `body_numbers` less those of the file,
+    which series and weight have in them, and their covariance (C, C); felt (F,): those that the joint feels; shares (N, F, 5): of
+    these, see `mjsim.robot.shares`;
     sources: file and role of each recording; rows (N,): index of each sample in the problem of all recordings; slide:
     whether it is no hinge; joints (m): of the robot.
     """
@@ -173,6 +169,10 @@ class JointProblem:
     sources: tuple[tuple[str, str], ...]
     rows: np.ndarray
     weight: np.ndarray
+    felt: np.ndarray
+    shares: np.ndarray
+    masses: np.ndarray
+    masses_variance: np.ndarray
     slide: bool = False
     joints: tuple[str, ...] = ()
 
@@ -186,6 +186,23 @@ class JointProblem:
     def nominal(self) -> np.ndarray:
         """Slots (K,) as the file has them."""
         return self.drive.slots
+
+    def with_masses(self, masses: np.ndarray, variance: np.ndarray | None = None) -> JointProblem:
+        """The problem under other masses (C,), less those of the file, and their covariance (C, C)."""
+        more = np.einsum("nck,c->nk", self.shares, (masses - self.masses)[self.felt])
+        series = self.series.copy()
+        for k, name in enumerate(SERIES[:-1]):
+            series[:, COLUMN[name]] += more[:, k]
+        zero = np.zeros((len(masses), len(masses)))
+        return dataclasses.replace(
+            self, series=series, weight=self.weight + more[:, -1], masses=np.asarray(masses, float),
+            masses_variance=zero if variance is None else variance,
+        )  # fmt: skip
+
+    @functools.cached_property
+    def as_given(self) -> JointProblem:
+        """The problem under the masses of the file."""
+        return self.with_masses(np.zeros_like(self.masses)) if np.any(self.masses) else self
 
     def run(self, p: np.ndarray, each: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (N,) of the joint running free under these slots."""
@@ -221,7 +238,7 @@ class JointProblem:
         return dataclasses.replace(
             self, starts=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), first=self.first[at], slope=self.slope[at],
             series=self.series[at], angle=self.angle[at], fitted=self.fitted[at], held=self.held[at],
-            sources=tuple(self.sources[k] for k in runs), rows=self.rows[at], weight=self.weight[at],
+            sources=tuple(self.sources[k] for k in runs), rows=self.rows[at], weight=self.weight[at], shares=self.shares[at],
         )  # fmt: skip
 
     def windows(self, most: int) -> JointProblem:
@@ -263,7 +280,7 @@ class JointProblem:
             whole, starts=starts, first=whole.first[at], slope=whole.slope[at], series=series, angle=whole.angle[at],
             fitted=fitted,
             held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), rows=whole.rows[at],
-            weight=whole.weight[at],
+            weight=whole.weight[at], shares=whole.shares[at],
         )  # fmt: skip
 
     def blocks(self, seconds: float) -> np.ndarray:
@@ -306,7 +323,7 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         load = m.series.torque[:, j]
         one = np.column_stack([
             m.series.inertia[:, j], m.series.bias[:, j], m.series.by_position[:, j], m.series.by_velocity[:, j], load, m.z[:, j],
-            m.dz[:, j], m.payload.inertia[:, j], m.payload.bias[:, j], m.payload.by_position[:, j], *_others(m),
+            m.dz[:, j], *m.shares[:, j, -1, :3].T, *_others(m),
         ])  # fmt: skip
         one[0, 5] = q[0]  # the run starts where the joint is measured
         counts = np.full(n, moves(q)) & ~m.touching.widened(math.ceil(EDGE / dt), math.ceil(UNSETTLED / dt))[:, j]
@@ -318,12 +335,14 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         ):  # fmt: skip
             group.append(values)
         sources.append((r.source, "held-out" if m.held else "estimation"))
-    sizes = [len(a) for a in angles]
+    sizes, count = [len(a) for a in angles], motions[0].shares.shape[2]
     q = np.concatenate(angles)
+    felt = np.flatnonzero(np.any([np.any(m.shares[:, j] != 0.0, axis=(0, 2)) for m in motions], axis=0))
+    own = np.concatenate([m.shares[:, j, felt].astype(np.float32) for m in motions])
     return JointProblem(
         j, name, drive, dt, max(FEWEST_STEPS, math.ceil(dt / STEP)), np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         np.concatenate(firsts), np.concatenate(slopes), np.concatenate(series), q, np.concatenate(fitted), np.concatenate(held),
         float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(q)),
-        np.concatenate([m.series.weight[:, j] for m in motions]),
-        robot.motions[j] is Kind.SLIDE, robot.joints,
+        np.concatenate([m.series.weight[:, j] for m in motions]), felt, own,
+        np.zeros(count), np.zeros((count, count)), robot.motions[j] is Kind.SLIDE, robot.joints,
     )  # fmt: skip

@@ -17,17 +17,17 @@ import mujoco
 import numpy as np
 
 from diagnose.check.unused import unused_of_robot
-from diagnose.result import Estimate
 from diagnose.robot.contact import contact_notes
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import EXCLUDE, ORDER, overall, summary
 from diagnose.robot.result import RobotDiagnosis
+from diagnose.robot.servos.agree import Masses, agree
 from diagnose.robot.servos.answer import Scale, answer, changed, scale_of, scale_of_fit
+from diagnose.robot.servos.bodies import body_numbers
 from diagnose.robot.servos.clocks import clocks
-from diagnose.robot.servos.fit import Fit, Number, covariance
-from diagnose.robot.servos.library import PAYLOAD
+from diagnose.robot.servos.fit import Fit, Number
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
-from diagnose.robot.servos.search import carry_payload, refit_with, search_joint
+from diagnose.robot.servos.search import refit_with, search_joint
 from diagnose.robot.servos.starts import own_numbers, start_fit
 from diagnose.robot.servos.state import JointSearch
 from diagnose.robot.servos.unfollowed import unfollowed_note
@@ -42,17 +42,16 @@ from mjsim.robot.touching import Touching
 __all__ = ["ServoOutcome", "diagnose_servos"]
 
 FEWEST = 200  # samples of a joint in motion, fitted and held out each
-COMMON = " (by the other masses of the file: a factor common to masses and gains is not told by command and position)"
 SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of one kind
 
 
 @dataclass(frozen=True, eq=False)
 class ServoOutcome:
-    """The diagnosis, and the searches by joint that `corrected.xml` is written from; payload [kg] on the last link."""
+    """The diagnosis, the searches by joint that `corrected.xml` is written from, and the masses that all joints carry."""
 
     diagnosis: RobotDiagnosis
     searches: tuple[JointSearch, ...]
-    payload: float = 0.0
+    masses: Masses
 
 
 def diagnose_servos(
@@ -91,12 +90,16 @@ def diagnose_servos(
     say(f"{len(problems)} joints by command and position, {sum(len(r) for r in everything)} samples")
     searches = _searched(problems, options, jobs, say)
     searches = _by_clock(searches, series, options, jobs, say)
-    payload = pooled_payload(searches)
+
+    def again(problems: Sequence[JointProblem], before: Sequence[JointSearch]) -> tuple[JointSearch, ...]:
+        return _searched_again(problems, before, options, jobs, say)
+
+    searches, masses = agree(robot, body_numbers(robot), searches, options, again, say)
     scales = {s.problem.name: scale_of(s) for s in searches}
     borrowed = _borrow(searches, scales)
-    diagnosis = _told(robot, searches, scales, borrowed, payload, recordings, held_out, begun)
+    diagnosis = _told(robot, searches, scales, borrowed, masses, recordings, held_out, begun)
     diagnosis = dataclasses.replace(diagnosis, notes=(*contact_notes(robot, contacts), *diagnosis.notes))
-    return ServoOutcome(diagnosis, searches, payload.value if payload is not None else 0.0)
+    return ServoOutcome(diagnosis, searches, masses)
 
 
 def _searched(
@@ -140,6 +143,23 @@ def _by_clock(
     for s in searches:
         if s.problem.name in own:
             s.note_clock(own[s.problem.name].sentence, own[s.problem.name].distinguishable)
+    return searches
+
+
+def _searched_again(
+    problems: Sequence[JointProblem], before: Sequence[JointSearch], options: RobotOptions, jobs: int, say: Callable[[str], None]
+) -> tuple[JointSearch, ...]:  # fmt: skip
+    """The searches of other problems of the same joints, with the delays assigned to servo or log as before."""
+    clocked = {s.problem.name: s for s in before if s.clock}
+    without = {
+        name: law.key for name, s in clocked.items() for law in s.laws
+        if law.is_delay and law.key not in {x.key for x in s.now.laws} and any(x.is_delay for x in s.now.laws)
+    }  # fmt: skip
+    searches = _searched(problems, options, jobs, say, without)
+    for s in searches:
+        was = clocked.get(s.problem.name)
+        if was is not None:
+            s.note_clock(was.clock, not any(x.is_delay and x.id in was.alike.get(x.key, ()) for x in was.now.laws))
     return searches
 
 
@@ -240,42 +260,14 @@ def _same_servo(a: JointProblem, b: JointProblem) -> bool:
     return a.slide == b.slide and bool(np.array_equal(a.nominal[keys], b.nominal[keys]))
 
 
-def pooled_payload(searches: Sequence[JointSearch]) -> Estimate | None:
-    """The payload on the last link [kg] that the joints whose search took one agree on, by their variances; None where none did.
-
-    All joints are then fitted with it, and it is no law of any of them.
-    """
-    values, variances = [], []
-    for s in searches:
-        at = [i for i, n in enumerate(s.now.fit.numbers) if n.slot == PAYLOAD]
-        if at:
-            n, x, V = s.now.fit.numbers[at[0]], s.now.fit.x[at[0]], covariance(s.problem, s.now.fit)
-            values.append(n.value(float(x)))
-            variances.append(float(V[at[0], at[0]]) * n.scale**2)
-    if not values:
-        return None
-    weights = 1.0 / np.array(variances)
-    mean = float(np.average(values, weights=weights))
-    spread = float(np.average((np.array(values) - mean) ** 2, weights=weights)) / max(len(values) - 1, 1)
-    half = 1.96 * math.sqrt(1.0 / float(np.sum(weights)) + spread)
-    for s in searches:
-        carry_payload(s, mean)
-    return Estimate(mean, (mean - half, mean + half), "kg")
-
-
 def _told(
-    robot: Robot, searches: Sequence[JointSearch], scales: dict[str, Scale], borrowed: dict[str, str], payload: Estimate | None,
+    robot: Robot, searches: Sequence[JointSearch], scales: dict[str, Scale], borrowed: dict[str, str], masses: Masses,
     recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], begun: float,
 ) -> RobotDiagnosis:  # fmt: skip
     joints = {s.problem.name: answer(s, scales[s.problem.name], borrowed[s.problem.name]) for s in searches}
     worst = max((r.verdict for r in joints.values()), key=ORDER.index)
     lines = tuple(x for s in searches for x in changed(s, joints[s.problem.name], scales[s.problem.name]))
-    links = {}
-    if payload is not None:
-        name = f"{robot.link_names[-1]}.payload"
-        links[name] = payload
-        low, high = payload.ci95
-        lines = (f"payload or mass of {robot.link_names[-1]}: {payload.value:+.4g} kg [{low:+.4g}, {high:+.4g}]{COMMON}", *lines)
+    lines = (*masses.lines, *lines)
     notes = list(dict.fromkeys(note for r in recordings for note in r.notes))
     notes += [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
     still = [n for n in recordings[0].joints if n not in joints]
@@ -287,7 +279,7 @@ def _told(
     notes += [x for s in searches if (x := unfollowed_note(s.problem, s.now.fit.error))]
     notes.append("Backlash between motor and joint is not looked for: an encoder at the joint does not show it.")
     return RobotDiagnosis(
-        worst, summary(worst, joints, lines), joints, overall(joints), links, dict.fromkeys(links, 0.0), (), lines, tuple(notes),
+        worst, summary(worst, joints, lines), joints, overall(joints), masses.estimates, masses.nominal, (), lines, tuple(notes),
         sum(len(s.laws) for s in searches), math.nan,
         tuple({"file": r.source, "sha256": r.sha256, "role": role}
               for role, group in (("estimation", recordings), ("held-out", held_out)) for r in group),

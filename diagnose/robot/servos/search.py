@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.servos.fit import Fit, Number, block_weights, covariance, fit
-from diagnose.robot.servos.library import PAYLOAD, PLAIN, ServoLaw, servo_laws
+from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
 from diagnose.robot.servos.screening import screen, with_start
 from diagnose.robot.servos.starts import THIN, regressed
@@ -23,7 +23,7 @@ from diagnose.robot.servos.state import QUICK, JointSearch, Structure, cleared, 
 from diagnose.thresholds import EQUIVALENT
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["carry_payload", "refit_with", "search_joint"]
+__all__ = ["refit_with", "search_joint"]
 
 MERGING = 25  # iterations of a law that takes the place of several, which starts far from its optimum
 FINALISTS = 5  # laws that are fitted: those with the largest gain in the screening
@@ -308,16 +308,4 @@ def refit_with(s: JointSearch, numbers: tuple[Number, ...]) -> None:
     s.numbers = numbers
     s.now = Structure(s.now.laws, fit(s.problem, free_numbers(numbers, s.now.laws), s.now.fit.slots, s.weights))
     s.refitted = Structure((), fit(s.problem, numbers, s.refitted.fit.slots, s.weights))
-    s.without.clear()
-
-
-def carry_payload(s: JointSearch, mass: float) -> None:
-    """Fit the joint with a known payload [kg]; a payload of its own goes."""
-    laws = tuple(x for x in s.now.laws if x.id != PAYLOAD)
-    found = []
-    for numbers, base in ((free_numbers(s.numbers, laws), s.now.fit.slots), (s.numbers, s.refitted.fit.slots)):
-        slots = base.copy()
-        slots[SLOT["payload"]] = mass
-        found.append(fit(s.problem, numbers, slots, s.weights))
-    s.now, s.refitted = Structure(laws, found[0]), Structure((), found[1])
     s.without.clear()

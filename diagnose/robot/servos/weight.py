@@ -28,12 +28,12 @@ def weight_factor(s: JointSearch, V: np.ndarray) -> Estimate | None:
     if law is None:
         return None
     p = s.problem
-    w, q = p.weight[p.fitted], p.angle[p.fitted]
+    w, q = p.as_given.weight[p.fitted], p.angle[p.fitted]
     slots = ("weight_sin", "weight_cos")
     along = np.array([float(w @ f(q)) for f in (np.sin, np.cos)]) / float(w @ w)
     at = [next(i for i, n in enumerate(s.now.fit.numbers) if n.slot == name) for name in slots]
     scale = np.array([s.now.fit.numbers[i].scale for i in at])
-    value = 1.0 + float(along @ [s.now.fit.slots[SLOT[name]] for name in slots])
+    value = float(w @ p.weight[p.fitted]) / float(w @ w) + float(along @ [s.now.fit.slots[SLOT[name]] for name in slots])
     half = 1.96 * math.sqrt(max(float((along * scale) @ V[np.ix_(at, at)] @ (along * scale)), 0.0))
     return Estimate(value, (value - half, value + half), "1")
 
