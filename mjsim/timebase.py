@@ -26,6 +26,7 @@ __all__ = [
     "where_in",
 ]
 
+PRINTED = 1e-6  # part of dt: what printing in decimals leaves of uniform stamps
 UNIFORM = 0.05  # part of dt: a printed time stamp is rounded, a missing or shifted sample is off by a good part of dt
 
 DIGITS = 30
@@ -52,8 +53,8 @@ def unrounded(time: np.ndarray) -> tuple[np.ndarray, str]:
     """Uniform stamps that were rounded to a grid (whole milliseconds), as they were before, and a note.
 
     Stamps round((a + k dt) / g) g are off the line a + k dt by half a grid step g at most, and their steps by a whole one. The
-    stamps as they are, and no note, where g is too small to matter or a sample was taken at another time: the line of least
-    squares errs by 2 / sqrt(N) of the rounding's rms at its ends.
+    stamps as they are, and no note, where they are uniform, g is too small to matter or a sample was taken at another time: the
+    line of least squares errs by 2 / sqrt(N) of the rounding's rms at its ends.
     """
     n = len(time)
     if n < 3 or np.any(np.diff(time) <= 0):
@@ -63,7 +64,8 @@ def unrounded(time: np.ndarray) -> tuple[np.ndarray, str]:
         return time, ""
     k = np.arange(n)
     slope, start = np.polyfit(k, time - time[0], 1)
-    if np.max(np.abs(time - time[0] - start - slope * k)) > g * (0.5 + 4.0 * 2.0 / math.sqrt(12.0 * n)):
+    off = float(np.max(np.abs(time - time[0] - start - slope * k)))
+    if off <= PRINTED * dt or off > g * (0.5 + 4.0 * 2.0 / math.sqrt(12.0 * n)):
         return time, ""
     note = (
         f"The time stamps are rounded to {1e3 * g:g} ms, and agree with uniform sampling at {1e3 * slope:.6g} ms to within half "

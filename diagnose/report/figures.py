@@ -110,7 +110,8 @@ def prose(text: str) -> str:
     raised = re.sub(r"(?<=[\w)])\^(-?\d+)", lambda m: m[1].translate(_RAISED), powers)
     dotted = re.sub(r"(?<!\w)(N|kg) (?=[ms](?:\b|[²³])|\()", r"\1·", raised)
     dotted = re.sub(r"(?<=·m) s(?=[²/ ,.;:)]|$)", "·s", dotted)
-    signed = re.sub(r"(?<![\w-])-(?=\d)", _MINUS, dotted)
+    pointed = dotted.replace(" -> ", "\N{NO-BREAK SPACE}\N{RIGHTWARDS ARROW} ")
+    signed = re.sub(r"(?<![\w-])-(?=\d)", _MINUS, pointed)
     return re.sub(r"(?<=\d) (?=(?:N|rad|m|mm|s|ms|Hz|kg|%)(?:\b|[²³/·]|$)|%)", "\N{NO-BREAK SPACE}", signed)
 
 

@@ -21,6 +21,7 @@ from mjsim.robot.model import Robot
 __all__ = ["picture"]
 
 WIDE, HIGH = 760, 520
+LOOKED = 60  # poses
 COLOURS = {
     Verdict.NO_MISMATCH: (0.30, 0.62, 0.42), Verdict.PARAMETERS_ONLY: (0.24, 0.50, 0.78), Verdict.MISSING_PHYSICS: (0.86, 0.42,
     0.16),
@@ -31,17 +32,27 @@ COLOURS = {
 def picture(d: RobotDiagnosis, robot: Robot, path: Path, poses: np.ndarray) -> str:
     """HTML of the picture with its legend.
 
-    path: the MJCF; poses (P, m): positions of the independent joints, of which the middle one is drawn. Rendered where a
-    context for it can be had, else drawn as a
-    plan.
+    path: the MJCF; poses (P, m): positions of the independent joints, of which the one is drawn in which the bodies reach
+    farthest apart. Rendered where a context for it can be had, else drawn as a plan.
     """
     qpos = poses @ robot.tie.T + robot.rest
     try:
         shown = _rendered(d, robot, path, qpos)
     except (InputError, OSError, RuntimeError, ImportError, mujoco.FatalError):
-        shown = _plan(d, robot, qpos[len(qpos) // 2])
+        shown = _plan(d, robot, _widest(robot, qpos))
     legend = "".join(_line(name, d.joints.get(name)) for name in robot.joints)
     return f'<figure class="robot">{shown}<figcaption><ul class="joints">{legend}</ul></figcaption></figure>'
+
+
+def _widest(robot: Robot, qpos: np.ndarray) -> np.ndarray:
+    """The pose (nq,) of poses (P, nq) in which the bodies reach farthest apart, of `LOOKED` that are looked at."""
+    data, best = mujoco.MjData(robot.model), (-1.0, qpos[0])
+    for q in qpos[np.unique(np.linspace(0, len(qpos) - 1, LOOKED).astype(int))]:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(robot.model, data)
+        size = float(np.linalg.norm(np.ptp(data.xpos[1:], axis=0)))
+        best = max(best, (size, q), key=lambda x: x[0])
+    return np.asarray(best[1])
 
 
 def _line(name: str, r: JointResult | None) -> str:
@@ -82,7 +93,8 @@ def _rendered(d: RobotDiagnosis, robot: Robot, path: Path, qpos: np.ndarray) -> 
     from mjsim.render.context import Offscreen
     from mjsim.render.scene import FREE, Scene
 
-    scene = Scene(path, qpos, FREE)
+    pose = _widest(robot, qpos)
+    scene = Scene(path, np.array([pose, pose + 1e-3]), FREE)  # fitted to this pose; two show that a geom moves
     scene.fit(WIDE / HIGH)
     if not scene.moves:
         raise InputError(path, "no geom that moves", "geoms of the links", "draw the plan of the joints")
@@ -93,7 +105,7 @@ def _rendered(d: RobotDiagnosis, robot: Robot, path: Path, qpos: np.ndarray) -> 
             scene.model.geom_matid[g] = -1
             scene.model.geom_rgba[g] = [*colours.get(body, COLOURS[None]), 1.0]
     with Offscreen(scene.model, WIDE, HIGH, scene.camera, scene.option) as view:
-        pixels = view.render(scene.pose(qpos[len(qpos) // 2]))
+        pixels = view.render(scene.pose(pose))
     file = io.BytesIO()
     iio.imwrite(file, pixels, extension=".png")
     data = base64.b64encode(file.getvalue()).decode()

@@ -121,3 +121,10 @@ def test_a_constant_input_stays_constant_when_it_is_resampled():
 def test_rounded_up_is_never_below(x, up):
     assert rounded_up(x) in (pytest.approx(up), pytest.approx(x))
     assert rounded_up(x) >= x
+
+
+def test_uniform_stamps_with_few_decimals_are_not_called_rounded():
+    time = np.round(0.01 * np.arange(500), 2)
+    same, note = unrounded(time)
+    assert note == ""
+    assert np.array_equal(same, time)
