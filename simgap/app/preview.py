@@ -5,10 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +49,8 @@ class Previews:
         """Start the process; a second call does nothing."""
         with self._lock:
             if self._pool is None:
-                self._pool = multiprocessing.get_context("spawn").Pool(1, _ready)
+                with _interrupts_blocked():
+                    self._pool = multiprocessing.get_context("spawn").Pool(1, _ready)
 
     def picture(self, folder: Path, file: str, model: str) -> tuple[str, str]:
         """SVG of a recording of a run's folder, or why there is none, in one line. ``model``: whose TOML may name the columns."""
@@ -83,6 +87,23 @@ class Previews:
         if pool is not None:
             pool.terminate()
             pool.join()
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT in this thread and in the processes and threads that it starts; without effect on Windows.
+
+    A new process has the signal mask of the thread that starts it, and handles no signal before `_ready` is called.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    resource_tracker.ensure_running()  # unblocks the signal in this thread when it starts its own process
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _ready() -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -388,12 +386,3 @@ def test_the_server_does_not_wait_for_a_picture_when_it_ends(tmp_path, monkeypat
     waiting.join(10.0)
     assert not waiting.is_alive()
     assert len(told) == 1
-
-
-def test_an_interrupt_before_the_server_has_started_is_no_error(tmp_path):
-    words = [sys.executable, "-m", "simgap", "app", "--no-browser", "--folder", str(tmp_path / "runs")]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline().startswith("simgap app: http://127.0.0.1:")
-        process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
-        assert process.stderr.read() == ""
