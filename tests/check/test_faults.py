@@ -71,6 +71,7 @@ TWINS = {
     "constant_input": lambda log: change(log(), torque=np.full(len(log()), 0.3)),
     "same_column": lambda log: change(log(), velocity=2.0 * log().torque),
     "jitter": lambda log: change(log(), time=log().time + 0.2 * log().dt * np.random.default_rng(1).uniform(-1, 1, len(log()))),
+    "short": lambda log: log().slice(0, 199),
     "gap": lambda log: gapped(log()),
     "duplicated_rows": lambda log: repeated(log()),
     "command_as_torque": lambda log: change(log(), torque=np.roll(log().angle, -10)),

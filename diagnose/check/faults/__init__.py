@@ -12,6 +12,7 @@ from diagnose.check.faults import low_pass as low_pass
 from diagnose.check.faults import quantisation as quantisation
 from diagnose.check.faults import same_column as same_column
 from diagnose.check.faults import sample_rate as sample_rate
+from diagnose.check.faults import short as short
 from diagnose.check.faults import side as side
 from diagnose.check.faults import sign as sign
 from diagnose.check.faults import skew as skew

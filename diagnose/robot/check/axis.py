@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnose.check.faults.short import too_short
 from diagnose.check.types import LogCheck, Problem
 from diagnose.check.unused import unused_channels
 from diagnose.data.servo import command_of
@@ -43,9 +44,9 @@ def check_servo_axis(chain: Chain, robot: Robot, recordings: Sequence[Recording]
         told["channels not fitted"] = " ".join(unused)
     measured = {source: {"axis" if key == name else key: v for key, v in numbers.items()}
                 for source, numbers in found.measured.items()}  # fmt: skip
-    return dataclasses.replace(
-        found, understood=told, problems=tuple(_renamed(p, name) for p in found.problems), measured=measured
-    )
+    short = tuple(dataclasses.replace(p, recording=r.source) for r in recordings for p in too_short(r))
+    problems = (*short, *(_renamed(p, name) for p in found.problems))
+    return dataclasses.replace(found, understood=told, problems=problems, measured=measured)
 
 
 def _driven(robot: Robot) -> str:
