@@ -1,6 +1,6 @@
 """Measure the declared sample of concealed robots.
 
-python -m lab.robot FILE.jsonl [--seed 4407] [--minutes 30] [--most N] [--even] [--table PAGE.md]
+python -m lab.robot FILE.jsonl [--seed 4407] [--minutes 30] [--most N] [--even] [--kinds KIND...] [--table PAGE.md]
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--most", type=int, default=10**9, help="cases to measure now")
     parser.add_argument("--even", action="store_true", help="the kinds take turns")
+    parser.add_argument("--kinds", nargs="+", default=(), help="only these kinds")
     parser.add_argument("--table", type=Path, help="a page with the marks of the table")
     a = parser.parse_args()
-    for r in run(a.file, a.seed, a.minutes, a.most, a.even):
+    for r in run(a.file, a.seed, a.minutes, a.most, a.even, a.kinds):
         print(
             r["case"],
             r.get("error") or f"{r['verdict']} truth {r['truth']} found {r['found']}",
             f"{r['wall_seconds']:.0f} s",
             flush=True,
         )
-    text = markdown(records(a.file))
+    text = markdown(records(a.file), a.kinds)
     print(text)
     if a.table:
         page = a.table.read_text(encoding="utf-8")

@@ -18,12 +18,14 @@ import numpy as np
 
 from lab.robot.arm import Arm, six_axes, three_axes
 
-__all__ = ["KINDS", "Case", "draw", "trajectory", "write_log"]
+__all__ = ["KINDS", "Case", "draw", "motion", "trajectory", "write_log"]
 
 RATE, SECONDS = 250.0, 10.0
 ENCODER = 2e-5  # rms of the angle's noise [rad]
 TORQUE_NOISE = 0.004  # of a joint's rms torque
-KINDS = ("nothing", "parameters", "single", "pair")
+KINDS = ("nothing", "parameters", "single", "pair", "compensation", "steady_load", "cable")
+STEADY, POSE = 0.05, 0.6  # share of the motion, and pose of every joint [rad], about which the load hardly varies
+HOSE = 1.2  # [1/rad]
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ def _laws(rng: np.random.Generator, joint: int, rms: tuple[float, ...], only: st
     if id_ == "gravity_compensation_spring":
         k, zero = 2 * size, float(rng.uniform(-0.5, 0.5))
         return Law(id_, joint, {"stiffness_Nm_rad": k}, lambda q, v, T, t: k * (q - zero))
+    if id_ == "cable_torque":
+        return Law(id_, joint, {}, lambda q, v, T, t: size * (np.exp(HOSE * q) - 1.0))
     more = size * float(rng.uniform(0.2, 0.5))
     return Law("asymmetric_friction", joint, {"torque_Nm": size, "asymmetry_Nm": more}, lambda q, v, T, t: size * _sign(v) + more)
 
@@ -126,7 +130,11 @@ def _sign(v: np.ndarray) -> np.ndarray:
 
 
 def draw(seed: int, kind: str, axes: int) -> Case:
-    """A case. The true arm is never quite the nominal one: rotors and dampings are off by some per cent, but in "nothing"."""
+    """A case. The true arm is never quite the nominal one: rotors and dampings are off by some per cent, but in "nothing".
+
+    compensation: a spring at joint2 that takes part of its weight; steady_load: friction that grows with the load at a joint that
+    bears weight, in a log in which that load hardly varies; cable: a hose that stiffens to one side, at a random joint.
+    """
     rng = np.random.default_rng([seed, KINDS.index(kind), axes])
     nominal = three_axes() if axes == 3 else six_axes()
     true, changed = nominal, []
@@ -162,14 +170,37 @@ def draw(seed: int, kind: str, axes: int) -> Case:
             law = _laws(rng, j, rms)
             # a joint that bears no load has no load-dependent friction to speak of
             laws.append(_laws(rng, j, rms, only="coulomb_friction") if law.values.get("coefficient", 0.0) > 0.5 else law)
+    if kind in ALONE:
+        laws.append(_alone(kind, rng, nominal, seed))
     return Case(kind, seed, nominal, true, tuple(laws), tuple(changed))
+
+
+ALONE = {"compensation": "gravity_compensation_spring", "steady_load": "load_dependent_friction", "cable": "cable_torque"}
+
+
+def _alone(kind: str, rng: np.random.Generator, arm: Arm, seed: int) -> Law:
+    """The law of a kind that has one: at joint2, which bears weight, or a cable at any joint."""
+    t = np.arange(0, SECONDS, 0.02)
+    q, v, a = motion(kind, arm, np.random.default_rng([seed, 7]), t)
+    load = arm.torque(q, v, a)
+    j = int(rng.integers(len(arm.links))) if kind == "cable" else 1
+    rms = tuple(float(np.sqrt(np.mean(x[:, j] ** 2))) for x in (load, load, v))
+    if kind == "compensation":  # a quarter to the whole of the load, at half a radian
+        rms = (4.0 * rms[0], *rms[1:])
+    return _laws(rng, j, rms, only=ALONE[kind])
+
+
+def motion(kind: str, arm: Arm, rng: np.random.Generator, t: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Position, velocity, acceleration (N, n) of a case: an exciting trajectory, or a small one about a pose (steady_load)."""
+    q, v, a = trajectory(arm, rng, t)
+    return (POSE + STEADY * q, STEADY * v, STEADY * a) if kind == "steady_load" else (q, v, a)
 
 
 def write_log(case: Case, path: Path, index: int) -> None:
     """Write log ``index`` of a case as CSV: time, and of each joint angle and torque."""
     rng = np.random.default_rng([case.seed, KINDS.index(case.kind), len(case.nominal.links), 100 + index])
     t = np.arange(0, SECONDS, 1 / RATE)
-    q, v, a = trajectory(case.nominal, rng, t)
+    q, v, a = motion(case.kind, case.nominal, rng, t)
     load = case.true.torque(q, v, a)
     torque = load + [link.rotor for link in case.true.links] * a + [link.viscous for link in case.true.links] * v
     for law in case.laws:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.result import Estimate
 from diagnose.robot.result import RobotDiagnosis, RobotFinding
 from diagnose.robot.servos.library import DELAY
 from lab.real_use.score import Count
@@ -28,10 +29,12 @@ __all__ = ["PLAN", "Item", "markdown", "plan", "run", "score_servo"]
 
 PLAN: Mapping[tuple[str, str], int] = {  # cases of each kind on each of the two arms
     ("servo", "nothing"): 18, ("servo", "parameters"): 12, ("servo", "single"): 18, ("servo", "pair"): 9, ("servo", "skew"): 6,
-    ("servo", "coupled"): 6,
+    ("servo", "coupled"): 6, ("servo", "compensation"): 3,
     ("torque", "nothing"): 12, ("torque", "parameters"): 6, ("torque", "single"): 6, ("torque", "pair"): 6,
+    ("torque", "compensation"): 3, ("torque", "steady_load"): 3, ("torque", "cable"): 3,
 }  # fmt: skip
 ARMS = (3, 6)
+CHANGED = 0.1  # relative change above which a number is the one that a case has changed
 
 
 @dataclass(frozen=True)
@@ -89,14 +92,36 @@ def score_servo(case: ServoCase, d: RobotDiagnosis) -> dict[str, Any]:
             held.append(e.ci95[0] <= value <= e.ci95[1])
     alike = all(k in found or any(f.joint == k[1] and k[0] in _equivalents(f) for f in d.findings) for k in expected)
     fits = [d.joints[j].fit for _, j in expected if j in d.joints]
+    numbers = _numbers(case, d) if case.kind == "parameters" else []
     return {
         "truth": sorted(f"{e}@{j}" for e, j in expected), "parameters": list(case.parameters),
         "found": sorted(f"{e}@{j}" for e, j in found), "verdict": d.verdict.value,
         "verdicts": {j: r.verdict.value for j, r in d.joints.items()}, "right": set(found) == expected,
         "right_or_equivalent": alike and len(found) == len(expected), "false_names": len(set(found) - expected),
         "relative_errors": errors, "intervals_hold": held, "changed": list(d.changed),
+        "number_errors": [abs(e.value - v) / v for e, v in numbers],
+        "numbers_hold": [e.ci95[0] <= v <= e.ci95[1] for e, v in numbers],
         "gap_closed": [1 - f["corrected"].held_out_rms / f["nominal"].held_out_rms for f in fits],
     }  # fmt: skip
+
+
+def _numbers(case: ServoCase, d: RobotDiagnosis) -> list[tuple[Estimate, float]]:
+    """(estimate, truth) of the gains and armatures that changed by more than `CHANGED`, and of the mass that changed.
+
+    Where the diagnosis gives no mass, its estimate is that of the file.
+    """
+    out = []
+    for j, (servo, true) in enumerate(zip(case.nominal.servos, case.true.servos, strict=True)):
+        own = d.joints[f"joint{j + 1}"].linear_parameters
+        rotor, was = case.true.arm.links[j].rotor, case.nominal.arm.links[j].rotor
+        out += [(own["kp"], true.kp)] if abs(true.kp / servo.kp - 1) > CHANGED else []
+        out += [(own["armature"], rotor)] if abs(rotor / was - 1) > CHANGED else []
+    for link, given in zip(case.true.arm.links, case.nominal.arm.links, strict=True):
+        if link.mass != given.mass:
+            mass, more = d.links.get(f"{link.name}.mass"), d.links.get(f"{link.name}.payload")
+            file = Estimate(given.mass, (given.mass, given.mass), "kg")
+            out.append((more, link.mass - given.mass) if mass is None and more is not None else (mass or file, link.mass))
+    return out
 
 
 def _measured(item: Item, seed: int, folder: Path) -> dict[str, Any]:
@@ -122,13 +147,18 @@ def records(path: Path) -> list[dict[str, Any]]:
     return out
 
 
-def run(path: Path, seed: int, minutes: float = math.inf, most: int = 10**9, even: bool = False) -> Iterator[dict[str, Any]]:
-    """Measure the cases that the file lacks, for so long or so many; each is appended when it is scored, and given."""
+def run(
+    path: Path, seed: int, minutes: float = math.inf, most: int = 10**9, even: bool = False, kinds: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
+    """Measure the cases that the file lacks, for so long or so many; each is appended when it is scored, and given.
+
+    kinds: those that are measured, all when empty.
+    """
     done, ends = {r["case"] for r in records(path)}, time.monotonic() + 60 * minutes
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.read_bytes().endswith(b"\n"):
         path.write_bytes(path.read_bytes()[: path.read_bytes().rfind(b"\n") + 1])
-    for item in [x for x in plan(seed, even) if x.key not in done][:most]:
+    for item in [x for x in plan(seed, even) if x.key not in done and (not kinds or x.kind in kinds)][:most]:
         if time.monotonic() > ends:
             return
         begun, folder = time.monotonic(), path.parent / item.key
@@ -156,23 +186,24 @@ def _right(r: Mapping[str, Any]) -> bool:
     return bool(r["right"]) and (r["kind"] != "nothing" or r["verdict"] == "no_mismatch")
 
 
-def markdown(found: Sequence[Mapping[str, Any]]) -> str:
-    """The table, with Wilson's intervals, and the number of planned cases that are missing."""
+def markdown(found: Sequence[Mapping[str, Any]], kinds: Sequence[str] = ()) -> str:
+    """The table, with Wilson's intervals, and the number of planned cases that are missing; kinds: planned ones, all if empty."""
     lines = [
         "| plant | kind | measured of planned | all right | or an equivalent name | with a false name |",
         "|---|---|---|---|---|---|",
     ]
-    for (plant, kind), count in PLAN.items():
+    planned = {key: count for key, count in PLAN.items() if not kinds or key[1] in kinds}
+    for (plant, kind), count in planned.items():
         own = [r for r in found if (r["plant"], r["kind"]) == (plant, kind)]
         good = [r for r in own if "error" not in r]
-        alike = sum(_right(r) or (kind in ("single", "pair", "skew", "coupled") and r["right_or_equivalent"]) for r in good)
+        alike = sum(_right(r) or (kind not in ("nothing", "parameters") and r["right_or_equivalent"]) for r in good)
         cells = (sum(map(_right, good)), alike, sum(r["false_names"] > 0 for r in good))
         texts = [f"{n} ({_interval(n, len(own))})" for n in cells]
         lines.append(f"| {plant} | {kind} | {len(own)} of {count * len(ARMS)} | {' | '.join(texts)} |")
     errors = [e for r in found for e in r.get("relative_errors", ())]
     held = [h for r in found for h in r.get("intervals_hold", ())]
     gaps = [g for r in found for g in r.get("gap_closed", ())]
-    total, failed = sum(PLAN.values()) * len(ARMS), sum("error" in r for r in found)
+    total, failed = sum(planned.values()) * len(ARMS), sum("error" in r for r in found)
     lines += [
         "",
         f"{len(found)} of {total} planned cases are measured, {total - len(found)} are missing; {failed} ended with an error.",
@@ -181,6 +212,12 @@ def markdown(found: Sequence[Mapping[str, Any]]) -> str:
         share = f"{sum(held)} of {len(held)} ({_interval(sum(held), len(held))})"
         middle = 100 * float(np.median(errors))
         lines.append(f"Median relative error of the values {middle:.2g} %; the 95 % intervals hold the truth in {share}.")
+    numbers = [e for r in found for e in r.get("number_errors", ())]
+    if numbers:
+        told = [bool(h) for r in found for h in r.get("numbers_hold", ())]
+        share = f"{sum(told)} of {len(told)} ({_interval(sum(told), len(told))})"
+        middle = 100 * float(np.median(numbers))
+        lines.append(f"Median relative error of the changed numbers {middle:.2g} %; the intervals hold the truth in {share}.")
     if gaps:
         lines.append(
             f"Median part of the held-out closed-loop error that corrected.xml takes away: {float(np.median(gaps)):.3f}."

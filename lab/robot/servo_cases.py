@@ -17,7 +17,7 @@ __all__ = ["EFFECTS", "KINDS", "LATE", "ServoCase", "draw_servo", "write_servo_c
 RATE, SECONDS, BASE = 100.0, 10.0, 0.1
 STEP = 2 * np.pi / 16384  # of the encoder [rad]
 LATE = "late_position"  # the name of a delay of the log, which a diagnosis calls a time_delay of the sensor
-KINDS = ("nothing", "parameters", "single", "pair", "skew", "coupled")
+KINDS = ("nothing", "parameters", "single", "pair", "skew", "coupled", "compensation")
 EFFECTS = (
     "coulomb_friction", "stribeck_friction", "load_dependent_friction", "torque_ripple", "servo_deadband", "velocity_limit",
     "time_delay", "sublinear_viscous_friction", "cable_torque",
@@ -143,6 +143,10 @@ def draw_servo(seed: int, kind: str, axes: int, effect: str = "") -> ServoCase:
         true = true.with_servo(j, source=other, couple=ratio)
         effects["coupled_transmission", f"joint{j + 1}"] = {"ratio": ratio}
         words.append(f"from joint{other + 1}")
+    if kind == "compensation":  # of a quarter to the whole of the weight, at half a radian
+        stiff, rest = 2.0 * float(load[1] * rng.uniform(0.25, 1.0)), float(rng.uniform(-0.5, 0.5))
+        true = true.with_servo(1, spring=stiff, rest=rest)
+        effects["gravity_compensation_spring", "joint2"] = {"stiffness_Nm_rad": stiff}
     return ServoCase(kind, seed, nominal, true, effects, tuple(words), late)
 
 

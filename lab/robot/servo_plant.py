@@ -35,7 +35,7 @@ class ServoJoint:
     [rad]; slew [rad/s]; delay [s]; stall [N m], no_load [rad/s]: limit of torque and speed; ripple [N m], order [1/rad]:
     torque over the angle; offset [N m]; sublinear, exponent: friction sublinear |v|^exponent; cable [N m]: a hose that
     stiffens to one side, which opposes with cable (exp(`HOSE` q) - 1); source: index of a joint of which the part couple of the
-    servo's torque acts here, and drag [N m] opposes its motion.
+    servo's torque acts here, and drag [N m] opposes its motion; spring [N m/rad], rest [rad]: a spring that takes weight.
     """
 
     kp: float
@@ -58,6 +58,8 @@ class ServoJoint:
     source: int = 0
     couple: float = 0.0
     drag: float = 0.0
+    spring: float = 0.0
+    rest: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -200,13 +202,13 @@ def _run(
                         constant, stiff, damp = -stall, 0.0, slope
                 # trapezoidal in the servo: half of its stiffness and damping at either end of the step
                 p[j] = impulse[j] + h * (constant - bias[j] + offset - ripple * np.sin(order * q[j]))
-                p[j] -= h * cable * (np.exp(HOSE * q[j]) - 1.0)
+                p[j] -= h * (cable * (np.exp(HOSE * q[j]) - 1.0) + servos[j, 20] * (q[j] - servos[j, 21]))
                 if couple != 0.0 or drag != 0.0:
                     other = servos[source, 0] * (target[source] - q[source]) - servos[source, 1] * v[source]
                     p[j] += h * (couple * other - drag * np.sign(v[source]))
                 p[j] -= 0.5 * h * (damp + viscous[j]) * v[j]
                 A[j] = M[j]
-                A[j, j] += 0.5 * h * (damp + viscous[j]) + 0.5 * h * h * stiff
+                A[j, j] += 0.5 * h * (damp + viscous[j]) + 0.5 * h * h * (stiff + servos[j, 20])
                 level[j] = friction + load * abs(links[j]) + extra * np.exp(-((v[j] / speed) ** 2))
                 level[j] += sublinear * np.abs(v[j]) ** exponent
             new = v.copy()
