@@ -16,6 +16,7 @@ import numpy as np
 from diagnose.check.types import LogCheck, Severity
 from diagnose.result import FitFigures
 from diagnose.robot.check.run import check_robot
+from diagnose.robot.laws import FLEXIBLE
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import Outcome, diagnose_robot
 from diagnose.robot.problem import Problem
@@ -225,6 +226,10 @@ def _write_corrected(model: Path, robot: Robot, outcome: Outcome, path: Path) ->
             values = {k: v[0] for k, v in term.law.values(c, term.shape).items()}
             effect = {"effect": term.law.id, "form": term.law.form, "joint": joint, "parameters": values}
             carried.append(effect | ({"from": term.law.source} if term.law.source else {}))
+    carried += [
+        {"effect": FLEXIBLE, "form": "", "joint": joint, "parameters": {"stiffness_Nm_rad": k}}
+        for joint, k in outcome.stiffness.items()
+    ]
     for values_of in joints.values():  # a law has taken the place of the file's own dry friction
         if abs(values_of.get("frictionloss", 0.0)) < 1e-12 and "frictionloss" in values_of:
             values_of["frictionloss"] = 0.0

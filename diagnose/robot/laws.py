@@ -16,7 +16,7 @@ import numpy as np
 
 from mjsim.quantity import Motion, Quantity
 
-__all__ = ["Law", "Row", "identifiers", "law_parameters", "laws_for"]
+__all__ = ["FLEXIBLE", "Law", "Row", "identifiers", "law_parameters", "laws_for"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,7 @@ class Row:
 
 
 MOST_PERIODS = 40.0  # over the travel: of shorter ones only those of the motor's turn are tried
+FLEXIBLE = "joint_flexibility"  # no column of one row: see `diagnose.robot.elastic`
 Columns = Callable[[Row, float], list[np.ndarray]]
 Values = dict[str, tuple[float, Quantity]]
 Native = Callable[[np.ndarray], dict[str, float]]
@@ -236,10 +237,10 @@ def laws_for(row: Row, motion: Motion, gear: float, only: Sequence[str] = ()) ->
 
 
 def identifiers() -> tuple[str, ...]:
-    """Identifiers of all laws that a force regression can express."""
+    """Identifiers of all laws that are looked for by force."""
     x = np.linspace(-1.0, 1.0, 200)
     row = Row(x, np.cos(x), 0.01 * np.arange(200.0), x, x, x, {"": (x, x)})
-    return tuple(dict.fromkeys(law.id for law in laws_for(row, Motion.HINGE, 10.0)))
+    return (*dict.fromkeys(law.id for law in laws_for(row, Motion.HINGE, 10.0)), FLEXIBLE)
 
 
 def law_parameters(law: Law, c: np.ndarray, shape: float, V: np.ndarray) -> dict[str, tuple[float, float, float, Quantity]]:

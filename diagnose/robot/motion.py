@@ -44,7 +44,8 @@ class RobotMotion:
     time (N,) [s]; z, dz, ddz (N, m): filtered once; torque (N, m): joint side, filtered twice, NaN for a joint without; counts
     (M, m): samples of a joint's row that are compared; held (M,): samples that are held out; sos: the filter on the fine
     grid; every:
-    samples of the fine grid per sample of the coarse one; dt: of the fine grid [s]; touching: contact, on the fine grid.
+    samples of the fine grid per sample of the coarse one; dt: of the fine grid [s]; touching: contact, on the fine grid; link:
+    motion of the links, where joints are flexible.
     """
 
     source: str
@@ -62,6 +63,12 @@ class RobotMotion:
     dt: float
     payload: tuple[int, np.ndarray] | None = None
     touching: Touching | None = None
+    link: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    @property
+    def of_links(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration (N, m) of the links: those of the motors, but behind flexible joints."""
+        return (self.z, self.dz, self.ddz) if self.link is None else self.link
 
     def low_passed(self, columns: np.ndarray, times: int = 1) -> np.ndarray:
         """Columns (N, ...) of the fine grid behind the filter, ``times`` over."""

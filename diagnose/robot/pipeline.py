@@ -6,7 +6,7 @@ import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 
 import mujoco
@@ -16,7 +16,8 @@ from diagnose.check.unused import unused_of_robot
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot import decide
 from diagnose.robot.contact import contact_notes
-from diagnose.robot.motion import clean_band, moving_joints, prepare
+from diagnose.robot.elastic import Elastic, elastic, flexible_findings
+from diagnose.robot.motion import RobotMotion, clean_band, moving_joints, prepare
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.physical import consistent
 from diagnose.robot.problem import Problem, build
@@ -42,10 +43,14 @@ ORDER = (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY, Verdict.MISSING_PHYSICS, 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The diagnosis, and the search that it comes from: what `corrected.xml` is written from."""
+    """The diagnosis, and the search that it comes from: what `corrected.xml` is written from.
+
+    stiffness: of flexible joints [N m/rad | N/m], by name.
+    """
 
     diagnosis: RobotDiagnosis
     search: Selection
+    stiffness: Mapping[str, float] = field(default_factory=dict)
 
 
 def diagnose_robot(
@@ -72,8 +77,15 @@ def diagnose_robot(
     say(f"{len(names)} joints, {sum(len(p.y) for p in problem.fitted.values())} samples below {cutoff:.3g} Hz")
     search = select(problem, options)
     say(f"{len(search.solution.terms)} effects of {search.hypotheses} (joint, law) hypotheses")
-    diagnosis = _told(search, recordings, held_out, cutoff, begun)
-    return Outcome(diagnosis, search)
+
+    def again(moved: Sequence[RobotMotion]) -> Problem:
+        return build(robot, moved, problem.joints, options.effects)
+
+    flexible = elastic(robot, motions, search, options, again)
+    if flexible.compliance:
+        say(f"flexible: {', '.join(robot.joints[j] for j in flexible.compliance)}")
+    diagnosis = _told(flexible, recordings, held_out, cutoff, begun)
+    return Outcome(diagnosis, flexible.search, {robot.joints[j]: 1.0 / c for j, c in flexible.compliance.items()})
 
 
 def _chosen(robot: Robot, recordings: Sequence[RobotRecording], options: RobotOptions) -> tuple[str, ...]:
@@ -116,13 +128,16 @@ def _enough(problem: Problem) -> None:
 
 
 def _told(
-    search: Selection, recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], cutoff: float, begun: float
+    flexible: Elastic, recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], cutoff: float, begun: float
 ) -> RobotDiagnosis:
+    search, rigid = flexible.search, flexible.rigid
     p, s, robot = search.problem, search.solution, search.problem.robot
-    given, refitted = decide.nominal_solution(p, search.weights), decide.refit(search)
+    given, refitted = decide.nominal_solution(rigid.problem, search.weights), decide.refit(rigid)
     V, slices = decide.posterior(search)
     found = decide.findings(search, V, slices)
-    links, own = decide.estimates(p, s, V)
+    for j, own in flexible_findings(flexible).items():
+        found[j] = [*own, *found[j]]
+    links, values = decide.estimates(p, s, V)
     joints = {}
     for j in p.joints:
         name = robot.joints[j]
@@ -137,7 +152,7 @@ def _told(
         )
         joints[name] = JointResult(
             name, "N m" if robot.motions[j].value == "hinge" else "N", answer, _sentence(answer, fit["corrected"], remains),
-            tuple(found[j]), fit, {k.rpartition(".")[2]: v for k, v in own.items() if k.rpartition(".")[0] == name},
+            tuple(found[j]), fit, {k.rpartition(".")[2]: v for k, v in values.items() if k.rpartition(".")[0] == name},
             {k.rpartition(".")[2]: float(v) for k, v in zip(p.names, p.nominal, strict=True) if k.rpartition(".")[0] == name},
             remains, refused, tuple(_traces(p, j, given, refitted, s)),
         )  # fmt: skip

@@ -127,7 +127,7 @@ def _row(robot: Robot, motion: RobotMotion, j: int, joints: Sequence[int], load:
 def build(robot: Robot, motions: Sequence[RobotMotion], joints: Sequence[int], only: Sequence[str] = ()) -> Problem:
     """The regression of these joints over all recordings."""
     names, nominal = _parameters(robot, joints)
-    links = tuple(link_rows(robot, m.z, m.dz, m.ddz) for m in motions)
+    links = tuple(link_rows(robot, *m.of_links) for m in motions)
     fitted: dict[int, list[Part]] = {j: [] for j in joints}
     held: dict[int, list[Part]] = {j: [] for j in joints}
     offset = 0

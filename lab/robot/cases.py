@@ -10,7 +10,7 @@ the drives, both with noise, at 250 Hz.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,7 +23,7 @@ __all__ = ["KINDS", "Case", "draw", "motion", "trajectory", "write_log"]
 RATE, SECONDS = 250.0, 10.0
 ENCODER = 2e-5  # rms of the angle's noise [rad]
 TORQUE_NOISE = 0.004  # of a joint's rms torque
-KINDS = ("nothing", "parameters", "single", "pair", "compensation", "steady_load", "cable")
+KINDS = ("nothing", "parameters", "single", "pair", "compensation", "steady_load", "cable", "flexible")
 STEADY, POSE = 0.05, 0.6  # share of the motion, and pose of every joint [rad], about which the load hardly varies
 HOSE = 1.2  # [1/rad]
 
@@ -40,7 +40,10 @@ class Law:
 
 @dataclass(frozen=True)
 class Case:
-    """One concealed robot: the nominal arm, the true one, and its laws; parameters: what of its numbers was changed, in words."""
+    """One concealed robot: the nominal arm, the true one, and its laws; parameters: what of its numbers was changed, in words.
+
+    stiffness: of flexible joints [N m/rad], by index; their angle is that of the motor, behind the gear.
+    """
 
     kind: str
     seed: int
@@ -48,6 +51,7 @@ class Case:
     true: Arm
     laws: tuple[Law, ...]
     parameters: tuple[str, ...]
+    stiffness: Mapping[int, float] = field(default_factory=dict)
 
 
 def trajectory(
@@ -172,7 +176,17 @@ def draw(seed: int, kind: str, axes: int) -> Case:
             laws.append(_laws(rng, j, rms, only="coulomb_friction") if law.values.get("coefficient", 0.0) > 0.5 else law)
     if kind in ALONE:
         laws.append(_alone(kind, rng, nominal, seed))
-    return Case(kind, seed, nominal, true, tuple(laws), tuple(changed))
+    stiffness = _flexible(rng, nominal) if kind == "flexible" else {}
+    return Case(kind, seed, nominal, true, tuple(laws), tuple(changed), stiffness)
+
+
+def _flexible(rng: np.random.Generator, arm: Arm) -> dict[int, float]:
+    """Stiffness of one of the first three joints, at which its links swing with 5 to 12 Hz where all others are still."""
+    j, n = int(rng.integers(3)), len(arm.links)
+    still, unit = np.full((1, n), 0.3), np.zeros((1, n))
+    unit[0, j] = 1.0
+    inertia = float((arm.torque(still, 0 * still, unit) - arm.torque(still, 0 * still, 0 * still))[0, j])
+    return {j: inertia * (2 * math.pi * float(rng.uniform(5.0, 12.0))) ** 2}
 
 
 ALONE = {"compensation": "gravity_compensation_spring", "steady_load": "load_dependent_friction", "cable": "cable_torque"}
@@ -196,12 +210,22 @@ def motion(kind: str, arm: Arm, rng: np.random.Generator, t: np.ndarray) -> tupl
     return (POSE + STEADY * q, STEADY * v, STEADY * a) if kind == "steady_load" else (q, v, a)
 
 
+FINER = 10  # samples of the grid on which derivatives of a flexible joint's torque are taken, for one of the log
+
+
 def write_log(case: Case, path: Path, index: int) -> None:
     """Write log ``index`` of a case as CSV: time, and of each joint angle and torque."""
     rng = np.random.default_rng([case.seed, KINDS.index(case.kind), len(case.nominal.links), 100 + index])
-    t = np.arange(0, SECONDS, 1 / RATE)
+    every = FINER if case.stiffness else 1
+    dt = 1 / (RATE * every)
+    t = np.arange(0, SECONDS, dt)
     q, v, a = motion(case.kind, case.nominal, rng, t)
     load = case.true.torque(q, v, a)
+    for j, k in case.stiffness.items():  # the motor is ahead of its link by the torque that the link needs
+        ahead = load[:, j] / k
+        rate = np.gradient(ahead, dt)
+        q[:, j], v[:, j], a[:, j] = q[:, j] + ahead, v[:, j] + rate, a[:, j] + np.gradient(rate, dt)
+    t, q, v, a, load = (x[::every] for x in (t, q, v, a, load))
     torque = load + [link.rotor for link in case.true.links] * a + [link.viscous for link in case.true.links] * v
     for law in case.laws:
         torque[:, law.joint] += law.torque(q[:, law.joint], v[:, law.joint], load[:, law.joint], t)

@@ -31,7 +31,7 @@ PLAN: Mapping[tuple[str, str], int] = {  # cases of each kind on each of the two
     ("servo", "nothing"): 18, ("servo", "parameters"): 12, ("servo", "single"): 18, ("servo", "pair"): 9, ("servo", "skew"): 6,
     ("servo", "coupled"): 6, ("servo", "compensation"): 3,
     ("torque", "nothing"): 12, ("torque", "parameters"): 6, ("torque", "single"): 6, ("torque", "pair"): 6,
-    ("torque", "compensation"): 3, ("torque", "steady_load"): 3, ("torque", "cable"): 3,
+    ("torque", "compensation"): 3, ("torque", "steady_load"): 3, ("torque", "cable"): 3, ("torque", "flexible"): 3,
 }  # fmt: skip
 ARMS = (3, 6)
 CHANGED = 0.1  # relative change above which a number is the one that a case has changed
