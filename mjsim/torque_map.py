@@ -106,6 +106,15 @@ class MapAxis:
                 "expected low < high, at least one interval, bend >= 0"
             )
 
+    @classmethod
+    def spanning(cls, variable: str, values: np.ndarray, intervals: int) -> Self | None:
+        """Over nearly all of the values (N,) of a variable, with more knots where speeds are small; None where they are one."""
+        low, high = (float(a) for a in np.quantile(values, (0.0005, 0.9995)))
+        if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
+            return None
+        speed = VARIABLES[variable][1] is Quantity.VELOCITY and low < 0 < high
+        return cls(variable, low, high, intervals, 0.1 * max(abs(low), abs(high)) if speed else 0.0)
+
     @property
     def count(self) -> int:
         """Number of splines."""

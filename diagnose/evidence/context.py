@@ -38,6 +38,7 @@ class Memo:
     in_blocks: dict[tuple[object, ...], Comparison] = field(default_factory=dict)
     observed: dict[tuple[Key, float, Key, float], float] = field(default_factory=dict)
     encoder: dict[tuple[object, ...], tuple[float, float]] = field(default_factory=dict)
+    speed: dict[tuple[object, ...], float] = field(default_factory=dict)
 
 
 @dataclass

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,9 +12,8 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.thresholds import INTERVALS
 from mjsim.ode import DivergedError, apply_input
-from mjsim.quantity import Quantity
 from mjsim.system import assemble
-from mjsim.torque_map import VARIABLES, MapAxis, TorqueMap
+from mjsim.torque_map import MapAxis, TorqueMap
 
 __all__ = ["shapes", "variables", "words"]
 
@@ -80,16 +78,6 @@ def _smooth(v: np.ndarray, dt: float) -> np.ndarray:
     return np.convolve(v, kernel / kernel.sum(), mode="same")
 
 
-def _axis(variable: str, x: Sequence[np.ndarray], intervals: int) -> MapAxis | None:
-    """A variable's range over all experiments; speeds with more knots where they are small."""
-    every = np.concatenate(x)
-    low, high = (float(a) for a in np.quantile(every, (0.0005, 0.9995)))
-    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
-        return None
-    bend = 0.1 * max(abs(low), abs(high)) if VARIABLES[variable][1] is Quantity.VELOCITY and low < 0 < high else 0.0
-    return MapAxis(variable, low, high, intervals, bend)
-
-
 def shapes(known: list[dict[tuple[str, bool, str], np.ndarray]]) -> list[TorqueMap]:
     """Every map over one and over two variables of one place."""
     keys = list(known[0])
@@ -98,7 +86,7 @@ def shapes(known: list[dict[tuple[str, bool, str], np.ndarray]]) -> list[TorqueM
         names = [v for p, c, v in keys if (p, c) == (place, coupling)]
         for chosen in [(v,) for v in names] + list(itertools.combinations(names, 2)):
             intervals = INTERVALS[len(chosen) - 1]
-            axes = [_axis(v, [k[(place, coupling, v)] for k in known], intervals) for v in chosen]
+            axes = [MapAxis.spanning(v, np.concatenate([k[(place, coupling, v)] for k in known]), intervals) for v in chosen]
             found = tuple(a for a in axes if a is not None)
             if len(found) == len(axes):
                 out.append(TorqueMap(place=place, axes=found, coefficients=(0.0,) * TorqueMap.count(found), coupling=coupling))

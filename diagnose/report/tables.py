@@ -32,6 +32,7 @@ _TESTS = {
     "encoder": "gain beside an encoder that errs",
     "events": "gain where the motion has events",
     "few_periods": "share left by a disturbance of few periods",
+    "speed": "gain beside a function of the speed",
     "servo": "share of the error that the servo answers",
 }
 

@@ -12,6 +12,7 @@ from diagnose.evidence.rivals.gain import gains
 from diagnose.evidence.rivals.generalises import generalises, significant
 from diagnose.evidence.rivals.law import no_error_of_a_law
 from diagnose.evidence.rivals.servo import no_answer_of_a_servo
+from diagnose.evidence.rivals.speed import no_function_of_the_speed
 from diagnose.fit.fitted import Fitted
 from diagnose.structure.graph import named
 from diagnose.structure.state import Refusal, State
@@ -23,7 +24,7 @@ def tests() -> tuple[Test, ...]:
     """The tests of a structure against a poorer one, in order."""
     return (
         gains, no_error_of_a_law, generalises, no_answer_of_a_servo, no_slow_error, no_error_of_the_encoder,
-        no_moment_of_an_event,
+        no_function_of_the_speed, no_moment_of_an_event,
     )  # fmt: skip
 
 

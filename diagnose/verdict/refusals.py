@@ -17,6 +17,7 @@ _TESTS = {
     "encoder": "an encoder that errs over its turn does as much (gain beside it {gain:.3g}, needed {needed:.3g})",
     "events": "it gains by the moment of an event (gain apart from that {gain:.3g}, needed {needed:.3g})",
     "few_periods": "a law of so few periods takes {share:.0%} of the squared error, {needed:.0%} is needed",
+    "speed": "a function of the speed does as much (gain beside it {gain:.3g}, needed {needed:.3g})",
     "servo": "a servo's answer to unknown torques does as much ({share:.0%} of the squared error, {needed:.0%} is needed)",
     "chance": "over {hypotheses:.0f} hypotheses its gain on held-out data has p = {p_value:.2g} (needed: {largest_p_value:.2g})",
     "held_out": (

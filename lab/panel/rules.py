@@ -51,6 +51,7 @@ _ALL = (
     _test("encoder_rival", "an encoder that errs over its turn is a rival of each effect", "no_error_of_the_encoder"),
     _test("servo_rival", "the answer of a servo is a rival where the noise is not known", "no_answer_of_a_servo"),
     _test("few_periods_rival", "an order of few periods must explain more", "no_slow_error"),
+    _test("speed_rival", "a position-locked effect must gain beside a function of the speed", "no_function_of_the_speed"),
     _test("events_rival", "another order of events is a rival beside nonsmooth effects", "no_moment_of_an_event"),
     _returns("held_out_blocks", "stretches of the estimation recording judge where held-out data cannot", None,
              f"{CONTEXT}.compared_in_blocks"),
