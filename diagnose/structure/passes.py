@@ -196,11 +196,13 @@ def searched(fitter: Fitter, options: Options, progress: Progress) -> tuple[Sear
     that a structure misses no motion, and its residual is coloured, nothing is sought beside it on plain errors: there the
     colour counts as mismatch. Under feedback a fit on plain errors takes the colour for response: the nominal structure is
     asked as it settles with its own filter, too. A structure found on whitened errors may have another filter, or none:
-    then it is sought once more.
+    then it is sought once more. A search that found nothing before its budget of time was used up is the only one.
     """
     known = fitter.noise.absolute
     alone = partial(_leaves_coloured_noise, missed=options.missed) if known else None
     search, best = _search(fitter, options, progress, alone)
+    if fitter.late and not best.effects:  # one that was found must still earn its filter
+        return search, best, False
     search, best = _or_tied(search, best, options, progress)
     fitter = search.fitter
     noise_only = _NoiseOnly(options.missed, unknown=True)

@@ -14,7 +14,9 @@ from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
 from diagnose.problem.view import MotionView
+from diagnose.progress import Progress
 from diagnose.result import Verdict
+from diagnose.structure import passes
 from diagnose.structure.budget import SearchOptions
 from diagnose.structure.search import Search
 from diagnose.verdict.notes import LATE
@@ -45,6 +47,17 @@ def test_an_answer_without_the_time_to_search_says_so(robot, rubbing):
     found = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS, seconds=3600.0))
     assert [f.effect for f in found.findings] == ["coulomb_friction"]
     assert LATE not in found.notes
+
+
+def test_no_further_search_begins_without_time(robot, rubbing, monkeypatch):
+    """A search that could not look would find nothing."""
+    searches = []
+    once = passes._search
+    monkeypatch.setattr(passes, "_search", lambda *asked, **known: searches.append(1) or once(*asked, **known))
+    fitter = Fitter(robot, MotionView(), *((prepare(r),) for r in rubbing), 1)
+    fitter.allow(math.inf, time.monotonic())
+    search, best, whitened = passes.searched(fitter, Options(jobs=1, effects=EFFECTS), Progress())
+    assert (len(searches), search.state.late, best.effects, whitened) == (1, True, (), False)
 
 
 @pytest.mark.parametrize("in_time", [1, 4])
