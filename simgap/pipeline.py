@@ -36,7 +36,7 @@ from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.kernel import integrate
 from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
-from mjsim.mjcf.assets import bring_assets
+from mjsim.mjcf.assets import bring_assets, placed
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.mjcf.xmltext import decoded
 from mjsim.notices import quiet
@@ -248,14 +248,14 @@ def _written(
     """
     out.mkdir(parents=True, exist_ok=True)
     corrected = out / "corrected.xml"
-    result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, corrected, threads)
+    with placed(corrected) as part:
+        result = write_judged(model, nominal, corrected_axis(nominal, result), result, given, part, threads)
     mapped, with_map = out / "mapped.xml", mapped_axis(nominal, result)
     if with_map is None:
         mapped.unlink(missing_ok=True)
     else:
-        write_corrected(model, with_map, mapped, MAP_COMMENT)
-        bring_assets(mapped)
-    bring_assets(corrected)
+        with placed(mapped) as part:
+            write_corrected(model, with_map, part, MAP_COMMENT)
     if began is not None:
         result = dataclasses.replace(result, seconds=time.monotonic() - began)
     if page:

@@ -22,7 +22,7 @@ from diagnose.robot.pipeline import Outcome, diagnose_robot
 from diagnose.robot.problem import Problem
 from diagnose.robot.result import JointResult, RobotDiagnosis
 from mjsim.errors import InputError
-from mjsim.mjcf.assets import bring_assets
+from mjsim.mjcf.assets import bring_assets, placed
 from mjsim.mjcf.compile import compile_file
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.recording import Recording
@@ -164,17 +164,18 @@ def diagnose_robot_recordings(
         found = diagnose_servos(robot, recordings, held_out, options, say)
         late = options.late
         out.mkdir(parents=True, exist_ok=True)
-        result = _servos_by_mujoco(found, model, robot, corrected, (recordings, held_out), say)
+        with placed(corrected) as part:
+            result = _servos_by_mujoco(found, model, robot, part, (recordings, held_out), say)
     else:
         outcome = diagnose_robot(robot, recordings, held_out, options, say)
         late = options.late
         out.mkdir(parents=True, exist_ok=True)
-        _write_corrected(model, robot, outcome, corrected)
         from simgap.robot_tracking import with_tracking
 
-        say("all joints together in MuJoCo")
-        result = with_tracking(_by_mujoco(outcome, robot, corrected), robot, corrected, recordings, held_out)
-    bring_assets(corrected)
+        with placed(corrected) as part:
+            _write_corrected(model, robot, outcome, part)
+            say("all joints together in MuJoCo")
+            result = with_tracking(_by_mujoco(outcome, robot, part), robot, part, recordings, held_out)
     result = _with_log(result, log, (LATE,) if late else ())
     result = dataclasses.replace(result, seconds=time.monotonic() - began)
     if page:

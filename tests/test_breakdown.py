@@ -35,6 +35,18 @@ view.simulate = runs.simulate = broken
 cli.main()
 """
 
+# the diagnosis breaks once corrected.xml has been written and judged
+JUDGED = """
+import simgap.pipeline as pipeline
+from simgap import cli
+judge = pipeline.write_judged
+def broken(*words):
+    judge(*words)
+    raise MemoryError("made")
+pipeline.write_judged = broken
+cli.main()
+"""
+
 # only 16 MB more than the process has once its libraries are loaded
 SHORT = """
 import resource, sys
@@ -99,6 +111,12 @@ def line(ended: subprocess.CompletedProcess[str], code: int, *parts: str) -> Non
 def test_a_diagnosis_that_breaks_in_the_middle(folder, error, call, code, parts):
     """One line, and nothing under a final name."""
     line(run(folder, *DIAGNOSE, code=BROKEN.replace("CALL", str(call)).replace("ERROR", error)), code, *parts)
+    assert {p.name for p in folder.glob("out/*")} <= {"state.jsonl"}
+
+
+def test_a_model_that_is_still_judged_has_not_its_final_name(folder):
+    """In the course of it the file is written several times."""
+    line(run(folder, *DIAGNOSE, code=JUDGED), 2, "not enough memory (made)")
     assert {p.name for p in folder.glob("out/*")} <= {"state.jsonl"}
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import filecmp
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 from mjsim.errors import writing
@@ -12,7 +14,7 @@ from mjsim.mjcf.compile import save_compiled
 from mjsim.mjcf.limits import FOLDERS, NESTED
 from mjsim.mjcf.xmltext import Node, XmlText
 
-__all__ = ["BESIDE", "bring_assets", "copy_file", "relocate"]
+__all__ = ["BESIDE", "bring_assets", "copy_file", "placed", "relocate"]
 
 BESIDE = "simgap_assets"  # folder of the copies
 
@@ -85,6 +87,21 @@ def _compiler(xml: XmlText) -> Node:
 def _set_folders(xml: XmlText, values: dict[str, str | None] | dict[str, str]) -> None:
     for key, value in values.items():
         xml.set(_compiler(xml), key, value)
+
+
+@contextlib.contextmanager
+def placed(path: Path) -> Iterator[Path]:
+    """A name beside ``path`` under which a model is written; at the end its assets are brought and it is moved to ``path``.
+
+    Where the block raises, nothing is left; what stood at ``path`` stays.
+    """
+    part = path.with_name(f".{path.stem}.part.xml")
+    try:
+        yield part
+        bring_assets(part)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def copy_file(file: Path, to: Path) -> None:

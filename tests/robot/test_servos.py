@@ -114,6 +114,19 @@ def test_the_budget_of_time_ends_the_search(rubbing):
     assert LATE not in whole.notes
 
 
+def test_a_model_that_is_still_judged_has_not_its_final_name(rubbing, monkeypatch):
+    where, _ = rubbing
+
+    def broken(*asked):
+        assert asked[2].is_file()
+        raise MemoryError
+
+    monkeypatch.setattr("simgap.robot_servos.judge_servos", broken)
+    with pytest.raises(MemoryError):
+        diagnose_robot_files([where / "a.csv"], where / "arm.xml", where / "broken", options=RobotOptions(until=0.0))
+    assert not list((where / "broken").iterdir())
+
+
 def test_joints_that_hardly_move_are_refused_in_one_line(rubbing, tmp_path):
     where, _ = rubbing
     rows = (where / "a.csv").read_text().splitlines(keepends=True)
