@@ -30,7 +30,7 @@ from mjsim.robot.recording import RobotRecording, load_robot_recording
 from mjsim.robot.rows import link_rows
 from mjsim.robot.write import carried_effects, write_robot
 from simgap.commands.gate import command as gate
-from simgap.robot import LATE, diagnose_robot_files
+from simgap.robot import diagnose_robot_files
 
 NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
 LAWS = ("coulomb_friction", "servo_deadband", "load_dependent_friction")
@@ -103,36 +103,6 @@ def test_the_corrected_file_follows_the_log_in_mujoco(rubbing):
     assert "&lt;section" not in page
     assert page.count('data-explorer="joint-') == 3
     assert "All joints together" in page
-
-
-def test_the_budget_of_time_ends_the_search(rubbing):
-    where, whole = rubbing
-    late = RobotOptions(effects=LAWS, until=0.0)
-    d = diagnose_robot_files([where / "a.csv"], where / "arm.xml", where / "late", [where / "b.csv"], late)
-    assert not d.findings
-    assert LATE in d.notes
-    assert LATE not in whole.notes
-
-
-def test_a_model_that_is_still_judged_has_not_its_final_name(rubbing, monkeypatch):
-    where, _ = rubbing
-
-    def broken(*asked):
-        assert asked[2].is_file()
-        raise MemoryError
-
-    monkeypatch.setattr("simgap.robot_servos.judge_servos", broken)
-    with pytest.raises(MemoryError):
-        diagnose_robot_files([where / "a.csv"], where / "arm.xml", where / "broken", options=RobotOptions(until=0.0))
-    assert not list((where / "broken").iterdir())
-
-
-def test_joints_that_hardly_move_are_refused_in_one_line(rubbing, tmp_path):
-    where, _ = rubbing
-    rows = (where / "a.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "short.csv").write_text("".join(rows[:131]))
-    with pytest.raises(InputError, match=r"short.csv: no joint has enough samples in motion; expected 200 fitted"):
-        diagnose_robot_files([tmp_path / "short.csv"], where / "arm.xml", tmp_path / "out")
 
 
 def test_a_gate_compares_the_position_of_each_joint(rubbing):

@@ -1,0 +1,53 @@
+"""What ends the diagnosis of a servo robot: the budget of time, a log that is too short, a fault."""
+
+from __future__ import annotations
+
+import pytest
+
+from diagnose.robot.options import RobotOptions
+from lab.robot.arm import three_axes
+from lab.robot.servo_plant import ServoJoint, ServoRobot, servo_mjcf, write_servo_log
+from mjsim.errors import InputError
+from simgap.robot import LATE, diagnose_robot_files
+
+NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory):
+    """Dry friction at the second joint: the nominal file and two logs."""
+    out = tmp_path_factory.mktemp("servo")
+    (out / "arm.xml").write_text(servo_mjcf(NOMINAL))
+    for seed, name in ((1, "a"), (2, "b")):
+        write_servo_log(NOMINAL.with_servo(1, friction=1.0), out / f"{name}.csv", seed, 16.0)
+    return out
+
+
+def test_the_budget_of_time_ends_the_search(rubbing):
+    def diagnosed(**more):
+        options = RobotOptions(joints=("joint2",), effects=("coulomb_friction",), **more)
+        return diagnose_robot_files([rubbing / "a.csv"], rubbing / "arm.xml", rubbing / "out", [rubbing / "b.csv"], options)
+
+    late, whole = diagnosed(until=0.0), diagnosed()
+    assert not late.findings
+    assert LATE in late.notes
+    assert [f.effect for f in whole.findings] == ["coulomb_friction"]
+    assert LATE not in whole.notes
+
+
+def test_a_model_that_is_still_judged_has_not_its_final_name(rubbing, monkeypatch):
+    def broken(*asked):
+        assert asked[2].is_file()
+        raise MemoryError
+
+    monkeypatch.setattr("simgap.robot_servos.judge_servos", broken)
+    with pytest.raises(MemoryError):
+        diagnose_robot_files([rubbing / "a.csv"], rubbing / "arm.xml", rubbing / "broken", options=RobotOptions(until=0.0))
+    assert not list((rubbing / "broken").iterdir())
+
+
+def test_joints_that_hardly_move_are_refused_in_one_line(rubbing, tmp_path):
+    rows = (rubbing / "a.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "short.csv").write_text("".join(rows[:131]))
+    with pytest.raises(InputError, match=r"short.csv: no joint has enough samples in motion; expected 200 fitted"):
+        diagnose_robot_files([tmp_path / "short.csv"], rubbing / "arm.xml", tmp_path / "out")
