@@ -20,7 +20,7 @@ CHUNK = 4000  # samples at once
 
 
 def shares(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray, changes: np.ndarray) -> np.ndarray:
-    """Series (N, m, C, 5) by joint, change and `SERIES` along a motion (N, m) of the independent joints.
+    """Series (N, m, C, 5), single precision, by joint, change and `SERIES` along a motion (N, m) of the independent joints.
 
     changes (C, L, 10): of the links' inertial parameters [kg, kg m, kg m^2].
     """
@@ -34,7 +34,7 @@ def _shares(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray, change
 
     still = np.zeros_like(z)
     weight, whole = torque(z, still, still), torque(z, dz, ddz)
-    out = np.empty((*whole.shape, len(SERIES)))
+    out = np.empty((*whole.shape, len(SERIES)), np.float32)
     for j in range(z.shape[1]):
         unit = still.copy()
         unit[:, j] = 1.0
