@@ -14,6 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from diagnose.data.content import decimated
 from diagnose.data.experiment import Experiment
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
@@ -31,19 +32,10 @@ __all__ = ["Screening", "most_decimation", "screening_of"]
 
 def _decimated(e: Experiment, every: int) -> Experiment:
     """Every so-manyth sample of an experiment, under the mean of the torque until the next."""
-    r = e.recording
-    n = len(r) // every
-    at = slice(0, n * every, every)
-
-    def mean(x: np.ndarray) -> np.ndarray:
-        return np.asarray(x[: n * every].reshape(n, every).mean(axis=1))
-
-    part = dataclasses.replace(
-        r, time=r.time[at], dt=every * r.dt, torque=mean(r.torque),
-        known_torque=None if r.known_torque is None else mean(r.known_torque),
-        velocity=None if r.velocity is None else r.velocity[at], angle=None if r.angle is None else r.angle[at],
-        second_angle=None, second_velocity=None, columns={},
-    )  # fmt: skip
+    part = dataclasses.replace(decimated(e.recording, every), second_angle=None, second_velocity=None)
+    if e.recording.hold == "held":
+        part = dataclasses.replace(part, hold="held")  # of which the mean is exact
+    at = slice(0, len(part) * every, every)
     correction = None if e.correction is None else e.correction[at]
     return dataclasses.replace(e, recording=part, counts=e.counts[at], correction=correction)
 

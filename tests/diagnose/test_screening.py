@@ -76,6 +76,14 @@ def test_it_promises_what_all_samples_promise(fitter, base):
         assert some[s.candidate] == pytest.approx(s.gain, rel=0.02)
 
 
+def test_every_channel_that_is_bound_is_decimated(fitter, robot, recordings):
+    whole = [dataclasses.replace(r, **{name: r.time for name in ("current", "supply", "temperature")}) for r in recordings]
+    more = Fitter(robot, fitter.view, tuple(prepare(r) for r in whole), (), 1)
+    part = screening_of(more, more.fit(more.hypothesis(())))
+    more.close()
+    assert part.every > 1
+
+
 def test_what_enters_is_judged_by_all_samples_and_near_its_minimum(fitter, base):
     thin = screening_of(fitter, base)
     (friction,) = thin.screen([c for c in candidates(fitter) if c.key == "coulomb_friction@motor"])
