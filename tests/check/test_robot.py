@@ -166,7 +166,7 @@ def test_time_in_milliseconds_is_told(robot, log):
 
 
 @pytest.mark.parametrize(
-    ("factor", "problem"), [(1.0, None), (1.5, None), (-1.0, "sign"), (1000.0, "unit"), (6.0, "channel_ratio")]
+    ("factor", "problem"), [(1.0, None), (1.5, None), (3.0, None), (-1.0, "sign"), (1000.0, "unit"), (6.0, "channel_ratio")]
 )
 def test_a_torque_is_compared_with_what_the_motion_needs(by_force, factor, problem):
     robot, log = by_force

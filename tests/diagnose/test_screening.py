@@ -77,7 +77,7 @@ def test_it_promises_what_all_samples_promise(fitter, base):
 
 
 def test_every_channel_that_is_bound_is_decimated(fitter, robot, recordings):
-    whole = [dataclasses.replace(r, **{name: r.time for name in ("current", "supply", "temperature")}) for r in recordings]
+    whole = [dataclasses.replace(r, **dict.fromkeys(("current", "supply", "temperature"), r.time)) for r in recordings]
     more = Fitter(robot, fitter.view, tuple(prepare(r) for r in whole), (), 1)
     part = screening_of(more, more.fit(more.hypothesis(())))
     more.close()

@@ -26,10 +26,13 @@ def swapped(channel: str, joint: str, other: str, crossed: float, own: float, wh
     )  # fmt: skip
 
 
-def scaled(channel: str, joint: str, r: Relation, units: dict[float, str], against: str) -> list[Problem]:
+def scaled(
+    channel: str, joint: str, r: Relation, units: dict[float, str], against: str, least: float = PARAMETER_FACTOR
+) -> list[Problem]:
     """A sign or a unit: the slope of a channel over what it should equal, where the relation explains it.
 
-    No sign where another delay with the other sign explains it as well.
+    No sign where another delay with the other sign explains it as well. ``least``: the factor from which on a ratio is a fault
+    that no known unit explains.
     """
     size, out = abs(r.slope), []
     if r.explained < FOLLOWED or size == 0.0:
@@ -56,6 +59,8 @@ def scaled(channel: str, joint: str, r: Relation, units: dict[float, str], again
                 )
             )  # fmt: skip
             return out
+    if 1 / least < size < least:
+        return out
     out.append(
         Problem(
             f"{joint}.{channel}", "channel_ratio", size, "1",

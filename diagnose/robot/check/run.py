@@ -19,7 +19,7 @@ import numpy as np
 from diagnose.check.context import Context
 from diagnose.check.faults.stamps import gaps, jitter
 from diagnose.check.machine import Machine
-from diagnose.check.thresholds import FOLLOWED, PARAMETER_FACTOR
+from diagnose.check.thresholds import DISTINCT, FOLLOWED, PARAMETER_FACTOR
 from diagnose.check.types import LogCheck, Problem, Severity
 from diagnose.robot.check.absent import not_logged
 from diagnose.robot.check.channels import MARKS, beyond_limits, clipped, clipped_torque, coarse, held_rows, refreshed
@@ -251,7 +251,7 @@ def _input(log: Log, name: str, relations: dict[str, Relation], units: dict[floa
         if found is not None:
             relations["torque over the model's"] = found
             needs = f"the torque that the motion of {name} needs by the model"
-            out += geared(name, found, float(log.robot.gear[j])) or scaled("torque", name, found, TORQUES, needs)
+            out += geared(name, found, float(log.robot.gear[j])) or scaled("torque", name, found, TORQUES, needs, DISTINCT)
             out += clipped_torque(name, torque, needed, log.dz[:, j], "N" if log.slide(name) else "N m", r.time)
     return out
 
