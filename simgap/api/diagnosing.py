@@ -279,6 +279,9 @@ def diagnose(
         raise InputError("recordings", "none", "at least one", "give a file, columns by name or a Recording")
     robot = is_robot([Path(r) if isinstance(r, str) else r for r in given], subject.path)
     need_effects(effects, robot=robot)
+    if robot and judge is not None:
+        chosen = "nothing for a robot: by force where the log has torques, else each servo by its motion"
+        raise InputError("--judge", judge, chosen, "leave it out")
     if not robot and len(joints) > 1:
         raise InputError("--joint", f"{len(joints)} joints", "one, since the model drives one", "give the robot's model")
     joint = joints[0] if joints and not robot else None

@@ -34,7 +34,8 @@ __all__ = ["command"]
 @click.option(
     "--judge",
     type=Choice(["motion", "force"]),
-    help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says.",
+    help="Compare the free-run motion, or the force that the recorded motion needs; default: as the binding says. "
+    "Not of a robot.",
 )
 @click.option(
     "--effects",
@@ -43,7 +44,11 @@ __all__ = ["command"]
     help="Consider only these effects: identifiers with commas (simgap effects lists them).",
 )
 @click.option(
-    "--jobs", default=2, show_default=True, type=click.IntRange(1), help="Threads. The answer does not depend on their number."
+    "--jobs",
+    default=2,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Threads of the search, one for a robot. The answer does not depend on their number.",
 )
 @click.option("--seed", default=0, show_default=True, type=int, help="Seed of the random generators.")
 @click.option(
@@ -59,7 +64,7 @@ __all__ = ["command"]
     show_default=True,
     type=Amount(0.0),
     help="Limit of the simulations in the search: 1 takes about half a minute for 10 s at 2 kHz on two cores; 0: no limit. "
-    "Unlike --budget, it gives the same answer on every machine.",
+    "Unlike --budget, it gives the same answer on every machine. A robot has no such limit.",
 )
 @click.option("--accept-log", is_flag=True, help="Search even where the check of the log says that it has to be fixed first.")
 @click.option(

@@ -47,6 +47,7 @@ CASES = {
         ("the command of joint1 goes with the position of joint2", "swap the columns"),
     ),
     "log of one axis for a robot": (AXIS, "arm3", (), ("log.csv: no column of a joint", "joint1.angle_rad")),
+    "comparison that is chosen": (robot_log(), "arm3", ("--judge", "motion"), ("--judge: motion", "leave it out")),
     "log of one axis with a joint": (
         AXIS, "pendulum", ("--joint", "pendulum"),
         ("--joint: 'pendulum', and log.csv names no joints", "JOINT.angle_rad", "leave it out"),

@@ -255,6 +255,8 @@ def agree(
     for selected, found in tried.items():
         say(f"all joints: {', '.join(numbers[k].key for k in selected)}")
         under = again([s.problem.with_masses(found.x, found.variance) for s in searches], searches)
+        if options.late:  # this search may have ended early, without effects that the one before found
+            break
         own = dataclasses.replace(r, searches=under)
         chosen, last = own.selection([_without_numbers(s, PAYLOAD) for s in under], selected, found.x)
         total = r.total(none, last, len(chosen))
