@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mjsim.errors import InputError, nearest
 
-__all__ = ["model_path", "models_directory", "shipped_model", "shipped_models"]
+__all__ = ["model_beside", "model_path", "models_directory", "shipped_model", "shipped_models"]
 
 
 def models_directory() -> Path:
@@ -31,6 +31,17 @@ def shipped_model(name: str) -> Path:
         known = shipped_models()
         raise InputError(f"model {name!r}", "no such shipped model", f"one of: {', '.join(known)}", nearest(name, known))
     return path
+
+
+def model_beside(folder: Path, name: str) -> Path:
+    """Path of the model that a file in a folder names: a path from there that ends in .xml and is a file, else a shipped model.
+
+    A name with a folder is never a shipped one. Raises InputError naming the choices.
+    """
+    path = (folder / name).resolve()
+    if name.endswith(".xml") and (path.is_file() or "/" in name):
+        return path
+    return shipped_model(name)
 
 
 def model_path(source: str | Path) -> Path:

@@ -35,7 +35,7 @@ from mjsim import excitation as ex
 from mjsim.axis import Axis
 from mjsim.effects import BacklashLaw, Effect, effect_class, registered
 from mjsim.errors import InputError, nearest
-from mjsim.models import shipped_model
+from mjsim.models import model_beside
 from mjsim.ode import Trajectory
 from mjsim.quantity import Motion
 from mjsim.scenario_parts import Chirp, Multisine, Noise, Positive, Step, Strict, Trapezoids
@@ -96,12 +96,8 @@ class Scenario(Strict):
 
     @property
     def model_path(self) -> Path:
-        """The model's file: a path from the scenario's folder when it ends in .xml and is there, else a shipped model."""
-        if self.model.endswith(".xml"):
-            path = (self.folder / self.model).resolve()
-            if path.is_file() or "/" in self.model:
-                return path
-        return shipped_model(self.model)
+        """The model's file, as `mjsim.models.model_beside` finds it from the scenario's folder."""
+        return model_beside(self.folder, self.model)
 
     def axis(self) -> Axis:
         """The axis that runs: the model's own chain and effects with the scenario's laid on. Raises InputError."""

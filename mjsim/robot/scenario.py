@@ -38,7 +38,7 @@ from pydantic import Field, ValidationError
 from mjsim.errors import InputError, nearest
 from mjsim.mjcf.assets import bring_assets
 from mjsim.mjcf.whole import is_whole, write_whole
-from mjsim.models import model_path, shipped_model, shipped_models
+from mjsim.models import model_beside, model_path, shipped_models
 from mjsim.robot.binding import Payload
 from mjsim.robot.carried import AT_SERVO, needed_parameters
 from mjsim.robot.closed_loop import closed_loop, motor_gain
@@ -98,12 +98,8 @@ class RobotScenario(Strict):
 
     @property
     def model_path(self) -> Path:
-        """The model's file: a path from the scenario's folder when it ends in .xml and is there, else a shipped model."""
-        if self.model.endswith(".xml"):
-            path = (self.folder / self.model).resolve()
-            if path.is_file() or "/" in self.model:
-                return path
-        return shipped_model(self.model)
+        """The model's file, as `mjsim.models.model_beside` finds it from the scenario's folder."""
+        return model_beside(self.folder, self.model)
 
 
 def shipped_robot_scenarios() -> dict[str, str]:
