@@ -19,7 +19,7 @@ from diagnose.verdict.reference_fit import MOST_WORK, refit_in_simulator, uncert
 from diagnose.verdict.reference_runs import run_watched, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_start import run_surrogate
-from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, no_better, nominal_stands
+from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, gains_little, no_better, nominal_stands
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
@@ -107,7 +107,7 @@ def write_judged(
     less = None if found or fewer is not None else without_weakest(given, axis, result, nominal, form, runs, out, threads)
     if less is not None:
         result, axis, runs = less
-    if no_better(result, nominal, runs):
+    if no_better(result, nominal, runs) or (not (found or form.lacks) and gains_little(result, nominal, runs)):
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
     notes = () if found else (*_told(cause, nominal), *instead, *_refitted(axis, out))

@@ -13,7 +13,7 @@ from diagnose.verdict.reference import Run, at_noise, chi_square, figures
 from diagnose.verdict.reference_stage import APART, Nominal
 from diagnose.verdict.simulator_traces import with_runs
 
-__all__ = ["MISSES", "Files", "by_simulator", "no_better", "nominal_stands"]
+__all__ = ["MISSES", "Files", "by_simulator", "gains_little", "no_better", "nominal_stands"]
 
 MISSES = 1.1  # times the error that the fitting engine reports, beyond which the file's own is said
 
@@ -88,10 +88,24 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
     """
     if (nominal.apart <= APART or nominal.simulator) and result.verdict is not Verdict.NO_MISMATCH:
         return False
-    best = (result.surrogate or result.fit)["corrected"]
-    chi2, n = chi_square(nominal.cases, nominal.runs)
+    return at_noise(nominal.cases, nominal.runs, angles=True) and _as_good(
+        result, nominal, (result.surrogate or result.fit)["corrected"]
+    )
+
+
+def gains_little(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]) -> bool:
+    """Whether the given file is at the noise and as good as the corrected one, as MuJoCo runs both.
+
+    What the equations found then makes up for how they differ from MuJoCo, and for nothing in the recordings.
+    """
+    return at_noise(nominal.cases, nominal.runs, angles=True) and _as_good(result, nominal, figures(nominal.cases, runs))
+
+
+def _as_good(result: Diagnosis, nominal: Nominal, best: FitFigures) -> bool:
+    """Whether the given file's chi-square exceeds that of other figures by no more than the numbers that these have more."""
     given = figures(nominal.cases, nominal.runs)
-    if not (math.isfinite(chi2) and n and at_noise(nominal.cases, nominal.runs, angles=True)):
+    chi2, n = chi_square(nominal.cases, nominal.runs)
+    if not (math.isfinite(chi2) and n):
         return False
     more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
     gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))

@@ -14,7 +14,7 @@ from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import Estimate, Finding, FitFigures, Verdict
 from diagnose.verdict import reference_verdict
 from diagnose.verdict.reference_stage import APART
-from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, no_better, nominal_stands
+from diagnose.verdict.reference_verdict import MISSES, Files, by_simulator, gains_little, no_better, nominal_stands
 
 NO, NUMBERS, PHYSICS, UNKNOWN = (
     Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY, Verdict.MISSING_PHYSICS, Verdict.UNEXPLAINED
@@ -271,3 +271,18 @@ def test_numbers_that_do_not_help_the_file(bench, part):
     assert no_better(result, bench.nominal, "mended")
     bench.quiet["given"] = False  # far from the noise as well
     assert no_better(result, bench.nominal, "mended")
+
+
+@pytest.mark.parametrize("which", ["gain", "lost"])
+@pytest.mark.parametrize(("factor", "little"), [(0.99, True), (1.01, False)])
+def test_a_corrected_file_pays_for_its_numbers_in_the_simulator(bench, which, factor, little):
+    prices = KnownNoise.prices
+    level = prices.entry + 0.5 * prices.price * 2
+    ratio = math.exp(factor * level / (2.0 * {"gain": 1000, "lost": 500}[which]))
+    bench.quiet["given"], bench.nominal.simulator = True, True
+    best = 0.01
+    bench.figures |= {"given": fit(best * ratio, best) if which == "gain" else fit(best, best * ratio), "mended": fit(best)}
+    result = Result(PHYSICS, {"corrected": fit(1e-9)}, findings=(finding(),), linear_parameters={"Jm": None})
+    assert gains_little(result, bench.nominal, "mended") is little
+    bench.quiet["given"] = False
+    assert not gains_little(result, bench.nominal, "mended")
