@@ -311,7 +311,8 @@ def _author_or_mended(bench: Bench, cause: numerics.Cause) -> tuple[Faithful, Se
         model = MujocoPlant.load(trial).model
         changed = altered(MujocoPlant.load(out).model, model, cause.setting.id)
         gain, p = numerics.gain_of(nominal.cases, runs, better)
-        if not changed and gain > 0 and p < ALPHA:  # another setting does
+        fits = chi_square(nominal.cases, better)[0] <= chi_square(nominal.cases, runs)[0]  # of refitted numbers as well
+        if not changed and gain > 0 and p < ALPHA and fits:  # another setting does
             trial.replace(out)
             return other, better, ()
         change = mended(model, cause.setting.id)
