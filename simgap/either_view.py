@@ -78,7 +78,8 @@ def by_force_too(
     """The diagnosis by force where that by motion is unexplained and names nothing that takes most of the error.
 
     ``first``: the diagnosis by motion, ``given``: the nominal file in MuJoCo. The verdict stays ``unexplained``. As given where
-    options or bindings choose the comparison, under a servo, where MuJoCo follows the recordings, or where force finds nothing.
+    options or bindings choose the comparison, under a servo, where MuJoCo follows the recordings, or where force finds nothing
+    that predicts better than the model as given.
     """
     chosen = options.judge or recordings[0].judge or nominal.chain.servo
     if first.verdict is not Verdict.UNEXPLAINED or chosen is not None or (first.findings and _explains_most(first)):
@@ -90,10 +91,15 @@ def by_force_too(
         second = diagnose(nominal, recordings, held_out, dataclasses.replace(options, judge="force"), say)
     except InputError:  # too few samples count, or the chain swings up when its motion is imposed
         return first
-    if not second.findings:
+    if not second.findings or not _better_than_given(second):
         return first
     said = summary(Verdict.UNEXPLAINED, second.findings, second.fit, second.gap_closed, False, second.unit)
     return dataclasses.replace(second, verdict=Verdict.UNEXPLAINED, summary=said, notes=(BY_FORCE, *second.notes))
+
+
+def _better_than_given(result: Diagnosis) -> bool:
+    """Whether what was found predicts the held-out recordings better than the model as given, whose numbers were not fitted."""
+    return result.fit["corrected"].held_out_rms < result.fit["nominal"].held_out_rms
 
 
 def _explains_most(result: Diagnosis) -> bool:

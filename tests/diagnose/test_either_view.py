@@ -209,7 +209,7 @@ def test_who_chooses_the_comparison(changed, is_open):
 class Free:
     """A diagnosis by motion that stays unexplained, and one by force, around made-up steps."""
 
-    def __init__(self, monkeypatch, *, findings=(), after=1.0, quiet=False, found=("friction",), refuse=False):
+    def __init__(self, monkeypatch, *, findings=(), after=1.0, quiet=False, found=("friction",), refuse=False, given=1.0):
         self.asked = []
         fit = {"refitted": SimpleNamespace(held_out_rms=1.0), "corrected": SimpleNamespace(held_out_rms=after)}
         self.first = SimpleNamespace(verdict=Verdict.UNEXPLAINED, findings=findings, fit=fit)
@@ -223,7 +223,8 @@ class Free:
         monkeypatch.setattr(either_view, "diagnose", by_force)
         monkeypatch.setattr(either_view, "at_noise", lambda *_, angles: quiet)
         monkeypatch.setattr(either_view, "summary", lambda verdict, *_: verdict)
-        self.second = Second(found)
+        corrected = SimpleNamespace(held_out_rms=0.99)
+        self.second = Second(found, fit={"nominal": SimpleNamespace(held_out_rms=given), "corrected": corrected})
 
     def ask(self, options=None, nominal=NOMINAL, judge=None):
         given = SimpleNamespace(cases=(), runs=())
@@ -257,7 +258,7 @@ def test_force_names_what_a_free_run_does_not_and_the_verdict_stays(monkeypatch,
 @pytest.mark.parametrize(
     ("made", "asked"),
     [({"findings": ("inertia",), "after": 0.999 * MOST_TAKEN}, {}), ({"quiet": True}, {}), ({"found": ()}, {}),
-     ({"refuse": True}, {}), ({}, {"options": Options(judge="motion")}), ({}, {"judge": "motion"}),
+     ({"given": 0.99}, {}), ({"refuse": True}, {}), ({}, {"options": Options(judge="motion")}), ({}, {"judge": "motion"}),
      ({}, {"options": Options(seconds=0.0)}), ({}, {"nominal": SimpleNamespace(chain=SimpleNamespace(servo="law"))})],
 )  # fmt: skip
 def test_the_free_run_counts_where_force_is_not_asked_for_or_finds_nothing(monkeypatch, made, asked):
