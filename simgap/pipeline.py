@@ -17,6 +17,7 @@ from typing import Any
 
 from diagnose.check import LogCheck, LogVerdict, Machine, check_log
 from diagnose.check.answer import wrong_log
+from diagnose.check.found_hold import told_as_taken, with_found_hold
 from diagnose.check.left_out import told_as_left_out, without_late_velocity
 from diagnose.data.channels import with_common_channels
 from diagnose.data.content import at_content_rate
@@ -199,8 +200,15 @@ def _searched(
 def _checked(
     machine: Machine, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
 ) -> tuple[LogCheck, Sequence[Recording], Sequence[Recording]]:
-    """The check of the log, and the recordings; without a velocity that is late, where the angle can take its place."""
+    """The check of the log, and the recordings.
+
+    With the hold that they all show where none is stated, and without a velocity that is late where the angle can take its place.
+    """
     log = check_log(machine, [*recordings, *held_out])
+    other = with_found_hold(log, recordings, held_out)
+    if other is not None:
+        recordings, held_out = other
+        log = told_as_taken(log, check_log(machine, [*recordings, *held_out]))
     fewer = None if accept else without_late_velocity(log, recordings, held_out)
     if fewer is None:
         return log, recordings, held_out

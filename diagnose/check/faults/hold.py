@@ -12,7 +12,7 @@ from diagnose.check.thresholds import FOLLOWED, HOLD_TOLERANCE, Z95, Z_TEST
 from diagnose.check.types import Problem, Severity
 from mjsim.recording import Recording
 
-__all__ = ["Told", "hold", "tell_hold"]
+__all__ = ["Told", "hold", "nearest_hold", "tell_hold"]
 
 _CENTRE = {"held": 0.5, "linear": 0.0, "mean": -0.5}  # delay of the input behind its samples, in samples
 
@@ -38,9 +38,14 @@ def tell_hold(context: Context) -> Told | None:
     error = fit.delay.error / signals.dt
     if Z_TEST * error > HOLD_TOLERANCE:
         return Told(None, shift, error)
-    expected = {h: _CENTRE[h] - _CENTRE[context.hold] for h in HOLDS}
-    nearest = min(expected, key=lambda h: abs(shift - expected[h]))
-    return Told(nearest if abs(shift - expected[nearest]) < HOLD_TOLERANCE else None, shift, error)
+    nearest = nearest_hold(shift, context.hold)
+    off = abs(shift - (_CENTRE[nearest] - _CENTRE[context.hold]))
+    return Told(nearest if off < HOLD_TOLERANCE else None, shift, error)
+
+
+def nearest_hold(shift: float, assumed: str) -> str:
+    """The hold whose delay against the assumed one is nearest to a shift [samples]."""
+    return min(HOLDS, key=lambda h: abs(shift - (_CENTRE[h] - _CENTRE[assumed])))
 
 
 @check("hold", "hold", question="Does the input go between samples as stated?")
