@@ -6,9 +6,8 @@ import math
 from functools import partial
 from types import SimpleNamespace
 
-import mujoco
-import numpy as np
 import pytest
+from rotor_log import rotor_log
 
 from diagnose.result import Estimate, Finding, Verdict
 from diagnose.verdict.reference_runs import run_files
@@ -17,11 +16,9 @@ from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis
 from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
 from mjsim.plant import MujocoPlant
-from mjsim.recording import Recording
 from simgap.bench import Bench
 from simgap.judging import _or_as_given
 
-DT, SIGMA = 5e-3, 0.005
 ROTOR = """<mujoco><option timestep="0.005" integrator="Euler" gravity="0 0 0"/><worldbody><body name="rotor">
   <joint name="hinge" axis="0 0 1" damping="0.4" stiffness="3"/>
   <geom type="cylinder" size=".2 .05" mass="5"/></body></worldbody>
@@ -29,18 +26,8 @@ ROTOR = """<mujoco><option timestep="0.005" integrator="Euler" gravity="0 0 0"/>
 
 
 def log(seed, drag):
-    """A recording by plain MuJoCo; ``drag``: coefficient of friction by the square of the velocity."""
-    m = mujoco.MjModel.from_xml_string(ROTOR)
-    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
-    t = DT * np.arange(1200)
-    u = 2.0 * np.sin(2 * np.pi * (0.4 + 0.2 * t) * t + seed) * np.minimum(t, 1.0)
-    q, v = np.empty(len(t)), np.empty(len(t))
-    for k in range(len(t)):
-        q[k], v[k] = d.qpos[0], d.qvel[0]
-        d.ctrl[0] = u[k] - drag * v[k] * abs(v[k])
-        mujoco.mj_step(m, d)
-    noise = rng.standard_normal((2, len(t)))
-    return Recording(t, u, v + SIGMA * noise[0], q + 1e-4 * noise[1], DT, source=f"log_{seed}.csv")
+    """A recording of the rotor; ``drag``: coefficient of friction by the square of the velocity."""
+    return rotor_log(ROTOR, seed, drag)
 
 
 @pytest.mark.parametrize(("in_log", "found", "as_given"), [(0.0, 1e-4, True), (1.5e-4, 1e-5, False), (1.5e-4, 1.5e-4, False)])
