@@ -127,6 +127,7 @@ def simulate(
     most_substeps: int = 64,
     step: float = STEP,
     hold: str = "held",
+    speed: float | None = None,
 ) -> Trajectory:
     """Free-run an axis on an input (N,), a torque or the command of a servo, at samples dt [s] apart.
 
@@ -137,12 +138,13 @@ def simulate(
     tied to it, a torque without a spatial frequency (gravity, a spring) acts at the model's own angle and ``origin``, by which
     the model starts at the first measured angle when it is None;
     ``before``: commanded torque ahead of the first sample, which a delay or lag still delivers; ``substeps`` overrides the
-    accuracy rule of `System.substeps` by ``step``; a model that needs more than ``most_substeps`` is not run. Raises
-    DivergedError.
+    accuracy rule of `System.substeps` by ``step``; a model that needs more than ``most_substeps`` is not run; ``speed``: largest
+    speed of body 0 [rad/s | m/s], by which a law that repeats over the angle is resolved: where None that of ``angle``, or 100.
+    Raises DivergedError.
     """
     s = (axis if isinstance(axis, System) else assemble(axis)).resolved(dt)
     n, out = s.n, np.empty((len(torque), _width(s)))
-    _run(s, torque, dt, initial, states, angle, origin, t0, before, substeps, most_substeps, step, out, hold)
+    _run(s, torque, dt, initial, states, angle, origin, t0, before, substeps, most_substeps, step, out, hold, speed)
     time = _times(len(torque), dt, t0)
     velocity, measured = _sense(s, out[:, n], out[:, 0], dt)
     return Trajectory(
@@ -197,7 +199,7 @@ def _width(s: System) -> int:
 def _run(
     s: System, torque: np.ndarray, dt: float, initial: np.ndarray | None, states: np.ndarray | None, angle: np.ndarray | None,
     origin: float | None, t0: float, before: float, substeps: int | None, most_substeps: int,
-    step: float, out: np.ndarray, hold: str = "held",
+    step: float, out: np.ndarray, hold: str = "held", speed: float | None = None,
 ) -> None:  # fmt: skip
     """Write the free run of `simulate` to ``out`` (N, `_width`)."""
     from mjsim import kernel
@@ -215,10 +217,9 @@ def _run(
     if angle is not None:
         angle = _ahead_of_sensor(s, np.asarray(angle, float), dt)
         origin = float(angle[0] - x0[0, 0]) if origin is None else origin
-    speed = 0.0
-    if s.spatial > 0:
+    if s.spatial > 0 and speed is None:
         speed = float(np.max(np.abs(np.diff(angle)))) / dt if angle is not None and count > 1 else 100.0
-    n_sub, parts = (substeps, 1) if substeps else s.steps(dt, speed, step)
+    n_sub, parts = (substeps, 1) if substeps else s.steps(dt, speed or 0.0, step)
     if n_sub * parts > most_substeps:
         raise DivergedError(f"the model is too stiff: it needs {n_sub * parts} steps a sample, {most_substeps} are allowed")
     status, at, work = kernel.integrate(

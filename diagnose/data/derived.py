@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
+from collections import OrderedDict
+from hashlib import sha256
 
 import numpy as np
 
@@ -14,6 +17,9 @@ from mjsim.recording import Recording
 from mjsim.signals import plain_step
 
 __all__ = ["without_derived_velocity"]
+
+_answers: OrderedDict[bytes, bool] = OrderedDict()  # of `_filtered`, by the digest of its arguments
+_lock = threading.Lock()
 
 
 def without_derived_velocity(recording: Recording) -> Recording:
@@ -28,9 +34,25 @@ def without_derived_velocity(recording: Recording) -> Recording:
     steps = np.diff(q) / recording.dt
     noise = white_noise_level(v)
     made = ((v[1:], steps), (v[:-1], steps), (v[1:-1], 0.5 * (steps[1:] + steps[:-1])))
-    if any(np.sqrt(np.mean((a - b) ** 2)) < SMALL * noise for a, b in made) or _filtered(v, q, recording.dt):
+    if any(np.sqrt(np.mean((a - b) ** 2)) < SMALL * noise for a, b in made) or _filtered_once(v, q, recording.dt):
         return dataclasses.replace(recording, velocity=None)
     return recording
+
+
+def _filtered_once(v: np.ndarray, q: np.ndarray, dt: float) -> bool:
+    """`_filtered`, computed once for each pair of signals: a diagnosis asks up to five times, and the regression takes long."""
+    digest = sha256(v.tobytes())
+    digest.update(q.tobytes())
+    digest.update(np.float64(dt).tobytes())
+    key = digest.digest()
+    answer = _answers.get(key)
+    if answer is None:
+        answer = _filtered(v, q, dt)
+        with _lock:
+            _answers[key] = answer
+            while len(_answers) > 64:
+                _answers.popitem(last=False)
+    return answer
 
 
 def _filtered(v: np.ndarray, q: np.ndarray, dt: float) -> bool:

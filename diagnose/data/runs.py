@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.data.experiment import Experiment
+from diagnose.data.experiment import Experiment, measured_velocity
 from mjsim.axis import Axis
 from mjsim.known_torque import KnownTorque
 from mjsim.ode import Trajectory, simulate
@@ -28,6 +28,7 @@ def free_run(axis: Axis, experiment: Experiment, initial: np.ndarray | None = No
         last = len(chain.bodies) - 1  # a body that an effect adds goes with it
         initial[0] += [experiment.angle * chain.total_ratio(min(i, last)) for i in range(initial.shape[1])]
         angle = None  # under its own servo a model does not drift from the angle that laws are locked to
+        how |= {"speed": float(np.max(np.abs(measured_velocity(r))))}
     how |= {"initial": initial, "angle": angle, "origin": origin, "before": experiment.before, "hold": r.hold}
     return simulate(axis, r.input, r.dt, **how)
 

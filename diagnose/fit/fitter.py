@@ -314,7 +314,8 @@ class Fitter:
             None if neighbour is None else (neighbour.fit.linear.mark or neighbour.fit.J.tobytes(), neighbour.hypothesis.entries)
         )
         weights = [self.sigma(e) for e in self.experiments]
-        asked = (self._counting_which, h.effects, h.nominal.effects, h.entries, how, lent, weights, self.problem.prior_weight)
+        which = (self._counting_which, self.view)
+        asked = (*which, h.effects, h.nominal.effects, h.entries, how, lent, weights, self.problem.prior_weight)
         return sha256(repr(asked).encode() + start.tobytes() + self.whitening.tobytes()).hexdigest()
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from functools import partial
 
@@ -9,7 +10,8 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.path import over_horizons, tied
 from diagnose.problem.hypothesis import make
-from diagnose.thresholds import FAR, TWICE
+from diagnose.problem.view import MotionView
+from diagnose.thresholds import COARSE, FAR, TWICE
 from mjsim.effects import Effect
 
 __all__ = ["about_nominal", "multistart"]
@@ -34,15 +36,25 @@ def multistart(fitter: Fitter, f: Fitted, effect: Effect) -> Fitted:
     """The best fit of a structure from the starts of an effect at the nominal linear parameters; ``f`` where none is better.
 
     Starts are ranked by their cost. The best, twice as many as the effect's ``multistart``, are fitted by a few iterations by
-    secants, and the best of these goes on.
+    secants, in coarse steps of the integration, and the best of these goes on in steps of the usual size.
     """
     cls, others = type(effect), tuple(e for e in f.effects if e.key != effect.key)
     own = {k: v for k, v in f.own.items() if k[0] != effect.key}
     values = cls.starts(fitter.scales_for(cls, effect.place))
     starts = [fitter.hypothesis((*others, make(cls.id, effect.place, v)), None, own) for v in values]
-    costs = [math.inf if r is None else float(r @ r) for r in fitter.run([fitter.at_start(h) for h in starts])]
+    coarse = _in_coarse_steps(fitter)
+    costs = [math.inf if r is None else float(r @ r) for r in coarse.run([coarse.at_start(h) for h in starts])]
     order = sorted(range(len(starts)), key=lambda i: costs[i])[: 2 * cls.multistart]
-    begin = partial(fitter.fit, iterations=8, tolerance=1e-3, secant=True, rival=True)
+    begin = partial(coarse.fit, iterations=8, tolerance=1e-3, secant=True, rival=True)
     best = min(fitter.map([partial(begin, starts[i]) for i in order]), key=lambda g: g.chi2, default=f)
     on = fitter.by_secants(best.hypothesis, best.fit.x) if best.ok and best is not f else f
     return on if on.ok and on.chi2 < f.chi2 else f
+
+
+def _in_coarse_steps(fitter: Fitter) -> Fitter:
+    """One whose free runs turn the fastest motion by ``COARSE`` in a step; itself where none is run freely."""
+    view, own = fitter.view, fitter.experiments
+    if not isinstance(view, MotionView):
+        return fitter
+    problem = fitter.problem.on(own, own, dataclasses.replace(view, step=max(view.step, COARSE)), fitter.held_out)
+    return fitter.related(problem, remembers=True, counts_here=True)

@@ -99,13 +99,16 @@ class Halving:
     def _restart(self, base: Fitted, running: list[Fitted]) -> None:
         """Fit added bodies from the nominal linear parameters, where the residual is far from the noise.
 
-        The fitted parameters of the base stand in for a body that is missing, and few iterations lead from there to it.
+        The fitted parameters of the base stand in for a body that is missing, and few iterations lead from there to it. Not where
+        a neighbour leaves little more than noise: no other minimum leaves much less.
         """
         fitter = self.state.fitter
         new = [
             (f, e) for f in running if fitter.above(f, FAR)
             for e in f.effects if e.key not in base.key and type(e).family == NONLINEAR[0]
         ]  # fmt: skip
+        if new and fitter.noise.within(min(map(fitter.misfit, running)), LARGE):
+            return
         for f, effect in new:
             if not fitter.late and self.state.once("restart", f.key):
                 self.state.keep(multistart(fitter, f, effect))

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, filtfilt, lfilter
 
+from diagnose.data import derived
 from diagnose.data.derived import without_derived_velocity
 from diagnose.data.experiment import (
     held_rows,
@@ -195,6 +196,18 @@ def test_a_velocity_that_is_a_difference_of_the_angle_is_no_second_channel():
         assert without_derived_velocity(Recording(t, motion, own, angle, dt)).velocity is not None
     alone = Recording(t, motion, shown, None, dt)
     assert without_derived_velocity(alone) is alone
+
+
+def test_whether_a_velocity_was_made_of_the_angle_is_computed_once(monkeypatch):
+    rng, dt = np.random.default_rng(8), 1e-3
+    t = dt * np.arange(4000)
+    angle = np.sin(7.0 * t) + 1e-5 * rng.standard_normal(len(t))
+    asked, filtered = [], derived._filtered
+    monkeypatch.setattr(derived, "_filtered", lambda *a: asked.append(a) or filtered(*a))
+    for rate in (7.0, 7.0, 7.5):
+        own = rate * np.cos(7.0 * t)
+        without_derived_velocity(Recording(t, angle, own, angle, dt))
+    assert len(asked) == 2
 
 
 def test_a_diagnosis_says_that_the_velocity_is_the_angle(robot, record):

@@ -10,10 +10,11 @@ from robot_axis import effect
 
 from diagnose.fit.starts import multistart
 from diagnose.problem.noise_model import KnownNoise, ModelError
+from diagnose.structure import halving
 from diagnose.structure.candidates import Candidate
 from diagnose.structure.moves import Moves
 from diagnose.structure.score import Screened
-from diagnose.thresholds import TWICE
+from diagnose.thresholds import COARSE, FAR, LARGE, TWICE
 
 N = 1000
 LINEAR = effect("coulomb_friction", torque_Nm=0.1)
@@ -54,3 +55,28 @@ def test_an_added_body_is_fitted_from_all_its_starts_at_the_nominal_parameters(f
     found = multistart(fitter, far, far.effects[0])
     assert found.chi2 < 1.1 * found.n < 0.1 * far.chi2
     assert multistart(fitter, found, found.effects[0]) is found
+
+
+def test_starts_are_fitted_in_coarse_steps_and_the_best_in_those_of_the_view(fitter_of, pair, monkeypatch):
+    mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
+    fitter = fitter_of(pair(mode))
+    far = fitter.fit(fitter.hypothesis([mode.with_values({"inertia_kgm2": 1e-3})]), iterations=0)
+    steps, fit = [], type(fitter).fit
+    monkeypatch.setattr(type(fitter), "fit", lambda self, *a, **how: steps.append(self.view.step) or fit(self, *a, **how))
+    multistart(fitter, far, far.effects[0])
+    first = 2 * type(mode).multistart
+    assert steps[:first] == [COARSE] * first
+    assert set(steps[first:]) == {fitter.view.step}
+    assert fitter.view.step < COARSE
+
+
+@pytest.mark.parametrize(("best", "restarts"), [(1.02 * LARGE, 1), (0.98 * LARGE, 0)])
+def test_an_added_body_is_not_fitted_anew_beside_a_neighbour_that_leaves_little(monkeypatch, best, restarts):
+    mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
+    noise, asked = KnownNoise(), []
+    fitter = SimpleNamespace(noise=noise, late=False, misfit=lambda f: f.left, above=lambda f, level: f.left > level)
+    state = SimpleNamespace(fitter=fitter, once=lambda *_: True, keep=lambda _: None)
+    far, near = (SimpleNamespace(left=x, effects=(e,), key=(e.key,)) for x, e in ((2 * FAR, mode), (best, LINEAR)))
+    monkeypatch.setattr(halving, "multistart", lambda *a: asked.append(a))
+    halving.Halving(state)._restart(SimpleNamespace(key=()), [near, far])
+    assert len(asked) == restarts

@@ -14,7 +14,7 @@ from mjsim.effects import NotApplicableError, effect_class, registered
 from mjsim.errors import InputError
 from mjsim.hold import between, slewed
 from mjsim.mjcf import load_axis, write_corrected
-from mjsim.ode import simulate
+from mjsim.ode import simulate, work_done
 from mjsim.servo import Servo, Target
 
 DT = 0.01
@@ -219,3 +219,16 @@ def test_what_a_servo_has_survives_the_round_trip(tmp_path, name):
 def test_engines_that_know_torques_only_refuse_a_servo(engine):
     with pytest.raises(NotApplicableError, match="servo"):
         engine(axis(Servo(10.0, 0.3)), WAVE, DT)
+
+
+def test_a_law_over_the_angle_takes_the_steps_that_the_speed_asks_for():
+    """Without a known speed 100 rad/s is supposed, which is some thirty times that of this motion."""
+    ripple = effect_class("torque_ripple")(amplitude_Nm=0.05, cycles_per_rev=8.0, phase_rad=0.3)
+    model, speed = axis(Servo(10.0, 0.3), ripple), 2 * np.pi * 0.7
+    work, angles = [], []
+    for known in (None, speed):
+        before = work_done()
+        angles.append(simulate(model, WAVE, DT, speed=known).angle)
+        work.append(work_done() - before)
+    assert work[1] < 0.25 * work[0]
+    assert np.std(angles[1] - angles[0]) < 1e-5 * np.std(angles[0])
