@@ -11,10 +11,12 @@ compiled for this process alone.
 from __future__ import annotations
 
 import contextlib
+import gc
 from collections.abc import Callable
 from typing import Any
 
 from numba import njit
+from numba.core import event
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.ccallback import CFunc
 from numba.core.runtime import rtsys
@@ -54,6 +56,32 @@ class _Unkept(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> None:
         """Nothing is there."""
         compiling(kept=False)
+
+
+class _Uncollected(event.Listener):
+    """Python's collector of cycles rests while numba compiles, which makes millions of objects that live until it ends.
+
+    numba sends both events while it holds its lock for compiling, so that one thread at a time is here.
+    """
+
+    def __init__(self) -> None:
+        self.depth, self.was = 0, False
+
+    def on_start(self, started: Any) -> None:
+        """The first of the functions that are being compiled, each for the one before, stops the collector."""
+        if self.depth == 0:
+            self.was = gc.isenabled()
+            gc.disable()
+        self.depth += 1
+
+    def on_end(self, ended: Any) -> None:
+        """The last one, compiled or failed, starts it again where it ran before."""
+        self.depth -= 1
+        if self.depth == 0 and self.was:
+            gc.enable()
+
+
+event.register("numba:compile", _Uncollected())
 
 
 def _cache(function: Callable[..., Any]) -> _Kept | _Unkept:

@@ -448,7 +448,7 @@ def _step_of(
 
 
 _step: Any = compiled(error_model="numpy")(_step_of)
-_step_here: Any = compiled(inline="always")(_step_of)
+_step_here: Any = compiled(error_model="numpy", forceinline=True)(_step_of)
 
 
 @compiled(error_model="numpy")

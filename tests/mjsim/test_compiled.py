@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+from numba import njit
+from numba.core import event
+from numba.core.errors import TypingError
 
 from mjsim.effects import coulomb_friction_with_creep as creep
 
@@ -53,3 +59,33 @@ def test_a_law_is_found_on_disk_by_a_process_that_compiles_nothing():
     code = f"import sys, {creep.__name__} as m; print(m.torque.address != 0, 'numba.np.linalg' in sys.modules)"
     run("-c", code)
     assert run("-c", code) == "True False"
+
+
+def test_the_collector_rests_while_numba_compiles_and_runs_after_it():
+    class Ran(event.Listener):
+        """Whether the collector ran as each compilation began."""
+
+        def on_start(self, started):
+            found.append(gc.isenabled())
+
+        def on_end(self, ended):
+            pass
+
+    found: list[bool] = []
+    inner = njit(lambda x: x + 1.0)
+    outer = njit(lambda x: 2.0 * inner(x))
+    wrong = njit(lambda x: inner(x) + undefined)  # type: ignore[name-defined]  # noqa: F821
+    assert gc.isenabled()
+    with event.install_listener("numba:compile", Ran()):
+        assert outer(1.0) == 4.0
+        assert gc.isenabled()
+        with pytest.raises(TypingError):
+            wrong(1.0)
+    assert found == [False, False, False]
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        njit(lambda x: x - 1.0)(1.0)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
