@@ -37,6 +37,7 @@ from mjsim.plant import ChainPlant, MujocoPlant
 from mjsim.plant.settings import altered, mended
 from mjsim.recording import Recording
 from simgap.bench import Bench
+from simgap.file_numbers import with_numbers_of_file
 from simgap.found import effect_found
 from simgap.nearest_form import with_nearest
 from simgap.plain_friction import plainer_friction, refit_to_noise
@@ -112,6 +113,7 @@ def write_judged(
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
     notes = () if found else (*_told(cause, nominal), *instead, *_refitted(axis, out))
+    result = with_numbers_of_file(result, out, nominal.cases, runs, other=bool(found or form.lacks))
     files = Files(
         runs, form.lacks, form.form, found, notes,
         not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(bench, out, runs),

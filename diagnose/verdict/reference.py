@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,8 @@ class Case:
     """A recording to be judged: which of its N samples belong to the estimation and to the held-out data, and its noise.
 
     measured (N,): the judged velocity, or the angle of a servo; sigma: its noise rms; moving: whether the axis moves at the
-    first sample.
+    first sample. unshown: numbers of the model, by name, that the recordings cannot tell and that stay as given in a fit
+    (`diagnose.data.servo`).
     """
 
     recording: Recording
@@ -60,6 +61,7 @@ class Case:
     moving: bool
     estimation: np.ndarray
     held_out: np.ndarray
+    unshown: tuple[str, ...] = ()
 
     def start(self) -> Start:
         """Where the recording starts, by its first samples."""
@@ -96,7 +98,7 @@ class Case:
             return self
         cut = (a[:n] for a in (self.measured, self.estimation, self.held_out))
         measured, estimation, held_out = cut
-        return Case(self.recording.slice(0, n), measured, self.sigma, self.moving, estimation, held_out)
+        return replace(self, recording=self.recording.slice(0, n), measured=measured, estimation=estimation, held_out=held_out)
 
     @property
     def servo(self) -> bool:

@@ -26,7 +26,7 @@ from mjsim.mjcf.faithful import Writer
 from mjsim.mjcf.write import UNFAITHFUL
 from mjsim.plant import MujocoPlant, Start
 
-__all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator", "uncertainties"]
+__all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator", "standard_errors", "uncertainties"]
 
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 FINE = 1e-4  # the same where a slope of an unstable motion is asked, which bends within less than `STEP`
@@ -55,14 +55,18 @@ class Refit:
 def _free(axis: Axis, held: Container[str] = ()) -> dict[str, float]:
     """The numbers that are refitted: linear parameters and the amplitudes of effects, as far as they are not zero.
 
-    ``held``: keys of effects whose numbers stay.
+    ``held``: names of numbers that stay, and keys of effects of which all do; those that the chain holds stay too.
     """
     values = {p.name: p.value for p in axis.chain.linear_parameters() if p.value}
     for e in axis.effects:
-        if e.key in held:
-            continue
-        values |= {f"{e.key}.{name}": e.values[name] for name in e.amplitudes if e.values[name]}
-    return values
+        if e.key not in held:
+            values |= {f"{e.key}.{name}": e.values[name] for name in e.amplitudes if e.values[name]}
+    return {name: value for name, value in values.items() if name not in held and name not in axis.chain.held}
+
+
+def _unshown(cases: Sequence[Case]) -> frozenset[str]:
+    """Numbers that stay in a fit: with one of them free, all of a servo's log times one factor would fit alike."""
+    return frozenset(name for case in cases for name in case.unshown)
 
 
 def _residual(cases: Sequence[Case], runs: Runs | None) -> np.ndarray | None:
@@ -101,7 +105,7 @@ def _refit(
 
     The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself.
     metric (p,): least diagonal of the normal equations that damps a step: what a part of the data does not show, stays.
-    held: keys of effects whose numbers stay, since ``run`` does not respond to them.
+    held: as of `_free`, what ``run`` does not respond to or the recordings cannot tell.
     """
     names, runs = list(_free(axis, held)), run(axis, math.inf)
     e = _residual(cases, runs)
@@ -155,6 +159,18 @@ def _errors(names: Sequence[str], gram: np.ndarray) -> dict[str, float]:
     return {n: float(np.sqrt(max(v, 0.0))) for n, v in zip(names, np.diag(_covariance(gram)), strict=True)}
 
 
+def standard_errors(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> dict[str, float]:
+    """Relative standard errors of an axis's numbers by name, of the estimation data, by the slopes of the engine's free run.
+
+    Only of numbers that a refit frees; empty where a run diverges.
+    """
+    fitted = [(c, s) for c, s in zip(cases, starts, strict=True) if c.estimation.any()]
+    parts, at = [c for c, _ in fitted], [s for _, s in fitted]
+    names = list(_free(axis, _unshown(cases)))
+    J = _jacobian(axis, names, parts, _in_engine(parts, at, locked=False))
+    return {} if J is None else _errors(names, J.T @ J)
+
+
 def uncertainties(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) -> list[float]:
     """Rms over the noise by which the standard errors of an axis's numbers move its free run, on each recording.
 
@@ -164,7 +180,7 @@ def uncertainties(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) ->
     slopes = []
     for case, start in zip(cases, starts, strict=True):
         every = replace(case, estimation=case.estimation | case.held_out)
-        J = _jacobian(axis, list(_free(axis)), [every], _in_engine([every], [start], locked=False), FINE)
+        J = _jacobian(axis, list(_free(axis, _unshown(cases))), [every], _in_engine([every], [start], locked=False), FINE)
         if J is None:
             return [math.inf] * len(cases)
         slopes.append(J)
@@ -199,7 +215,7 @@ def refit_in_simulator(
             return None
         best: Refit | None = None
         whole, at = [c for c, _ in fitted], [s for _, s in fitted]
-        held = _left_out(axis, out)
+        held = _left_out(axis, out) | _unshown(cases)
         metric = _metric(axis, held, whole, at)
         for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
@@ -245,7 +261,7 @@ def refit_in_engine(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) 
     """Refit by the fitting engine, from the same starts; its runs are of all recordings."""
     fitted = [i for i, c in enumerate(cases) if c.estimation.any()]
     run = _in_engine([cases[i] for i in fitted], [starts[i] for i in fitted], locked=True)
-    found = _refit(axis, [cases[i] for i in fitted], run, run)
+    found = _refit(axis, [cases[i] for i in fitted], run, run, held=_unshown(cases))
     return None if found is None else replace(found, runs=_engine(found.axis, cases, starts, locked=True))
 
 

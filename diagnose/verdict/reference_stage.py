@@ -81,7 +81,8 @@ def compare_nominal(
     """Run the nominal file in MuJoCo and in the engine, and settle whose numerics the recordings have. Raises InputError."""
     model = load_model(path)
     given, (axis, recordings, held_out, _) = axis, as_servo(axis, recordings, held_out)
-    cases = cases_of(recordings, held_out)
+    unshown = _unshown(given, axis)
+    cases = tuple(dataclasses.replace(case, unshown=unshown) for case in cases_of(recordings, held_out))
     plant = MujocoPlant.load(path)
     runs = run_files([plant], cases, threads)[0]
     limit = limit_of(model)
@@ -124,6 +125,14 @@ def compare_nominal(
     shifts = _shifts(cases, refitted.runs, same)
     near = refitted.chi2 <= FAR * chi_square(cases, refitted.runs)[1]
     return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts) and near, shifts=shifts)
+
+
+def _unshown(given: Axis, axis: Axis) -> tuple[str, ...]:
+    """The numbers that ``axis`` holds, fewer those that it holds at another value than the file as ``given``: a known gain."""
+    before = {p.name: p.value for p in given.chain.linear_parameters()}
+    freed = dataclasses.replace(axis.chain, held=given.chain.held).linear_parameters()
+    other = {p.name for p in freed if p.name in before and not math.isclose(p.value, before[p.name], rel_tol=1e-9)}
+    return tuple(name for name in axis.chain.held if name not in other)
 
 
 def _reaches(limit: Limit, case: Case, run: Run | None) -> bool:
