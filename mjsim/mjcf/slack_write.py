@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 
 from mjsim.effects.native import LooseLink
@@ -38,31 +39,38 @@ def limit_slack(editor: MjcfEditor, slack: str, width: float, lighter: float, da
 def loosen_link(editor: MjcfEditor, linear: LinearWriter, value: LooseLink) -> str:
     """Hang the link of a body on a gap behind its joint; returns what cannot be written, "" when nothing.
 
-    The joint keeps its friction and its drive, with the motor's inertia as its armature. The body gets two further joints on the
-    same axis: the slack one and the spring of the contact.
+    The joint keeps its friction and its drive, with the motor's inertia as its armature. The body gets a slack joint on the same
+    axis, whose soft limits are the contact: beyond the range, by r, MuJoCo's limit of impedance d gives the force
+    d m (d K r + B r' - a), no less than 0, with m = J_m J_l / (J_m + J_l) and a the relative acceleration without it. At the
+    smallest impedance, d = 1e-4, this is the contact k r + damping r' but for 1e-4 of the force that acts across the gap.
     """
     joint = editor.joint_of(value.body)
     if joint is None:
         return NOT_ONE_JOINT
     if not any(mass.kind == "body" for mass, _ in editor.found.masses[value.body]):
         return "no body hangs on its joint"
+    total = linear.target.bodies[value.body].inertia
     linear.share(value.body, joint, value.inertia)
     index = editor.model.joint(joint).id
     turns = editor.chain.motion.value == "hinge"
     direction = editor.model.jnt_axis[index] if turns else _tilted(editor.model.jnt_axis[index])
     place, axis = row(list(editor.model.jnt_pos[index])), row(list(direction))
-    same = {"type": editor.chain.motion.value, "pos": place, "axis": axis}
-    slack, contact = (editor.fresh("joint", f"{joint}_{what}") for what in ("slack", "contact"))
-    spring = {"stiffness": number(value.stiffness), "damping": number(value.damping)}
-    lines = [element("joint", close=True, name=slack, **same), element("joint", close=True, name=contact, **same, **spring)]
+    half = 0.5 * max(value.width, CLOSED)
+    half = math.degrees(half) if editor.degrees() else half
+    reduced = (total - value.inertia) * value.inertia / total
+    soft = mujoco.mjMINIMP
+    slack = editor.fresh("joint", f"{joint}_slack")
+    line = element(
+        "joint", close=True, name=slack, type=editor.chain.motion.value, pos=place, axis=axis, limited="true",
+        range=row([-half, half]), solreflimit=row([-value.stiffness / reduced, -value.damping / reduced]),
+        solimplimit=row([soft, soft, 0.001, 0.5, 2]),
+    )  # fmt: skip
     body = editor.xml.find(lambda n: n.tag == "body" and any(c.attributes.get("name") == joint for c in n.children))
     assert body is not None
-    editor.xml.append(body, lines)
-    for name in (slack, contact):
-        editor.added.append(("joint", name))
-        editor.ignored.append(name)
-    lighter = min(value.inertia, linear.target.bodies[value.body].inertia - value.inertia)
-    limit_slack(editor, slack, value.width, lighter, value.damping)
+    editor.xml.append(body, [line])
+    editor.added.append(("joint", slack))
+    editor.ignored.append(slack)
+    editor.step(SLACK_STEP)
     return ""
 
 

@@ -12,7 +12,9 @@ from click.testing import CliRunner
 from robot_axis import DT, axis, chirp, effect
 
 from mjsim import accurate, ode, reference
-from mjsim.crosscheck import Case, Report, Row, Status, check_all, effect_cases, energy_error, plot, table
+from mjsim.batch import Drive, Engine, rollout
+from mjsim.crosscheck import Case, Report, Row, Status, check_all, compare, effect_cases, energy_error, plot, table
+from mjsim.crosscheck.engines import truth_of
 from mjsim.effects import registered
 from mjsim.errors import CheckError
 from mjsim.mjcf import load_axis
@@ -124,3 +126,75 @@ def test_no_form_that_is_written_fails_on_a_users_model(name: str, tmp_path: Pat
     written = [cell for row in report.rows for cell in row.cells if cell.engine == "literal" and cell.status is Status.HOLDS]
     assert len(written) >= 8
     assert {cell.limit for cell in written} != {2e-3} or name != "coarse timestep"
+
+
+PENDULUM = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="{integrator}"/><worldbody><body name="rod">
+  <joint name="hinge" {axis} damping=".02"/><geom name="bob" type="sphere" size=".04" pos="{at}" mass="1"/></body></worldbody>
+  <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+RIGID = {
+    "pendulum": PENDULUM.format(integrator="Euler", axis='axis="0 1 0"', at="0 0 -.5"),
+    "pendulum, RK4": PENDULUM.format(integrator="RK4", axis='axis="0 1 0"', at="0 0 -.5"),
+    "slide": PENDULUM.format(integrator="implicitfast", axis='type="slide" axis="1 0 0"', at="0 0 0"),
+}
+
+
+def _behind_motor(text: str, tmp_path: Path, seconds: float) -> Row:
+    """The comparison of backlash behind the motor of an axis of one body."""
+    path = tmp_path / "own.xml"
+    path.write_text(text, encoding="utf-8")
+    own = load_axis(path)
+    u = chirp(seconds)
+    case = next(c for c in effect_cases(own, u)[0] if c.name == "backlash_behind_motor@arm")
+    ((batched,),) = rollout([case.axis], [Drive(u, DT)], engine=Engine.ACCURATE)
+    assert isinstance(batched, ode.Trajectory)
+    return compare(case, path, u, DT, batched)
+
+
+@pytest.mark.parametrize("name", RIGID)
+def test_a_gap_behind_the_motor_of_a_users_model_is_stepped_as_found(name: str, tmp_path: Path) -> None:
+    row = _behind_motor(RIGID[name], tmp_path, 2.0)
+    assert {c.engine: c.status for c in row.cells} == dict.fromkeys(("kernel", "accurate", "batch", "literal"), Status.HOLDS)
+    note = row.cells[-1].note
+    assert "timestep" not in note or "that is written" in note
+
+
+def test_a_form_of_another_law_misses_at_every_timestep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mjsim.mjcf import native_write
+    from mjsim.mjcf.slack_write import loosen_link as right
+
+    monkeypatch.setattr(native_write, "loosen_link", lambda e, n, v: right(e, n, dataclasses.replace(v, width=1.1 * v.width)))
+    row = _behind_motor(RIGID["pendulum"], tmp_path, 1.0)
+    status = {c.engine: c.status for c in row.cells}
+    assert status["literal"] is Status.MISSED
+    assert status["kernel"] is Status.HOLDS
+
+
+def test_a_wrong_kernel_misses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mjsim.crosscheck import engines
+
+    class Wrong:
+        @staticmethod
+        def simulate(model: object, u: np.ndarray, dt: float, **more: object) -> object:
+            return ode.simulate(model, 1.01 * u, dt, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(engines, "ode", Wrong)
+    row = _behind_motor(RIGID["pendulum"], tmp_path, 1.0)
+    assert row.cells[0].status is Status.MISSED
+
+
+def test_a_case_is_compared_until_it_becomes_chaotic(tmp_path: Path) -> None:
+    """Impacts magnify a change of the input; without them it stays as it is."""
+    path = tmp_path / "own.xml"
+    path.write_text(RIGID["pendulum"], encoding="utf-8")
+    own, u = load_axis(path), chirp(4.0)
+    case = next(c for c in effect_cases(own, u)[0] if c.name == "backlash_behind_motor@arm")
+    struck, free = truth_of(case.axis, u, DT), truth_of(own, u, DT)
+    assert free.judged == len(u)
+    assert free.condition < 2.0 < struck.condition
+    assert 0.1 * len(u) <= struck.judged < len(u)
+    line = next(
+        x
+        for x in table([Row("case", "exact", 0.0, 3.0, (), 1.0), Row("whole", "exact", 0.0, 1.0, (), 4.0)])
+        if "over" in x and "first" in x
+    )
+    assert line == "case: compared over the first 1 s"
