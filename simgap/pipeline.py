@@ -22,6 +22,7 @@ from diagnose.check.left_out import told_as_left_out, without_late_velocity
 from diagnose.data.channels import with_common_channels
 from diagnose.data.content import at_content_rate
 from diagnose.data.derived import without_derived_velocity
+from diagnose.data.gap_input import with_input_in_gaps
 from diagnose.data.servo import as_servo
 from diagnose.data.split import split
 from diagnose.data.stretches import Stretches
@@ -142,6 +143,7 @@ def diagnose_recordings(
         _need_place(name, nominal, model)
     recordings, held_out = ([as_driven(nominal.chain, r) for r in group] for group in (recordings, held_out))
     recordings, held_out, alike = with_common_channels(recordings, held_out)
+    recordings, held_out, filled = with_input_in_gaps(recordings, held_out)
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
     log = None
     if nominal.chain.servo is None:
@@ -150,7 +152,7 @@ def diagnose_recordings(
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
     recordings, held_out, derived = _measured_alone(nominal, recordings, held_out)
     recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
-    said += [*alike, *derived, *slower]
+    said += [*alike, *filled, *derived, *slower]
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     with following(progress, ledger.recalled) as say:
         nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
+import mujoco
 import numpy as np
 import pytest
 
 import simgap
+from diagnose.data.gap_input import with_input_in_gaps
 from diagnose.fit.whiten import _order_left
 from diagnose.pipeline import Options
 from diagnose.result import Verdict
@@ -17,6 +20,10 @@ DT, LOGGED, OF, NOISE = 0.002, 8, 13, 0.05
 WHEEL = """<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="RK4"/><worldbody><body name="wheel">
 <joint name="wheel" axis="0 1 0" damping="8.7e-4"/><inertial pos="0 0 0" mass=".02" diaginertia="4.5e-5 4.5e-5 4.5e-5"/></body>
 </worldbody><actuator><motor name="motor" joint="wheel"/></actuator></mujoco>"""
+ARM = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body name="arm" pos="0 0 1">
+<joint name="hinge" axis="0 1 0" damping=".03" frictionloss="{friction}" solreffriction="-1 -2000"
+solimpfriction=".9999 .9999 .001 .5 2"/><inertial pos="0 0 -.4" mass=".8" diaginertia=".03 .03 .03"/></body></worldbody>
+<actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
 BINDING = {"time": "time_s", "torque": "torque_Nm", "velocity": "velocity_rad_s"}
 
 
@@ -62,3 +69,60 @@ def test_check_takes_a_log_with_gaps_from_end_to_end_once_a_jitter_is_declared(m
 def test_a_whitening_filter_leaves_half_of_the_samples(length, order):
     counts = np.tile(np.repeat([True, False], [length, 5]), 20)
     assert _order_left(counts, 24) == order
+
+
+def lossy(seed, *, held=False, gaps=30, friction=0.15, seconds=15.0, dt=0.01):
+    """A recording of a pendulum with dry friction in plain MuJoCo, of which a few rows are lost at random places.
+
+    ``held``: the torque stays as it was in the last row until the next one is written.
+    """
+    m = mujoco.MjModel.from_xml_string(ARM.format(friction=friction))
+    d, rng, n = mujoco.MjData(m), np.random.default_rng(seed), round(seconds / dt)
+    logged, t = np.ones(n, bool), dt * np.arange(n)
+    for a in rng.choice(np.arange(2, n // 4 - 2), gaps, replace=False):
+        logged[4 * a : 4 * a + 1 + rng.integers(2)] = False
+    torque = sum(0.5 * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) for f in np.linspace(0.2, 2.5, 8))
+    if held:
+        torque = torque[np.maximum.accumulate(np.where(logged, np.arange(n), 0))]
+    rows = np.empty((n, 2))
+    for k, u in enumerate(torque):
+        rows[k], d.ctrl[0] = (d.qpos[0], d.qvel[0]), u
+        mujoco.mj_step(m, d, round(dt / m.opt.timestep))
+    rows += rng.standard_normal((n, 2)) * [1e-4, 0.02]
+    columns = {"time_s": t, "torque_Nm": torque, "angle_rad": rows[:, 0], "velocity_rad_s": rows[:, 1]}
+    binding = {"recording": {"time": "time_s", "jitter": 0.1}}
+    return simgap.load({k: x[logged] for k, x in columns.items()}, binding=binding, name=f"log {seed}"), torque
+
+
+@pytest.mark.parametrize("channels", ["both", "angle"])
+@pytest.mark.parametrize("held", [False, True])
+def test_the_input_in_gaps_is_what_moved_the_axis(channels, held):
+    pairs = [lossy(seed, held=held) for seed in (1, 2)]
+    logs = [log if channels == "both" else dataclasses.replace(log, velocity=None) for log, _ in pairs]
+    fitted, kept, said = with_input_in_gaps(logs[:1], logs[1:])
+    assert bool(said) == (not held)
+    for log, (_, torque) in zip((*fitted, *kept), pairs, strict=True):
+        assert np.max(np.abs(log.torque - torque[: len(log)])) < 0.1
+    lengths = sum(len(log) for log in logs)
+    assert 0.01 * lengths < sum(log.missing.sum() for log in logs) < 0.05 * lengths
+
+
+def test_a_log_without_gaps_or_with_too_few_rows_keeps_its_input():
+    log = lossy(3, gaps=0)[0]
+    assert with_input_in_gaps([log], []) == ([log], [], ())
+    short = lossy(4, gaps=3, seconds=0.6)[0]
+    assert short.missing is not None
+    assert with_input_in_gaps([short], [])[0][0] is short
+
+
+def test_friction_is_found_in_a_log_that_lost_rows(tmp_path):
+    """With the input held in the gaps what follows them is off by more than the noise: unexplained, or a law with creep."""
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.format(friction=0), encoding="utf-8")
+    logs = [lossy(seed)[0] for seed in (1, 2)]
+    few = Options(jobs=1, effects=("coulomb_friction",))
+    result = diagnose_recordings(logs[:1], path, tmp_path / "out", logs[1:], few, progress=False, page=False)
+    assert result.verdict is Verdict.MISSING_PHYSICS
+    assert [f.law for f in result.findings] == ["coulomb_friction"]
+    assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(0.15, rel=0.05)
+    assert any("on straight lines" in note for note in result.notes)
