@@ -124,7 +124,7 @@ class Context:
     @cached_property
     def following(self) -> Following | None:
         """How the input follows the angle, where it does and is no torque."""
-        return follows(self.signals, self.scale)
+        return follows(self.signals, self.scale, self.machine, self.hold)
 
     @property
     def is_command(self) -> bool:
