@@ -107,16 +107,20 @@ COVERED = """() => {
 
 
 def looks_right(browser: Any, file: Path, plots: int = 0) -> None:
-    """Hold that a page opens from disk at each width in both colours: nothing reported, requested, covered or out of sight."""
-    for width in WIDTHS:
-        for scheme in ("light", "dark"):
-            with opened(browser, file, width, color_scheme=scheme) as w:
-                w.see_all()
-                w.until(f"document.querySelectorAll('.plot.on').length >= {plots}")
+    """Hold that a page opens from disk at each width in both colours: nothing reported, requested, covered or out of sight.
+
+    At each width it is opened in the one and changed to the other, as a device does by time of day.
+    """
+    for width, schemes in zip(WIDTHS, (("light", "dark"), ("dark", "light"), ("light", "dark")), strict=True):
+        with opened(browser, file, width, color_scheme=schemes[0]) as w:
+            w.see_all()
+            w.until(f"document.querySelectorAll('.plot.on').length >= {plots}")
+            for scheme in schemes:
+                w.page.emulate_media(color_scheme=scheme)
                 assert w.page.evaluate("document.documentElement.scrollWidth") <= width
                 assert w.page.evaluate(CUT_OFF) == []
                 assert w.page.evaluate(COVERED) == []
-                w.page.click("#theme")
-                w.clean()
                 if PICTURES:
                     w.page.screenshot(path=f"{PICTURES}/{file.stem}-{width}-{scheme}.png", full_page=True)
+            w.page.click("#theme")
+            w.clean()
