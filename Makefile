@@ -7,11 +7,15 @@ STAMP  := $(VENV)/.installed
 unexport PYTHONDONTWRITEBYTECODE
 LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx httpx2
 
-.PHONY: demo test coverage notebooks proof lint docs lowest audit wheel clean
+.PHONY: demo test pytest coverage notebooks proof lint style types docs lowest audit wheel clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
-test: $(STAMP) lint
+# mypy, which has no use for a second processor, runs beside the tests
+test: $(STAMP) style
+	@$(MAKE) --no-print-directory -j2 types pytest
+
+pytest: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # the tests of `make test`, slower, with the lines of mjsim, ident and diagnose that none of them runs
@@ -51,9 +55,13 @@ wheel: $(STAMP)
 	$(BIN)/python -m hatchling build -t wheel -d out/wheel
 	cmp dist/*.whl out/wheel/*.whl
 
-lint: $(STAMP)
+lint: style types
+
+style: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(STAMP)
 	$(BIN)/mypy
 
 $(STAMP): pyproject.toml

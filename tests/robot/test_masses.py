@@ -111,7 +111,7 @@ def test_the_mass_of_a_link_in_the_middle_is_found_and_leaves_the_gains(tmp_path
     arm = SIX.arm.with_link(2, mass=factor * link.mass, inertia=tuple(factor * x for x in link.inertia))
     (tmp_path / "arm.xml").write_text(servo_mjcf(SIX))
     for seed, name in ((1, "a"), (2, "b")):
-        write_servo_log(ServoRobot(arm, SIX.servos), tmp_path / f"{name}.csv", seed, 8.0, 100.0, base=0.125)
+        write_servo_log(ServoRobot(arm, SIX.servos), tmp_path / f"{name}.csv", seed, 5.0, 100.0, base=0.125)
     options = RobotOptions(effects=("coulomb_friction", "gravity_load"))
     d = diagnose_robot_files([tmp_path / "a.csv"], tmp_path / "arm.xml", tmp_path / "out", [tmp_path / "b.csv"], options)
     assert not d.findings

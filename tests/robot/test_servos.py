@@ -40,7 +40,7 @@ LAWS = ("coulomb_friction", "servo_deadband", "load_dependent_friction")
 def folder(tmp_path_factory):
     """``folder(robot)``: the nominal file and two logs of the robot."""
 
-    def make(robot, seconds=16.0):
+    def make(robot, seconds=8.0):
         out = tmp_path_factory.mktemp("servo")
         (out / "arm.xml").write_text(servo_mjcf(NOMINAL))
         for seed, name in ((1, "a"), (2, "b")):
@@ -135,7 +135,7 @@ def test_the_picture_is_rendered_or_a_plan_of_the_joints(rubbing, monkeypatch):
 
 
 def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):
-    where = folder(NOMINAL.with_servo(2, dead_band=0.03), 10.0)
+    where = folder(NOMINAL.with_servo(2, dead_band=0.03), 6.0)
     d = diagnosed(where)
     assert [(f.effect, f.joint, f.place) for f in d.findings] == [("servo_deadband", "joint3", "actuator")]
     (carried,) = carried_effects(where / "out" / "corrected.xml")
@@ -145,14 +145,14 @@ def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):
 
 
 def test_a_cable_is_no_weight_and_no_spring(folder):
-    where = folder(NOMINAL.with_servo(1, cable=2.0), 10.0)
+    where = folder(NOMINAL.with_servo(1, cable=2.0), 6.0)
     d = diagnosed(where, ("cable_torque", "gravity_load", "gravity_compensation_spring", "coulomb_friction"))
     assert [(f.effect, f.joint) for f in d.findings] == [("cable_torque", "joint2")]
     assert d.verdict is Verdict.MISSING_PHYSICS
 
 
 def test_a_robot_as_in_the_file_has_no_findings(folder):
-    d = diagnosed(folder(NOMINAL, 10.0))
+    d = diagnosed(folder(NOMINAL, 6.0))
     assert d.verdict is Verdict.NO_MISMATCH
     assert not d.changed
 
@@ -177,7 +177,7 @@ def test_one_delay_at_all_joints_is_said_to_be_perhaps_the_log(folder):
     late = NOMINAL
     for j in range(3):
         late = late.with_servo(j, delay=0.06)
-    d = diagnosed(folder(late, 12.0), ("time_delay", "actuator_lag"))
+    d = diagnosed(folder(late, 6.0), ("time_delay", "actuator_lag"))
     assert {(f.effect, f.joint) for f in d.findings} == {("time_delay", f"joint{j}") for j in (1, 2, 3)}
     assert any("have a delay of 60 ms in common" in n or "have a delay of 59" in n for n in d.notes)
 
