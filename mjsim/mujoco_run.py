@@ -35,11 +35,13 @@ def run_literal(
     initial: np.ndarray | None = None,
     before: float = 0.0,
     timestep: float | None = None,
+    known: np.ndarray | None = None,
 ) -> Trajectory:
     """Run a single-axis MJCF in plain MuJoCo on a commanded torque (N,) held over each sample of dt [s].
 
     The file's timestep is taken, shortened where dt is no multiple of it; ``timestep`` [s] overrides it. ``initial`` (2, n):
-    angles and velocities of the chain's bodies; ``before``: torque ahead of the first sample, for a delay or lag. Measured
+    angles and velocities of the chain's bodies; ``before``: torque ahead of the first sample, for a delay or lag; ``known`` (N,):
+    a torque on body 0 beside the drive's, with straight lines between its samples and their mean over each step. Measured
     signals come from the bound sensors when the file has them. Raises DivergedError naming the time, the element and what to
     change; a warning of MuJoCo is such an error.
     """
@@ -50,7 +52,7 @@ def run_literal(
     steps = max(1, math.ceil(dt / (timestep or own) - 1e-6))
     m.opt.timestep = dt / steps
     try:
-        qpos, qvel, sensed = _roll(source, torque, steps, initial, before)
+        qpos, qvel, sensed = _roll(source, torque, steps, initial, before, known)
     finally:
         m.opt.timestep = own
     q, v = qpos @ found.rows.T, qvel @ found.rows.T
@@ -70,12 +72,13 @@ def run_signals(
     initial: np.ndarray | None = None,
     before: float = 0.0,
     timestep: float | None = None,
+    known: np.ndarray | None = None,
 ) -> Trajectory:
     """`run_literal` with the effects of the axis that act on its signals alone laid around it."""
     source = model if isinstance(model, Model) else load_model(model)
     system = assemble(source.axis)
     run = run_literal(
-        source, apply_input(system, np.asarray(torque, float)), dt, initial=initial, before=before, timestep=timestep
+        source, apply_input(system, np.asarray(torque, float)), dt, initial=initial, before=before, timestep=timestep, known=known
     )
     # a delay of the measurement stands at the sensors of the file already
     system = dataclasses.replace(system, output_delay=0.0)
@@ -92,7 +95,7 @@ def lacking(model: Model) -> tuple[str, ...]:
 
 
 def _roll(
-    source: Model, torque: np.ndarray, steps: int, initial: np.ndarray | None, before: float
+    source: Model, torque: np.ndarray, steps: int, initial: np.ndarray | None, before: float, known: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Angles and velocities (N, nv) of the joints and the bound sensors (N,) at the sample times."""
     m, found = source.mjmodel, source.found
@@ -120,6 +123,11 @@ def _roll(
     control = np.zeros((1, steps * count, sum(m.actuator_ctrlnum)))
     if drive >= 0:
         control[0, :, m.actuator_ctrladr[drive]] = np.repeat(torque, steps)
+    given = int(mujoco.mjtState.mjSTATE_CTRL)
+    if known is not None:
+        given |= int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+        middle = np.interp((np.arange(steps * count) + 0.5) / steps, np.arange(count), np.asarray(known, float))
+        control = np.concatenate([control, (middle[:, None] * found.rows[0])[None]], axis=2)
     per_chunk = max(1, _CHUNK // steps)
     with caught_warnings() as said:
         for first in range(0, count, per_chunk):
@@ -130,6 +138,7 @@ def _roll(
                 data,
                 state[None],
                 control[:, first * steps : last * steps] if control.size else None,
+                control_spec=given,
                 nstep=(last - first) * steps,
                 initial_warmstart=data.qacc_warmstart[None].copy(),
             )

@@ -30,10 +30,13 @@ def literal_servo_run(source: Model, recording: Recording) -> Trajectory:
     start[0] = [first * chain.total_ratio(i) for i in range(len(chain.bodies))]
     before = float(r.input[0])
     if r.hold == "held":
-        return run_literal(source, r.input, r.dt, initial=start, before=before)
+        return run_literal(source, r.input, r.dt, initial=start, before=before, known=r.known_torque)
     each = max(1, math.ceil(r.dt / float(source.mjmodel.opt.timestep) - 1e-6))
     u, slope = between(r.input, r.dt, r.hold)
     fine = (u[:, None] + slope[:, None] * (np.arange(each) + 0.5) * (r.dt / each)).ravel()
-    run = run_literal(source, fine, r.dt / each, initial=start, before=before)
+    known = r.known_torque
+    if known is not None:
+        known = np.interp(np.arange(len(fine)) / each, np.arange(len(known)), known)
+    run = run_literal(source, fine, r.dt / each, initial=start, before=before, known=known)
     names = ("time", "torque", "velocity", "angle", "q", "v", "coupling_torque")
     return dataclasses.replace(run, **{name: getattr(run, name)[::each].copy() for name in names})

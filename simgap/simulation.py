@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.known_torque import KnownTorque
 from mjsim.mjcf import Model
 from mjsim.recording import Recording
 
 if TYPE_CHECKING:
     from diagnose.verdict.reference import Case, Run
+    from mjsim.axis import Axis
     from mjsim.ode import Trajectory
     from mjsim.plant import Start
 
@@ -25,21 +27,29 @@ SLOPE = 0.005  # seconds over which the first velocity is read off
 
 
 def run_torque(source: Model, torque: np.ndarray, record: Recording, engine: str, initial: np.ndarray | None) -> Trajectory:
-    """One run on a commanded torque (N,), the recording's or its beginning. Raises DivergedError."""
+    """One run on a commanded torque (N,), the recording's or its beginning, and its known torque. Raises DivergedError."""
     if engine == "literal":
         from mjsim.mujoco_run import run_signals
 
         bodies = len(source.found.chain.bodies)  # one that an effect splits off starts undeflected
-        return run_signals(source, torque, record.dt, initial=None if initial is None else initial[:, :bodies])
+        initial = None if initial is None else initial[:, :bodies]
+        known = None if record.known_torque is None else record.known_torque[: len(torque)]
+        return run_signals(source, torque, record.dt, initial=initial, known=known)
+    axis = _with_known(source.axis, record)
     if engine == "mujoco":
         from mjsim import accurate
 
-        return accurate.simulate(source.axis, torque, record.dt, initial=initial)
+        return accurate.simulate(axis, torque, record.dt, initial=initial)
     from mjsim import ode
 
     angle = None if record.angle is None else record.angle[: len(torque)]
     origin = None if initial is None else 0.0  # it has the angle of the recording
-    return ode.simulate(source.axis, torque, record.dt, initial=initial, angle=angle, origin=origin)
+    return ode.simulate(axis, torque, record.dt, initial=initial, angle=angle, origin=origin)
+
+
+def _with_known(axis: Axis, record: Recording) -> Axis:
+    """The axis with the torque on it that a recording knows sample by sample."""
+    return axis if record.known_torque is None else axis + KnownTorque.of(record.known_torque, record.dt)
 
 
 def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = False) -> Trajectory:
@@ -88,7 +98,9 @@ def fitted_start(source: Model, record: Recording) -> Start | None:
     def of_angle(case: Case, run: Run) -> np.ndarray:
         return np.asarray((record.column("angle") - run.angle) / noise)
 
-    start, shift = suited(source.axis, case, errors=of_angle if record.velocity is None and noise > 0 else None, locked=True)
+    start, shift = suited(
+        _with_known(source.axis, record), case, errors=of_angle if record.velocity is None and noise > 0 else None, locked=True
+    )
     return None if shift is None else start
 
 

@@ -13,6 +13,7 @@ from robot_axis import DT, chirp
 
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
+from mjsim.known_torque import KnownTorque
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.models import shipped_model
 from mjsim.ode import simulate
@@ -84,6 +85,35 @@ def test_the_error_in_plain_mujoco_stands_beside_that_of_the_equations(tmp_path)
     assert literal["rms"] > 100 * told["rms"]  # Euler steps are coarse
     said = CliRunner().invoke(cli, ["replay", str(model), str(recording), "--out", str(tmp_path / "p.csv")]).output
     assert f"options of the file: rms error {literal['rms']:.6g} rad/s" in said
+
+
+SERVO = '<position joint="hinge" kp="5" kv="0.3"/>'
+
+
+@pytest.mark.parametrize("hold", ["held", "linear"])
+def test_a_known_torque_acts_in_plain_mujoco_too(tmp_path, hold):
+    """Of a torque drive by each engine, and of a servo; without the column the error is that of the torque."""
+    dt, count = 0.002, 1500
+    time = dt * np.arange(count)
+    known, u = 0.3 * np.sin(9.0 * time), 0.2 * np.sin(5.0 * time)
+    for actuator, input_ in (('<motor joint="hinge"/>', "torque"), (SERVO, "command")):
+        model, recording = tmp_path / f"{input_}.xml", tmp_path / f"{input_}.csv"
+        model.write_text(PENDULUM.replace('<motor joint="hinge"/>', actuator).replace('timestep="0.002"', 'timestep="0.0001"'))
+        run = simulate(load_axis(model) + KnownTorque.of(known, dt), u, dt, hold=hold if input_ == "command" else "held")
+        unit = {"torque": "Nm", "command": "rad"}[input_]
+        table = np.column_stack([run.time, u, run.velocity, run.angle, known])
+        np.savetxt(recording, table, delimiter=",", header="t,u,v,q,g", comments="", fmt="%.17g")
+        columns = f'[recording]\ntime = "t"\n{input_} = {{ column = "u", unit = "{unit}" }}\n'
+        columns += f'velocity = "v"\nangle = "q"\nhold = "{hold}"\n'
+        binding = recording.with_suffix(".toml")
+        binding.write_text(columns)
+        without = replay(model, recording, "--out", tmp_path / "p.csv")
+        binding.write_text(columns + 'known_torque = "g"\n')
+        for engine in ("ode", "literal") + (("mujoco",) if input_ == "torque" else ()):
+            told = replay(model, recording, "--out", tmp_path / "p.csv", "--engine", engine)
+            assert told["rms"] < 0.02 * without["rms"], (input_, engine)
+            if engine == "ode":
+                assert told["plain_mujoco_rms"] < 0.02 * without["plain_mujoco_rms"]
 
 
 def test_the_literal_engine_says_what_it_lacks(tmp_path, nominal, found):
