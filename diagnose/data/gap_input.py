@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -57,9 +58,8 @@ def _gaps(r: Recording) -> list[tuple[int, int]]:
     """The rows (a, b) that were measured last before each gap and first after it."""
     if r.missing is None:
         return []
-    edges = np.flatnonzero(np.diff(r.missing.astype(np.int8)))
-    starts, ends = edges[~r.missing[edges]], edges[r.missing[edges]] + 1
-    return [(int(a), int(b)) for a, b in zip(starts, ends[len(ends) - len(starts) :], strict=True)]
+    there = np.flatnonzero(~r.missing)  # a part of a recording may begin or end in a gap, of which one side is not known
+    return [(int(a), int(b)) for a, b in pairwise(there) if b > a + 1]
 
 
 def _on_lines(r: Recording) -> Recording:

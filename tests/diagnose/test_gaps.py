@@ -115,6 +115,17 @@ def test_a_log_without_gaps_or_with_too_few_rows_keeps_its_input():
     assert with_input_in_gaps([short], [])[0][0] is short
 
 
+def test_a_part_of_a_log_may_begin_and_end_in_a_gap():
+    log = lossy(5, gaps=60)[0]
+    at = np.flatnonzero(log.missing)
+    part = log.slice(int(at[0]), int(at[-1]) + 1)
+    fitted, _, said = with_input_in_gaps([part], [])
+    assert said
+    assert np.isfinite(fitted[0].torque).all()
+    nothing = dataclasses.replace(log, torque=np.zeros(len(log)), driven=False)
+    assert with_input_in_gaps([nothing], []) == ([nothing], [], ())
+
+
 def test_friction_is_found_in_a_log_that_lost_rows(tmp_path):
     """With the input held in the gaps what follows them is off by more than the noise: unexplained, or a law with creep."""
     path = tmp_path / "arm.xml"
