@@ -84,7 +84,10 @@ SI_UNITS = {
 
 @dataclass(frozen=True)
 class Channel:
-    """One bound channel: column (of a struct ``rec.x``; ``row`` of a matrix), its unit and gain (SI value per unit, as N/V)."""
+    """One bound channel: column (of a struct ``rec.x``; ``row`` of a matrix), its unit and gain.
+
+    The gain is the SI value per ampere, volt or count of a unit of these, as N m/A of a column in mA; of another unit a factor.
+    """
 
     column: str
     unit: str | None = None
@@ -112,10 +115,9 @@ class Channel:
             raise InputError(where, f"unit {self.unit!r} measures {kind}", f"a unit of {measures}", "correct the unit")
         if math.isnan(factor):
             if self.gain is None:
-                raise InputError(
-                    where, f"unit {self.unit!r} has no gain", "gain = torque or force per unit", "add the key 'gain'"
-                )
-            return self.gain
+                per = f"gain = torque or force per {self.unit.removeprefix('m')}"
+                raise InputError(where, f"unit {self.unit!r} has no gain", per, "add the key 'gain'")
+            return {**_AMPERES, **_VOLTS, "1": 1.0}[self.unit] * self.gain
         return factor * (1.0 if self.gain is None else self.gain)
 
 

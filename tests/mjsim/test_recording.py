@@ -247,3 +247,15 @@ def test_slicing_keeps_every_channel(tmp_path):
     assert len(cut) == 10
     assert cut.time[0] == pytest.approx(0.01)
     assert len(cut.columns["angle_rad"]) == 10
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("A", 1.0), ("mA", 1e-3), ("V", 1.0), ("mV", 1e-3)])
+def test_the_gain_of_a_current_or_voltage_is_per_ampere_or_volt(tmp_path: Path, unit: str, scale: float) -> None:
+    path = tmp_path / "log.csv"
+    rows = [f"{0.01 * i},{100 * (i % 7)},{0.1 * i}" for i in range(20)]
+    path.write_text("\n".join(["time_s,u,velocity_rad_s", *rows]) + "\n", encoding="utf-8")
+    beside = (
+        f'[recording]\ntime = "time_s"\nvelocity = "velocity_rad_s"\ntorque = {{column = "u", unit = "{unit}", gain = 0.12}}\n'
+    )
+    path.with_suffix(".toml").write_text(beside, encoding="utf-8")
+    assert load(path).torque == pytest.approx([0.12 * scale * 100 * (i % 7) for i in range(20)])
