@@ -86,7 +86,8 @@ class Finding:
     evidence: held_out_error_before / _after (rms without and with this effect, view's unit), p_value (held-out, one-
     sided, corrected
     for the number of hypotheses), delta_chi2 (estimation, whitened), hypotheses (number tested). form: the law that was fitted,
-    where it is another than the effect's own. kind: physics, or numerics where a setting of the simulator makes the difference.
+    where it is another than the effect's own. equivalents: lowest held-out error first; equivalent_errors: their held-out rms
+    error, where they have one. kind: physics, or numerics where a setting of the simulator makes the difference.
     """
 
     effect: str
@@ -98,6 +99,13 @@ class Finding:
     equivalents: tuple[str, ...] = ()
     form: str = ""
     kind: str = "physics"
+    equivalent_errors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """The equivalents as text, each with its held-out error where it has one."""
+        errors = self.equivalent_errors
+        return tuple(f"{e} (held-out error {errors[e]:.4g})" if e in errors else e for e in self.equivalents)
 
     @property
     def law(self) -> str:
@@ -321,6 +329,7 @@ class Diagnosis:
                     "effect": f.effect, "class": f.kind, "law": f.law, "place": f.place, "element": f.element,
                     "sentence": f.sentence, "parameters": {k: v.as_dict() for k, v in f.parameters.items()},
                     "evidence": dict(f.evidence), "equivalents": list(f.equivalents),
+                    "equivalent_errors": dict(f.equivalent_errors),
                 }
                 for f in self.findings
             ],

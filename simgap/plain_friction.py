@@ -117,5 +117,5 @@ def _finding(f: Finding, better: Refit, simplest: Effect | None, given: Axis, he
         numbers[spec.name] = Estimate(value, (value - half, value + half), spec.unit(motion))
     return dataclasses.replace(
         f, effect=simplest.name(), form="", sentence=simplest.with_values(values).describe(motion), parameters=numbers,
-        evidence={**f.evidence, "held_out_error_after": held}, equivalents=(),
+        evidence={**f.evidence, "held_out_error_after": held}, equivalents=(), equivalent_errors={},
     )  # fmt: skip

@@ -71,7 +71,7 @@ def show_diagnosis(result: Diagnosis, out: Path) -> None:
             highlight=False,
         )
         if f.equivalents:
-            console.print(f"  cannot be told from: {', '.join(f.equivalents)}")
+            console.print(f"  cannot be told from: {', '.join(f.rivals)}")
     unit = escape(f"[{result.unit}]")
     table = Table("model", f"rms {unit}", "nrmse", f"held-out rms {unit}", "held-out nrmse")
     for name, fit in result.fit.items():

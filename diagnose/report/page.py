@@ -76,7 +76,9 @@ def render_report(
         refusals=tables.refusal_table(d.refusals), unexcited=tables.unexcited(d), better=_better(d),
         failed=[(structure_name(tuple(k.split("+"))), why) for k, why in d.failed.items()], false_alarm=false_alarm(d),
         equivalents=[
-            (effect_name(f.effect), f.place, [structure_name((e,)) for e in f.equivalents]) for f in d.findings if f.equivalents
+            (effect_name(f.effect), f.place, [_with_error(f, e, d.unit) for e in f.equivalents])
+            for f in d.findings
+            if f.equivalents
         ],
         diff=diff, changes=tuple(sum(k == kind for k, _ in diff) for kind in ("add", "del")), diff_open=len(diff) <= _LONG_DIFF,
         truth=tables.truth_table(d, truth) if truth is not None else None, circumstances=_circumstances(truth),
@@ -136,6 +138,13 @@ def _law(effect: str) -> tuple[str, str, str]:
         return "", "", ""
     title, _, law = (inspect.getdoc(sys.modules[cls.__module__]) or "").partition("\n\n")
     return " ".join(title.split()), law.strip(), cls.citation
+
+
+def _with_error(f: Finding, equivalent: str, unit: str) -> str:
+    """An equivalent of a finding by name, with its held-out error where it has one."""
+    error = f.equivalent_errors.get(equivalent)
+    name = structure_name((equivalent,))
+    return name if error is None else f"{name} (held-out error {error:.4g} {unit})"
 
 
 def _finding(f: Finding, channel_unit: str) -> dict[str, Any]:

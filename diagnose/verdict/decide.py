@@ -76,11 +76,12 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
     return held, float(chdtrc(extra, max(gain, 0.0))), gain
 
 
-def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQUIVALENT) -> tuple[str, ...]:
+def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQUIVALENT) -> dict[str, float]:
     """Identifiers that could stand in this effect's place: same rest of the structure, criterion within ``margin``.
 
-    A margin of 10 in C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely
-    refines the effect, and gains nothing by it, is not an equivalent.
+    Each with the held-out rms error of its structure, in the view's unit, NaN where it has none; lowest first. A margin of 10 in
+    C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely refines the effect, and
+    gains nothing by it, is not an equivalent.
     """
     rest = {k for k in best.key if k != effect.key}
     out = []
@@ -96,5 +97,10 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQ
             continue
         if effect.id in type(rival).refines and f.hypothesis.size > best.hypothesis.size:
             continue
-        out.append((search.criterion(f), rival.name() if rival.name() != effect.name() else rival.key))
-    return tuple(dict.fromkeys(name for _, name in sorted(out)))
+        held = search.held_out(f)
+        error = math.inf if held is None or math.isnan(held.rms) else held.rms
+        out.append((error, search.criterion(f), rival.name() if rival.name() != effect.name() else rival.key))
+    found: dict[str, float] = {}
+    for error, _, name in sorted(out):
+        found.setdefault(name, error if math.isfinite(error) else math.nan)
+    return found

@@ -40,6 +40,7 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
         p_held, p_fit, gain = p_values(search, poorer, best)
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)
+        alike = equivalents(search, best, effect)
         out.append(
             Finding(
                 effect=effect.name(),
@@ -56,7 +57,8 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
                     "delta_chi2": gain,
                     "hypotheses": float(search.tested),
                 },
-                equivalents=(*equivalents(search, best, effect), *_by_weight(search.fitter, best, effect)),
+                equivalents=(*alike, *_by_weight(search.fitter, best, effect)),
+                equivalent_errors={name: error for name, error in alike.items() if math.isfinite(error)},
             )
         )
     out.sort(key=lambda f: -f.evidence["delta_chi2"])

@@ -37,10 +37,11 @@ class Entry(SimpleNamespace):
         return x * self.scale
 
 
-def structure(*effects, chi2=1000.0, n=1000, numbers=0, criterion=0.0):
+def structure(*effects, chi2=1000.0, n=1000, numbers=0, criterion=0.0, rms=None):
     entries = tuple(Entry(owner="", name=f"p{i}") for i in range(numbers))
     return SimpleNamespace(
         effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, n=n, criterion=criterion, own={},
+        held=None if rms is None else SimpleNamespace(rms=rms),
         hypothesis=SimpleNamespace(entries=entries, size=numbers, bounds=(np.full(numbers, -99.0), np.full(numbers, 99.0))),
     )  # fmt: skip
 
@@ -53,7 +54,7 @@ def search(*structures, residual=None, held=0.5):
     )  # fmt: skip
     fits = {f.key: f for f in structures}
     return SimpleNamespace(
-        fitter=fitter, options=SEARCH, fits=fits, criterion=lambda f: f.criterion,
+        fitter=fitter, options=SEARCH, fits=fits, criterion=lambda f: f.criterion, held_out=lambda f: f.held,
         context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, held)),
     )  # fmt: skip
 
@@ -143,16 +144,23 @@ def test_equivalents_are_as_near_by_the_criterion_and_replace_one_effect():
     other = structure(COULOMB, OFFSET, criterion=90.0)
     both = structure(OFFSET, effect_class("viscous_friction")(place="arm", coefficient_Nms_rad=1.0), criterion=90.0)
     found = search(best, near, far, more, other, both)
-    assert equivalents(found, best, COULOMB) == ("torque_offset",)
-    assert equivalents(found, best, COULOMB, margin=MARGIN + 1.0) == ("torque_offset", "quadratic_friction")
-    assert equivalents(found, best, DELAY) == ("torque_offset",)
+    assert tuple(equivalents(found, best, COULOMB)) == ("torque_offset",)
+    assert tuple(equivalents(found, best, COULOMB, margin=MARGIN + 1.0)) == ("torque_offset", "quadratic_friction")
+    assert tuple(equivalents(found, best, DELAY)) == ("torque_offset",)
 
 
 def test_equivalents_stand_in_the_order_of_the_criterion_and_at_other_places_by_key():
     elsewhere = effect_class("coulomb_friction")(place="arm", torque_Nm=0.1)
     best = structure(COULOMB, criterion=0.0, numbers=5)
     found = search(best, structure(OFFSET, criterion=3.0), structure(elsewhere, criterion=2.0))
-    assert equivalents(found, best, COULOMB) == ("coulomb_friction@arm", "torque_offset")
+    assert tuple(equivalents(found, best, COULOMB)) == ("coulomb_friction@arm", "torque_offset")
+
+
+def test_equivalents_stand_in_the_order_of_the_held_out_error_with_it():
+    best = structure(COULOMB, criterion=0.0, numbers=5)
+    delay = structure(DELAY, criterion=2.0, rms=0.44)
+    found = search(best, delay, structure(OFFSET, criterion=3.0, rms=0.35))
+    assert list(equivalents(found, best, COULOMB).items()) == [("torque_offset", 0.35), ("time_delay", 0.44)]
 
 
 @pytest.mark.parametrize(("numbers", "listed"), [(5, True), (6, False)])
@@ -168,4 +176,4 @@ def test_another_law_of_the_same_effect_is_no_equivalent():
     law = effect_class("coulomb_friction_with_creep")(torque_Nm=0.1, creep_velocity_rad_s=1.0)
     assert law.name() == COULOMB.name()
     best = structure(COULOMB)
-    assert equivalents(search(best, structure(law, numbers=0)), best, COULOMB) == ()
+    assert equivalents(search(best, structure(law, numbers=0)), best, COULOMB) == {}
