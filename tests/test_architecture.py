@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import math
 import re
@@ -39,6 +40,7 @@ def name_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache  # five tests ask for it
 def imported(path: Path) -> list[tuple[int, str]]:
     """(line, absolute module) of every import, also those inside functions."""
     out = []

