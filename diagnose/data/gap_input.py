@@ -87,14 +87,22 @@ def _errors(held: Recording, lines: Recording) -> tuple[np.ndarray, np.ndarray] 
     known = _gained(held, v)
     if len(plain) < 10 * known.shape[1]:
         return None
-    a, b = np.array(plain, int).T
-    w = np.linalg.lstsq(known[b] - known[a], v[b] - v[a], rcond=1e-10)[0]
-    a, b = np.array(gaps, int).T
-    out = []
-    for r in (held, lines):
-        gained = _gained(r, v)
-        out.append(v[b] - v[a] - (gained[b] - gained[a]) @ w)
-    return out[0], out[1]
+    ends = np.array(plain, int)
+    w = np.linalg.lstsq(_across(known, ends), _across(v, ends), rcond=1e-10)[0]
+    ends = np.array(gaps, int)
+    moved = _across(v, ends)
+    first, second = (moved - _across(_gained(r, v), ends) @ w for r in (held, lines))
+    return first, second
+
+
+def _across(x: np.ndarray, ends: np.ndarray, rows: int = 5) -> np.ndarray:
+    """By how much x (N, ...) grows across stretches (g, 2): the mean of so many rows from the last, less that up to the first.
+
+    Noise falls with the root of ``rows``; what acts within them is in the integrals, averaged alike.
+    """
+    k = np.arange(rows)
+    before, after = (np.clip(ends[:, i, None] + way * k, 0, len(x) - 1) for i, way in ((0, -1), (1, 1)))
+    return np.asarray(x[after].mean(axis=1) - x[before].mean(axis=1))
 
 
 def _gained(r: Recording, v: np.ndarray) -> np.ndarray:
