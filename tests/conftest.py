@@ -43,6 +43,7 @@ COMPILES = (
         "tests/mjsim/test_servo.py",
         "tests/mjsim/test_joint_limit.py",
         "tests/mjsim/test_reference.py",  # after the first worker has compiled the kernel of long chains
+        "tests/mjsim/test_plants.py",
     ),
 )
 
