@@ -14,8 +14,8 @@ from diagnose.options import Options
 from diagnose.result import Diagnosis, Finding, Verdict
 from diagnose.thresholds import ALPHA
 from diagnose.verdict import numerics
-from diagnose.verdict.reference import Case, Run, at_noise, chi_square, error, figures, judged
-from diagnose.verdict.reference_fit import MOST_WORK, refit_in_simulator, uncertainties
+from diagnose.verdict.reference import Case, Run, at_noise, chi_square, figures, judged
+from diagnose.verdict.reference_fit import refit_in_simulator
 from diagnose.verdict.reference_runs import run_watched, too_far, work_of
 from diagnose.verdict.reference_stage import APART, Nominal, compare_nominal
 from diagnose.verdict.reference_start import run_surrogate
@@ -41,16 +41,14 @@ from simgap.file_numbers import with_numbers_of_file
 from simgap.found import effect_found
 from simgap.nearest_form import with_nearest
 from simgap.plain_friction import plainer_friction, refit_to_noise
+from simgap.sensitivity import error_by_every_recording, is_sensitive
 from simgap.weakest_effect import without_weakest
 
 __all__ = ["before_search", "write_judged"]
 
 POLISHED = 1.02  # times the error that the engine reports, beyond which the numbers of a file are refitted in MuJoCo
-NUDGE = 1e-3  # of the noise of the angle, by which a start is moved to see whether a motion is sensitive
 BEGINNING = 1 / 8  # of the recordings, after which a form may be given up, and by which forms are ranked
 MOST_FORM = 6e6  # of one run of all recordings (`work_of`), some 4 s: forms that need more are not tried
-TWO = 2.0  # standard errors
-SMALLEST = 1e-6  # of the travel, where no noise of the angle is known
 
 
 def before_search(
@@ -114,10 +112,11 @@ def write_judged(
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
     notes = () if found else (*_told(cause, nominal), *instead, *_refitted(axis, out))
     result = with_numbers_of_file(result, out, nominal.cases, runs, other=bool(found or form.lacks))
+    misses = not form.lacks and _misses(result, nominal.cases, runs, MISSES)
+    follows = not misses or is_sensitive(bench, out, runs)
     files = Files(
-        runs, form.lacks, form.form, found, notes,
-        not form.lacks and _misses(result, nominal.cases, runs, MISSES) and _sensitive(bench, out, runs),
-        fewer is not None or less is not None,
+        runs, form.lacks, form.form, found, notes, misses and follows, fewer is not None or less is not None,
+        by_every=math.nan if follows else error_by_every_recording(bench, axis, form, runs),
     )  # fmt: skip
     return by_simulator(result, nominal, files)
 
@@ -352,27 +351,3 @@ def _author_or_mended(bench: Bench, cause: numerics.Cause) -> tuple[Faithful, Se
         return form, runs, ()
     finally:
         trial.unlink(missing_ok=True)
-
-
-def _sensitive(bench: Bench, path: Path, runs: Sequence[Run | None]) -> bool:
-    """Whether the motion of a file cannot be followed.
-
-    Either a start that differs by a thousandth of the angle's noise leads to a motion a fifth of the noise away, or the file
-    errs by no more than two standard errors of its numbers make of it. Not asked of files that take more than `MOST_WORK`.
-    """
-    plant, cases = MujocoPlant.load(path), bench.nominal.cases
-    if work_of(plant, cases) > MOST_WORK:
-        return False
-    starts, targets, missed = [], [], []
-    for case, run in zip(cases, runs, strict=True):
-        if run is None:
-            return False
-        angle = NUDGE * case.spread()[0] or SMALLEST * float(np.ptp(run.angle))
-        starts.append(dataclasses.replace(run.start, angle=run.start.angle + angle))
-        targets.append(judged(case, run))
-        e = error(case, run)[case.estimation | case.held_out] / case.sigma
-        missed.append(math.sqrt(max(0.0, float(np.mean(e**2)) - MISSES**2)))
-    if not run_watched(plant, cases, starts, bench.threads, too_far(cases, targets, APART))[1]:
-        return True
-    by_numbers = uncertainties(load_axis(path), cases, [run.start for run in runs if run is not None])
-    return all(m <= TWO * u for m, u in zip(missed, by_numbers, strict=True))

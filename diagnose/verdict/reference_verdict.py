@@ -24,7 +24,8 @@ class Files:
 
     numerics: findings of that class; sensitive: whether the smallest change of the start or the numbers leads elsewhere;
     bears: whether findings were dropped since the simulator's numerics explain the recordings as well; stands: whether the
-    file is the one as given, since no other is better (`no_better`).
+    file is the one as given, since no other is better (`no_better`); by_every: rms error of the numbers refitted in MuJoCo to
+    every recording where that is noise, else NaN.
     """
 
     runs: Sequence[Run | None]
@@ -35,6 +36,7 @@ class Files:
     sensitive: bool = False
     bears: bool = False
     stands: bool = False
+    by_every: float = math.nan
 
 
 def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis:
@@ -58,7 +60,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     if files.stands or nominal_stands(result, nominal):
         return _no_mismatch(out, notes) if at_noise(nominal.cases, nominal.runs, angles=True) else _as_it_was(out, notes)
     if missed and not files.lacks:
-        notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
+        notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files))
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
     if files.numerics:
         out = _numerics(out, files)
@@ -73,7 +75,8 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
             return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_worse(out))
         out = dataclasses.replace(out, notes=(_warning_worse(out), *out.notes))
     # an effect that the equations explain keeps its name; the warning says that the file does not step it
-    told = files.lacks or files.sensitive or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
+    known = files.lacks or files.sensitive or not math.isnan(files.by_every)
+    told = known or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
     if missed and not told and not at_noise(nominal.cases, files.runs):
         return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
     if out.verdict is Verdict.MISSING_PHYSICS and not files.bears and not files.numerics:
@@ -94,7 +97,7 @@ def nominal_stands(result: Diagnosis, nominal: Nominal) -> bool:
 
 
 def gains_little(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]) -> bool:
-    """Whether the given file is at the noise and as good as the corrected one, as MuJoCo runs both.
+    """Whether the given file is at the noise and as good as the corrected one or better, as MuJoCo runs both.
 
     What the equations found then makes up for how they differ from MuJoCo, and for nothing in the recordings.
     """
@@ -102,29 +105,49 @@ def gains_little(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]
 
 
 def _as_good(result: Diagnosis, nominal: Nominal, best: FitFigures) -> bool:
-    """Whether the given file's chi-square exceeds that of other figures by no more than the numbers that these have more."""
+    """Whether the given file's chi-square exceeds that of other figures by no more than the numbers that these have more.
+
+    On estimation and on held-out data; or it is less than theirs on held-out data by more than that, whatever these gain on the
+    data that they were fitted to.
+    """
+    gain, lost, level = _gains(result, nominal, best)
+    return (gain <= level and lost <= level) or lost < -level
+
+
+def _gains(result: Diagnosis, nominal: Nominal, best: FitFigures) -> tuple[float, float, float]:
+    """Twice the log-likelihood by which figures exceed the given file's on estimation and held-out data, and the numbers' price.
+
+    Infinite where the given file diverges, or nothing is fitted.
+    """
     given = figures(nominal.cases, nominal.runs)
     chi2, n = chi_square(nominal.cases, nominal.runs)
-    if not (math.isfinite(chi2) and n):
-        return False
     more = len(result.linear_parameters) + sum(len(f.parameters) for f in result.findings)
-    gain = n * 2.0 * math.log(max(given.rms, 1e-300) / max(best.rms, 1e-300))
     level = KnownNoise.prices.entry + 0.5 * KnownNoise.prices.price * more
+    if not (math.isfinite(chi2) and n):
+        return math.inf, math.inf, level
     held = sum(int(c.held_out.sum()) for c in nominal.cases)
-    lost = held * 2.0 * math.log(max(given.held_out_rms, 1e-300) / max(best.held_out_rms, 1e-300)) if held else 0.0
-    return gain <= level and lost <= level
+    lost = held * 2.0 * _log_ratio(given.held_out_rms, best.held_out_rms) if held else 0.0
+    return n * 2.0 * _log_ratio(given.rms, best.rms), lost, level
+
+
+def _log_ratio(a: float, b: float) -> float:
+    """log(a / b) of errors; -inf where b diverges."""
+    return math.log(max(a, 1e-300)) - math.log(max(b, 1e-300))
 
 
 def no_better(result: Diagnosis, nominal: Nominal, runs: Sequence[Run | None]) -> bool:
-    """Whether changed numbers alone make the file no better than the one as given, on estimation and on held-out data.
+    """Whether changed numbers alone make the file no better than the one as given.
 
-    Numbers that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings. Where
-    the file as given is at the noise, it explains what these leave unexplained; where it is not, the mismatch is unexplained.
+    Neither on estimation nor on held-out data, or worse on held-out data by more than the numbers are worth (`_as_good`). Numbers
+    that are fitted by the equations then make up for how MuJoCo steps the file, and for nothing in the recordings. Where the
+    file as given is at the noise, it explains what these leave unexplained; where it is not, the mismatch is unexplained.
     """
     if result.verdict not in (Verdict.PARAMETERS_ONLY, Verdict.UNEXPLAINED) or result.findings:
         return False
+    _, lost, level = _gains(result, nominal, figures(nominal.cases, runs))
     parts = ("estimation", "held_out")
-    return all(chi_square(nominal.cases, nominal.runs, p)[0] <= chi_square(nominal.cases, runs, p)[0] for p in parts)
+    neither = all(chi_square(nominal.cases, nominal.runs, p)[0] <= chi_square(nominal.cases, runs, p)[0] for p in parts)
+    return neither or lost < -level
 
 
 def _missed(fit: FitFigures, engine: FitFigures) -> bool:
@@ -136,12 +159,17 @@ def _told(x: float) -> str:
     return f"{x:.4g}" if math.isfinite(x) else "infinite (it diverges)"
 
 
-def _warning(fit: FitFigures, engine: FitFigures, unit: str, sensitive: bool) -> str:
-    why = (
-        "the smallest change of where it starts or of its numbers leads elsewhere: such a motion cannot be followed for long"
-        if sensitive
-        else "MuJoCo does not step what was found as the equations say"
-    )
+def _warning(fit: FitFigures, engine: FitFigures, unit: str, files: Files) -> str:
+    why = "MuJoCo does not step what was found as the equations say"
+    if files.sensitive:
+        why = (
+            "the smallest change of where it starts or of its numbers leads elsewhere: such a motion cannot be followed for long"
+        )
+    elif not math.isnan(files.by_every):
+        why = (
+            f"refitted in MuJoCo to estimation and held-out recordings together, the same file misses by {files.by_every:.4g} "
+            f"{unit}, which is noise: the motion needs its numbers more exactly than the estimation recordings show them"
+        )
     return (
         f"Warning: corrected.xml in plain MuJoCo has a held-out error of {_told(fit.held_out_rms)} {unit} (estimation "
         f"{_told(fit.rms)}), and not the {engine.held_out_rms:.4g} ({engine.rms:.4g}) of the fitting engine; {why}."

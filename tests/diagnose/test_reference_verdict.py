@@ -286,3 +286,19 @@ def test_a_corrected_file_pays_for_its_numbers_in_the_simulator(bench, which, fa
     assert gains_little(result, bench.nominal, "mended") is little
     bench.quiet["given"] = False
     assert not gains_little(result, bench.nominal, "mended")
+
+
+@pytest.mark.parametrize(("factor", "stands"), [(0.99, False), (1.01, True)])
+def test_a_given_file_that_predicts_better_stands_whatever_another_gains_where_it_was_fitted(bench, factor, stands):
+    prices = KnownNoise.prices
+    level = prices.entry + 0.5 * prices.price * 2
+    bench.quiet["given"], bench.nominal.simulator = True, True
+    ahead, behind = math.exp(-2.0 * level / 2000.0), math.exp(factor * level / 1000.0)
+    bench.figures |= {"given": fit(1.0, 1.0), "mended": fit(ahead, behind)}
+    result = Result(PHYSICS, {"corrected": fit(1e-9)}, findings=(finding(),), linear_parameters={"Jm": None})
+    assert gains_little(result, bench.nominal, "mended") is stands
+    bench.figures["mended"] = fit(ahead, math.inf)
+    assert gains_little(result, bench.nominal, "mended")
+    bench.chi2 |= {("mended", "estimation"): 1.0, ("mended", "held_out"): math.inf}
+    assert not no_better(result, bench.nominal, "mended")
+    assert no_better(replace(result, verdict=UNKNOWN, findings=()), bench.nominal, "mended")
