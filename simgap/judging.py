@@ -41,7 +41,7 @@ from simgap.file_numbers import with_numbers_of_file
 from simgap.found import effect_found
 from simgap.nearest_form import with_nearest
 from simgap.plain_friction import plainer_friction, refit_to_noise
-from simgap.sensitivity import error_by_every_recording, is_sensitive
+from simgap.sensitivity import is_sensitive, refitted_with_starts
 from simgap.weakest_effect import without_weakest
 
 __all__ = ["before_search", "write_judged"]
@@ -110,15 +110,23 @@ def write_judged(
     if stands:
         write_corrected(model, given, out)
         return by_simulator(result, nominal, Files(nominal.runs, (), "as given", notes=_told(cause, nominal), stands=True))
+    runs, sensitive = _follows(bench, axis, form, runs)
     notes = () if found else (*_told(cause, nominal), *instead, *_refitted(axis, out))
     result = with_numbers_of_file(result, out, nominal.cases, runs, other=bool(found or form.lacks))
-    misses = not form.lacks and _misses(result, nominal.cases, runs, MISSES)
-    follows = not misses or is_sensitive(bench, out, runs)
-    files = Files(
-        runs, form.lacks, form.form, found, notes, misses and follows, fewer is not None or less is not None,
-        by_every=math.nan if follows else error_by_every_recording(bench, axis, form, runs),
-    )  # fmt: skip
+    files = Files(runs, form.lacks, form.form, found, notes, sensitive, fewer is not None or less is not None)
     return by_simulator(result, nominal, files)
+
+
+def _follows(bench: Bench, axis: Axis, form: Faithful, runs: Sequence[Run | None]) -> tuple[Sequence[Run | None], bool]:
+    """Runs of the file, and whether its motion cannot be followed.
+
+    A file that misses the engine's error is refitted with its starts, unless the smallest change leads elsewhere.
+    """
+    if form.lacks or not _misses(bench.result, bench.nominal.cases, runs, MISSES):
+        return runs, False
+    if is_sensitive(bench, bench.out, runs):
+        return runs, True
+    return refitted_with_starts(bench, axis, form, runs) or runs, False
 
 
 def _or_as_given(

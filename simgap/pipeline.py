@@ -207,7 +207,7 @@ def _checked(
     With the hold that they all show where none is stated, and without a velocity that is late where the angle can take its place.
     """
     log = check_log(machine, [*recordings, *held_out])
-    other = with_found_hold(log, recordings, held_out)
+    other = with_found_hold(log, machine, recordings, held_out)
     if other is not None:
         recordings, held_out = other
         log = told_as_taken(log, check_log(machine, [*recordings, *held_out]))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from diagnose.check.faults.hold import nearest_hold
+from diagnose.check.faults.hold import nearest_hold, shift_of
+from diagnose.check.machine import Machine
+from diagnose.check.thresholds import Z95, Z_TEST
 from diagnose.check.types import LogCheck
 from mjsim.recording import Recording
 
@@ -15,21 +17,35 @@ _FAULT = "hold"
 
 
 def with_found_hold(
-    check: LogCheck, recordings: Sequence[Recording], held_out: Sequence[Recording]
+    check: LogCheck, machine: Machine, recordings: Sequence[Recording], held_out: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording]] | None:
-    """The recordings with the hold that the check found in every one of them, where none states it; else None.
+    """The recordings with the hold that the check found, where none states it; else None.
 
-    An input that acts half a sample or a sample before it would if it were held: no drive is early, so that this is no physics.
+    Found in one of them at least, and contradicted by none: one logger writes them all, and a short recording may not show its
+    hold alone. An input that acts half a sample or a sample before it would if it were held: no drive is early, so that this is
+    no physics.
     """
     every = (*recordings, *held_out)
     shifts = [p.value for p in check.problems if p.problem == _FAULT and p.value < 0.0]
     found = {nearest_hold(shift, "held") for shift in shifts}
     assumed = all(r.hold == "held" and not r.hold_stated for r in every)
-    if not assumed or len(shifts) != len(every) or len(found) != 1:
+    if not assumed or len(found) != 1:
         return None
     hold = found.pop()
+    if any(_contradicts(check, machine, r, hold) for r in every):
+        return None
     first, second = ([dataclasses.replace(r, hold=hold) for r in group] for group in (recordings, held_out))
     return first, second
+
+
+def _contradicts(check: LogCheck, machine: Machine, recording: Recording, hold: str) -> bool:
+    """Whether the delay of a recording is not that of a hold, to `Z_TEST` standard errors."""
+    own = check.measured.get(recording.source, {})
+    if any(p.problem == _FAULT and p.recording == recording.source for p in check.problems) or "delay_s" not in own:
+        return False
+    delay, dt = own["delay_s"], own["sample_time_s"]
+    error = (delay["ci95"][1] - delay["ci95"][0]) / (2.0 * Z95)
+    return bool(abs(delay["value"] - machine.input_lag() - shift_of(hold, "held") * dt) > Z_TEST * error)
 
 
 def told_as_taken(check: LogCheck, taken: LogCheck) -> LogCheck:

@@ -26,7 +26,7 @@ from mjsim.mjcf.faithful import Writer
 from mjsim.mjcf.write import UNFAITHFUL
 from mjsim.plant import MujocoPlant, Start
 
-__all__ = ["MOST_WORK", "Refit", "refit_in_engine", "refit_in_simulator", "standard_errors", "uncertainties"]
+__all__ = ["MOST_WORK", "Refit", "free_numbers", "refit_in_engine", "refit_in_simulator", "standard_errors", "uncertainties"]
 
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 FINE = 1e-4  # the same where a slope of an unstable motion is asked, which bends within less than `STEP`
@@ -52,7 +52,7 @@ class Refit:
     errors: Mapping[str, float] = field(default_factory=dict)
 
 
-def _free(axis: Axis, held: Container[str] = ()) -> dict[str, float]:
+def free_numbers(axis: Axis, held: Container[str] = ()) -> dict[str, float]:
     """The numbers that are refitted: linear parameters and the amplitudes of effects, as far as they are not zero.
 
     ``held``: names of numbers that stay, and keys of effects of which all do; those that the chain holds stay too.
@@ -83,7 +83,7 @@ def _jacobian(
     at = _residual(cases, run(axis, math.inf))
     if at is None:
         return None
-    now = _free(axis)
+    now = free_numbers(axis)
     columns = []
     for name in names:
         moved = _residual(cases, run(axis.with_values({name: now[name] * (1.0 + step)}), math.inf))
@@ -105,13 +105,13 @@ def _refit(
 
     The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself.
     metric (p,): least diagonal of the normal equations that damps a step: what a part of the data does not show, stays.
-    held: as of `_free`, what ``run`` does not respond to or the recordings cannot tell.
+    held: as of `free_numbers`, what ``run`` does not respond to or the recordings cannot tell.
     """
-    names, runs = list(_free(axis, held)), run(axis, math.inf)
+    names, runs = list(free_numbers(axis, held)), run(axis, math.inf)
     e = _residual(cases, runs)
     if e is None or runs is None:
         return None
-    best = Refit(_free(axis, held), axis, runs, float(e @ e))
+    best = Refit(free_numbers(axis, held), axis, runs, float(e @ e))
     slopes: list[Runner] = [engine, run] if own_slopes else [engine]
     errors: dict[str, float] = {}
     for _ in range(ROUNDS):
@@ -166,7 +166,7 @@ def standard_errors(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) 
     """
     fitted = [(c, s) for c, s in zip(cases, starts, strict=True) if c.estimation.any()]
     parts, at = [c for c, _ in fitted], [s for _, s in fitted]
-    names = list(_free(axis, _unshown(cases)))
+    names = list(free_numbers(axis, _unshown(cases)))
     J = _jacobian(axis, names, parts, _in_engine(parts, at, locked=False))
     return {} if J is None else _errors(names, J.T @ J)
 
@@ -180,7 +180,7 @@ def uncertainties(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) ->
     slopes = []
     for case, start in zip(cases, starts, strict=True):
         every = replace(case, estimation=case.estimation | case.held_out)
-        J = _jacobian(axis, list(_free(axis, _unshown(cases))), [every], _in_engine([every], [start], locked=False), FINE)
+        J = _jacobian(axis, list(free_numbers(axis, _unshown(cases))), [every], _in_engine([every], [start], locked=False), FINE)
         if J is None:
             return [math.inf] * len(cases)
         slopes.append(J)
@@ -220,7 +220,7 @@ def refit_in_simulator(
         for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
             runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
-            own = work_needed * len(_free(axis, held)) <= MOST_WORK and part == HORIZONS[-1]  # a run for each slope
+            own = work_needed * len(free_numbers(axis, held)) <= MOST_WORK and part == HORIZONS[-1]  # a run for each slope
             best = _refit(best.axis if best else axis, parts, runs, engine, own_slopes=own, metric=metric, held=held)
             if best is None or beyond(whole, best.runs, goal):
                 return None
@@ -238,7 +238,7 @@ def _left_out(axis: Axis, path: Path) -> frozenset[str]:
 
 def _metric(axis: Axis, held: Container[str], cases: Sequence[Case], starts: Sequence[Start]) -> np.ndarray | None:
     """Diagonal of the normal equations (p,) of all the data, by the engine; None where it diverges."""
-    J = _jacobian(axis, list(_free(axis, held)), cases, _in_engine(cases, starts, locked=False))
+    J = _jacobian(axis, list(free_numbers(axis, held)), cases, _in_engine(cases, starts, locked=False))
     return None if J is None else np.asarray(np.sum(J**2, axis=0))
 
 

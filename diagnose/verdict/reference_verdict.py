@@ -24,8 +24,7 @@ class Files:
 
     numerics: findings of that class; sensitive: whether the smallest change of the start or the numbers leads elsewhere;
     bears: whether findings were dropped since the simulator's numerics explain the recordings as well; stands: whether the
-    file is the one as given, since no other is better (`no_better`); by_every: rms error of the numbers refitted in MuJoCo to
-    every recording where that is noise, else NaN.
+    file is the one as given, since no other is better (`no_better`).
     """
 
     runs: Sequence[Run | None]
@@ -36,7 +35,6 @@ class Files:
     sensitive: bool = False
     bears: bool = False
     stands: bool = False
-    by_every: float = math.nan
 
 
 def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis:
@@ -60,7 +58,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
     if files.stands or nominal_stands(result, nominal):
         return _no_mismatch(out, notes) if at_noise(nominal.cases, nominal.runs, angles=True) else _as_it_was(out, notes)
     if missed and not files.lacks:
-        notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files))
+        notes.insert(0, _warning(fits["corrected"], engine["corrected"], result.unit, files.sensitive))
     out = dataclasses.replace(out, findings=(*result.findings, *files.numerics), notes=(*notes, *result.notes))
     if files.numerics:
         out = _numerics(out, files)
@@ -75,8 +73,7 @@ def by_simulator(result: Diagnosis, nominal: Nominal, files: Files) -> Diagnosis
             return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_worse(out))
         out = dataclasses.replace(out, notes=(_warning_worse(out), *out.notes))
     # an effect that the equations explain keeps its name; the warning says that the file does not step it
-    known = files.lacks or files.sensitive or not math.isnan(files.by_every)
-    told = known or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
+    told = files.lacks or files.sensitive or out.verdict in (Verdict.UNEXPLAINED, Verdict.MISSING_PHYSICS)
     if missed and not told and not at_noise(nominal.cases, files.runs):
         return dataclasses.replace(out, verdict=Verdict.UNEXPLAINED, summary=_unreached(out))
     if out.verdict is Verdict.MISSING_PHYSICS and not files.bears and not files.numerics:
@@ -159,17 +156,12 @@ def _told(x: float) -> str:
     return f"{x:.4g}" if math.isfinite(x) else "infinite (it diverges)"
 
 
-def _warning(fit: FitFigures, engine: FitFigures, unit: str, files: Files) -> str:
-    why = "MuJoCo does not step what was found as the equations say"
-    if files.sensitive:
-        why = (
-            "the smallest change of where it starts or of its numbers leads elsewhere: such a motion cannot be followed for long"
-        )
-    elif not math.isnan(files.by_every):
-        why = (
-            f"refitted in MuJoCo to estimation and held-out recordings together, the same file misses by {files.by_every:.4g} "
-            f"{unit}, which is noise: the motion needs its numbers more exactly than the estimation recordings show them"
-        )
+def _warning(fit: FitFigures, engine: FitFigures, unit: str, sensitive: bool) -> str:
+    why = (
+        "the smallest change of where it starts or of its numbers leads elsewhere: such a motion cannot be followed for long"
+        if sensitive
+        else "MuJoCo does not step what was found as the equations say"
+    )
     return (
         f"Warning: corrected.xml in plain MuJoCo has a held-out error of {_told(fit.held_out_rms)} {unit} (estimation "
         f"{_told(fit.rms)}), and not the {engine.held_out_rms:.4g} ({engine.rms:.4g}) of the fitting engine; {why}."

@@ -12,7 +12,7 @@ from diagnose.check.thresholds import FOLLOWED, HOLD_TOLERANCE, Z95, Z_TEST
 from diagnose.check.types import Problem, Severity
 from mjsim.recording import Recording
 
-__all__ = ["Told", "hold", "nearest_hold", "tell_hold"]
+__all__ = ["Told", "hold", "nearest_hold", "shift_of", "tell_hold"]
 
 _CENTRE = {"held": 0.5, "linear": 0.0, "mean": -0.5}  # delay of the input behind its samples, in samples
 
@@ -39,13 +39,18 @@ def tell_hold(context: Context) -> Told | None:
     if Z_TEST * error > HOLD_TOLERANCE:
         return Told(None, shift, error)
     nearest = nearest_hold(shift, context.hold)
-    off = abs(shift - (_CENTRE[nearest] - _CENTRE[context.hold]))
+    off = abs(shift - shift_of(nearest, context.hold))
     return Told(nearest if off < HOLD_TOLERANCE else None, shift, error)
 
 
 def nearest_hold(shift: float, assumed: str) -> str:
     """The hold whose delay against the assumed one is nearest to a shift [samples]."""
-    return min(HOLDS, key=lambda h: abs(shift - (_CENTRE[h] - _CENTRE[assumed])))
+    return min(HOLDS, key=lambda h: abs(shift - shift_of(h, assumed)))
+
+
+def shift_of(hold: str, assumed: str) -> float:
+    """Delay of a hold against the assumed one [samples]."""
+    return _CENTRE[hold] - _CENTRE[assumed]
 
 
 @check("hold", "hold", question="Does the input go between samples as stated?")

@@ -1,0 +1,83 @@
+"""A file whose motion amplifies small changes is refitted in its numbers and its start at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import partial
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.verdict.reference import Run, at_noise, cases_of, chi_square
+from diagnose.verdict.reference_runs import run_files
+from mjsim.mjcf import load_axis
+from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
+from mjsim.plant import MujocoPlant
+from mjsim.recording import Recording
+from simgap import sensitivity
+from simgap.bench import Bench
+from simgap.sensitivity import refitted_with_starts
+
+DT, SIGMA, SPREAD = 2e-3, 0.02, 5e-4
+PENDULUM = """<mujoco><option timestep="0.002"/><worldbody><body name="rod" pos="0 0 1">
+  <joint name="hinge" axis="0 1 0" damping="0.05"/>
+  <inertial pos="0 0 -.3" mass=".5" diaginertia=".02 .02 .02"/></body></worldbody>
+  <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+
+
+def log(seed):
+    """A pendulum that goes over the top, from rest near the bottom."""
+    m = mujoco.MjModel.from_xml_string(PENDULUM)
+    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
+    t = DT * np.arange(2500)
+    u = 2.0 * np.sin(2 * np.pi * (0.4 + 0.2 * t) * t + seed) * np.minimum(t, 1.0)
+    q, v = np.empty(len(t)), np.empty(len(t))
+    for k in range(len(t)):
+        q[k], v[k], d.ctrl[0] = d.qpos[0], d.qvel[0], u[k]
+        mujoco.mj_step(m, d)
+    return Recording(
+        t, u, v + SIGMA * rng.standard_normal(len(t)), q + SPREAD * rng.standard_normal(len(t)), DT, source=f"{seed}.csv"
+    )
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """What is judged: numbers off by some 1e-4 and starts by three spreads, on two recordings."""
+    folder = tmp_path_factory.mktemp("pendulum")
+    model, out = folder / "model.xml", folder / "corrected.xml"
+    model.write_text(PENDULUM)
+    given = load_axis(model)
+    cases = cases_of([log(1)], [log(2)])
+    axis = given.with_values({p.name: p.value * 1.0002 for p in given.chain.linear_parameters()})
+    write = partial(write_as_author, model)
+    form = Faithful(AUTHOR, math.nan, write(axis, out), write)
+    starts = [dataclasses.replace(c.start(), angle=3.0 * c.spread()[0]) for c in cases]
+    runs = run_files([MujocoPlant.load(out)], cases, 1, starts)[0]
+    return Bench(model, given, axis, SimpleNamespace(), SimpleNamespace(cases=cases), out, 1), form, runs
+
+
+def test_numbers_and_starts_are_found_at_once(bench):
+    b, form, runs = bench
+    cases = b.nominal.cases
+    assert not at_noise(cases, runs)
+    before, file = chi_square(cases, runs)[0], b.out.read_bytes()
+    better = refitted_with_starts(b, b.axis, form, runs)
+    assert chi_square(cases, better)[0] < 1.05 * len(cases[0].measured) < before
+    assert b.out.read_bytes() != file
+    assert better[0].start.angle < 0.6 * runs[0].start.angle
+    # what cannot be lowered stays as it is
+    file = b.out.read_bytes()
+    perfect = [Run(c.measured, c.recording.angle, r.start) for c, r in zip(cases, better, strict=True)]
+    assert refitted_with_starts(b, b.axis, form, perfect) is None
+    assert b.out.read_bytes() == file
+
+
+def test_no_refit_of_what_lacks_a_law_diverges_or_costs_too_much(bench, monkeypatch):
+    b, form, runs = bench
+    assert refitted_with_starts(b, b.axis, dataclasses.replace(form, lacks=("a law",)), runs) is None
+    assert refitted_with_starts(b, b.axis, form, [None, runs[1]]) is None
+    monkeypatch.setattr(sensitivity, "MOST_WORK", 1.0)
+    assert refitted_with_starts(b, b.axis, form, runs) is None
