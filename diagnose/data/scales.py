@@ -142,5 +142,6 @@ def scales_by_place(
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
             following=0.0 if r.command is None else _rms(r.command - q), asked=asked,
             move=r.duration / (1 + reversals(v)), stops=stops if at == 0 else (),
+            hold_stated=r.hold_stated,
         )  # fmt: skip
     return out

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from mjsim.effects.admissible import Range
+from mjsim.effects.admissible import Range, wait
 from mjsim.effects.base import Effect, Scales, need_drive, parameter
 from mjsim.effects.native import DriveLag, Native, Value
 from mjsim.effects.ports import InputLag, Port
@@ -53,7 +53,7 @@ class ActuatorLag(Effect):
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        return (Range("time constant in s", self.time_constant_s, 0.0, 5.0 * scales.move, "a few moves"),)
+        return wait("time constant in s", self.time_constant_s, 5.0 * scales.move, "a few moves", scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -12,9 +12,10 @@ from typing import final
 
 from mjsim.effects.scales import Scales
 
-__all__ = ["Range", "bristles", "mode", "wave"]
+__all__ = ["Range", "bristles", "mode", "wait", "wave"]
 
 WHOLE = 0.03  # relative distance to a whole order of the motor's turn within which an order is that one
+BETWEEN = 0.25  # of a sample, within which the delay of an input is that of how it goes between samples: held, linear or a mean
 WARMS_UP = 10.0  # ratio of the friction of a cold and a warm machine: viscosity of grease over some 40 K
 
 
@@ -57,3 +58,10 @@ def mode(inertia: float, stiffness: float, scales: Scales) -> tuple[Range, ...]:
     frequency = math.sqrt(stiffness / inertia) if inertia > 0 else math.inf
     low, high = 2.0 * math.pi / scales.duration, math.pi / scales.dt
     return (Range("frequency in rad/s", frequency, low, high, "one period in the recording to two samples a period"),)
+
+
+def wait(what: str, time: float, most: float, why: str, scales: Scales) -> tuple[Range, ...]:
+    """Of a delay or a lag [s], up to a time that a reason gives: longer than what an input that nobody states leaves open."""
+    least = 0.0 if scales.hold_stated else BETWEEN * scales.dt
+    open_ = "" if scales.hold_stated else ", from a quarter of a sample on: nobody states how the input goes between samples"
+    return (Range(what, time, least, max(most, least), f"{why}{open_}"),)

@@ -22,7 +22,8 @@ class Scales:
     the input, or a servo's law without its limit, asks of the actuator [N m | N]: the largest, and those exceeded in a tenth
     and in three tenths of the time; move: mean time between reversals of the velocity [s],
     the duration where it does not reverse; stops: (side, angle [rad | m], time constant [s]) of each end of the travel at which the
-    motion is turned back as at a stop, side -1 or +1; None where this was not looked for.
+    motion is turned back as at a stop, side -1 or +1; None where this was not looked for; hold_stated: whether it is known how
+    the input goes between samples.
     """
 
     torque: float
@@ -46,3 +47,4 @@ class Scales:
     asked: tuple[float, ...] = ()
     move: float = 0.0
     stops: tuple[tuple[int, float, float], ...] | None = None
+    hold_stated: bool = True

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from mjsim.effects.admissible import Range
+from mjsim.effects.admissible import Range, wait
 from mjsim.effects.base import Effect, Scales, parameter
 from mjsim.effects.ports import OutputLag, Port
 from mjsim.effects.registry import register
@@ -42,7 +42,7 @@ class SensorLag(Effect):
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        return (Range("time constant in s", self.time_constant_s, 0.0, 5.0 * scales.move, "a few moves"),)
+        return wait("time constant in s", self.time_constant_s, 5.0 * scales.move, "a few moves", scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

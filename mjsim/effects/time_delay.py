@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from mjsim.effects.admissible import Range
+from mjsim.effects.admissible import Range, wait
 from mjsim.effects.base import Effect, Scales, need_drive, parameter
 from mjsim.effects.native import DriveDelay, Native, SensorDelay, Value
 from mjsim.effects.ports import InputDelay, OutputDelay, Port
@@ -61,7 +61,7 @@ class TimeDelay(Effect):
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        return (Range("delay in s", self.delay_s, 0.0, max(scales.move, scales.dt), "the time of a move"),)
+        return wait("delay in s", self.delay_s, max(scales.move, scales.dt), "the time of a move", scales)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -55,6 +55,17 @@ def test_a_number_beyond_what_the_recording_shows_is_told(name, good, bad):
     assert len(broken(name, **{**values, **bad})) == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "number"), [("time_delay", "delay_s"), ("actuator_lag", "time_constant_s"), ("sensor_lag", "time_constant_s")]
+)
+def test_what_an_unstated_input_leaves_open_is_no_delay(name, number):
+    place = "sensor" if name == "sensor_lag" else "actuator"
+    assert broken(name, place=place, **{number: 0.2 * SCALES.dt}) == []
+    unknown = dataclasses.replace(SCALES, hold_stated=False)
+    assert len(broken(name, unknown, place=place, **{number: 0.2 * SCALES.dt})) == 1
+    assert broken(name, unknown, place=place, **{number: 0.3 * SCALES.dt}) == []
+
+
 def test_half_a_period_of_a_whole_order_is_enough():
     scales = dataclasses.replace(SCALES, travel=0.6 * math.pi, turns=(2.0, 3.0))
     assert broken("torque_ripple", scales, amplitude_Nm=0.1, cycles_per_rev=2.0, phase_rad=0.0) == []
