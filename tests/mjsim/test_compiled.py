@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from numba import njit
+from numba import config, njit
 from numba.core import event
 from numba.core.errors import TypingError
 
+from mjsim import compiled as module
+from mjsim.compiled import compiled, kept_at
 from mjsim.effects import coulomb_friction_with_creep as creep
 
 NEW = """
@@ -89,3 +92,116 @@ def test_the_collector_rests_while_numba_compiles_and_runs_after_it():
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+BOTH = """
+import sys, time
+from numba.core import event
+from mjsim import compiled as module
+
+class Slow(event.Listener):
+    def on_start(self, started):
+        print("compiles", flush=True)
+        time.sleep(float(sys.argv[1]))
+    def on_end(self, ended):
+        pass
+
+@module.compiled()
+def inner(x):
+    return x + 1.0
+
+@module.compiled()
+def outer(x):
+    return 2.0 * inner(x)
+
+print("ready", flush=True)
+sys.stdin.readline()
+with event.install_listener("numba:compile", Slow()):
+    print(outer(1.0), flush=True)
+"""
+
+
+@pytest.fixture
+def started(tmp_path: Path):
+    """``started(slow)``: a process that calls two functions after a line; each compiles ``slow`` s longer."""
+    (tmp_path / "both.py").write_text(BOTH)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(slow: float) -> subprocess.Popen[str]:
+        call = [sys.executable, "both.py", str(slow)]
+        process = subprocess.Popen(call, cwd=tmp_path, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        processes.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        return process
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def go(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
+
+
+def said(process: subprocess.Popen[str]) -> list[str]:
+    return process.communicate(timeout=120)[0].split()
+
+
+def test_of_two_processes_that_need_a_function_one_compiles_it(started, tmp_path: Path):
+    one, other = started(1.0), started(1.0)
+    go(one)
+    go(other)
+    assert sorted([said(one), said(other)]) == [["4.0"], ["compiles", "compiles", "4.0"]]
+    assert list(tmp_path.rglob("*.lock")) == []
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_while_it_compiles_keeps_nobody_waiting(started):
+    one, other = started(60.0), started(0.0)
+    go(one)
+    assert one.stdout is not None
+    assert one.stdout.readline() == "compiles\n"
+    go(other)
+    one.kill()
+    assert said(other) == ["compiles", "compiles", "4.0"]
+
+
+def test_where_files_cannot_be_locked_nobody_waits(tmp_path: Path, monkeypatch):
+    held = module._Lock(tmp_path / "lock")
+    monkeypatch.setattr(module, "fcntl", None)
+    assert module._Lock(tmp_path / "lock").descriptor < 0
+    held.free()
+    monkeypatch.undo()
+    (tmp_path / "file").touch()
+    assert module._Lock(tmp_path / "file" / "lock").descriptor < 0  # no folder can be made there
+
+
+def test_a_process_that_is_suspended_while_it_compiles_is_waited_for_that_long(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(module, "LONGEST", 0.1)
+    held = module._Lock(tmp_path / "lock")
+    assert held.descriptor >= 0
+    assert module._Lock(tmp_path / "lock").descriptor < 0
+    held.free()
+    free = module._Lock(tmp_path / "lock")
+    assert free.descriptor >= 0
+    free.free()
+
+
+def test_what_cannot_be_compiled_frees_its_lock(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+
+    @compiled()
+    def wrong(x):
+        return x + undefined  # type: ignore[name-defined]  # noqa: F821
+
+    for _ in range(2):
+        with pytest.raises(TypingError):
+            wrong(1.0)
+    assert wrong._cache._locks == []
+    assert kept_at(wrong).startswith(str(tmp_path))
+    assert list(tmp_path.rglob("*.lock")) == []
