@@ -105,8 +105,12 @@ def inherit(cls: type[Effect], values: Mapping[str, float], effect: Effect, rati
 
 
 def related(name: str, effect: Effect) -> bool:
-    """Whether an effect refines another, or both refine the same; another form of an effect refines it, or other refinements."""
+    """Whether an effect refines another, or both refine the same.
+
+    Another form of an effect refines it, or other refinements, or takes the place of those that refine that effect.
+    """
     cls = effect_class(name)
     if cls.form_of:
-        return effect.id in cls.refines and (effect.id == cls.form_of or bool(type(effect).refines))
+        refined = effect.id in cls.refines and (effect.id == cls.form_of or bool(type(effect).refines))
+        return refined or cls.form_of in type(effect).refines
     return effect.id in cls.refines or name in type(effect).refines or bool(set(cls.refines) & set(type(effect).refines))
