@@ -35,14 +35,13 @@ CHANGED = {"Jm": 4.7e-4, "fm": 0.0345, "kg": 1.46e5, "ka": 0.458e5, "Ja": 1.66} 
 Record = Callable[..., Recording]
 
 # Where nothing is compiled yet, these compile most of what all tests run. The first worker begins with the first tuple and the
-# last with the second, so that they compile different functions for most of that time.
+# last with the second: they compile different functions, since one that needs what the other compiles waits for it.
 COMPILES = (
     ("tests/mjsim/test_crosscheck.py",),
     (
         "tests/ident/test_tools.py",
         "tests/mjsim/test_servo.py",
         "tests/mjsim/test_joint_limit.py",
-        "tests/mjsim/test_reference.py",  # after the first worker has compiled the kernel of long chains
         "tests/mjsim/test_plants.py",
     ),
 )

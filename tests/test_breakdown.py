@@ -105,7 +105,13 @@ def line(ended: subprocess.CompletedProcess[str], code: int, *parts: str) -> Non
     [
         ("MemoryError('unable to allocate 3 GiB')", 20, 2, ("not enough memory", "3 GiB", "--jobs")),
         ("ode.DivergedError('left the finite numbers at 0.5 s')", 1, 2, ("pendulum.xml", "diverges", "at 0.5 s")),
-        ("ZeroDivisionError('made')", 20, 1, ("ZeroDivisionError", "made", "a fault of simgap", "SIMGAP_TRACEBACK")),
+        pytest.param(
+            "ZeroDivisionError('made')",
+            20,
+            1,
+            ("ZeroDivisionError", "made", "a fault of simgap", "SIMGAP_TRACEBACK"),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_diagnosis_that_breaks_in_the_middle(folder, error, call, code, parts):
@@ -114,6 +120,7 @@ def test_a_diagnosis_that_breaks_in_the_middle(folder, error, call, code, parts)
     assert {p.name for p in folder.glob("out/*")} <= {"state.jsonl"}
 
 
+@pytest.mark.slow
 def test_a_model_that_is_still_judged_has_not_its_final_name(folder):
     """In the course of it the file is written several times."""
     line(run(folder, *DIAGNOSE, code=JUDGED), 2, "not enough memory (made)")
@@ -134,7 +141,7 @@ def test_a_limit_on_memory(folder):
     assert not (folder / "out").exists()
 
 
-@pytest.mark.parametrize("group", [True, False], ids=["group", "process"])
+@pytest.mark.parametrize("group", [pytest.param(True, marks=pytest.mark.slow), False], ids=["group", "process"])
 def test_sigterm_while_a_film_is_drawn(tmp_path, group):
     """The command ends by one line; the encoder, which may end before it, makes no difference. No part is left."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}

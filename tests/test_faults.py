@@ -43,7 +43,14 @@ def test_a_scenario_of_the_same_name_as_its_log(simgap):
     refused(simgap("run", "step.toml", "--out", "."), "would overwrite", "step.toml")
 
 
-@pytest.mark.parametrize("words", [("run", "--list"), ("effects", "--json"), ("check", "log.csv", "--model", "robot_axis1")])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "--list"),
+        pytest.param(("effects", "--json"), marks=pytest.mark.slow),
+        pytest.param(("check", "log.csv", "--model", "robot_axis1"), marks=pytest.mark.slow),
+    ],
+)
 def test_a_reader_that_goes_away(tmp_path, words):
     """A pipe without a reader ends the command as SIGPIPE would, and quietly."""
     recording(tmp_path / "log.csv")

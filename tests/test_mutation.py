@@ -80,6 +80,7 @@ def test_a_mutant_runs_in_place_of_the_function(tiny):
         above(1.0)
 
 
+@pytest.mark.slow
 def test_the_command_tells_what_survives(tmp_path):
     """A test that sees one side of a level alone, a function that no test calls, a loop that does not end."""
     (tmp_path / "tiny.py").write_text(TINY)

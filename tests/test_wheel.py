@@ -60,6 +60,7 @@ def test_nothing_in_the_wheel_imports_a_package_of_the_source_tree(build, tmp_pa
     assert (tmp_path / "simgap" / "py.typed").is_file()
 
 
+@pytest.mark.slow
 def test_the_wheel_has_one_top_level_name(tmp_path):
     """So that nothing that is installed can hide another distribution's package, or be hidden."""
     words = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]

@@ -244,6 +244,7 @@ def arm_in_a_folder(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_model_as_a_folder_and_recordings_as_an_archive(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
     said: list[str] = []
     arm = arm_in_a_folder(tmp_path / "arm")

@@ -288,6 +288,7 @@ def test_from_upload_to_the_check_and_back_after_a_restart(client, run, log, tmp
         assert [r.id for r in Runs(tmp_path / "runs").all()] == [other]
 
 
+@pytest.mark.slow
 def test_a_wrong_log_is_an_answer_of_the_check(client, run, log):
     head, *rows = log.decode().splitlines()
     turned = "\n".join([head, *(",".join([a, b, str(-float(c))]) for a, b, c in (r.split(",") for r in rows))])

@@ -139,7 +139,7 @@ def halving(entry: Entry, seed: int, kind: str, seconds: float) -> tuple[float, 
     return rms(runs[0] - runs[1]), rms(runs[1])
 
 
-FAST = ("coulomb_friction", "stribeck_friction", "backlash", "presliding_friction", "hysteresis", "time_delay")
+FAST = ("stribeck_friction", "backlash", "time_delay")
 
 
 @pytest.mark.parametrize("effect", FAST)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import looks_right
+from browser import WINDOWS, looks_right
 
 from diagnose.report.components import data_table, theme_button
 from diagnose.report.document import document
@@ -367,12 +367,13 @@ def test_the_figures_are_json_and_the_page_stands_alone() -> None:
         assert f'id="{anchor}"' in page
 
 
-def test_the_page_in_a_browser(browser: Any, tmp_path: Path) -> None:
+@WINDOWS
+def test_the_page_in_a_browser(browser: Any, tmp_path: Path, widths: tuple[int, ...]) -> None:
     summary = summarise({f"{i:03d}": t for i, (t, _, _) in enumerate(ENDS)}, {f"{i:03d}": r for i, (_, r, _) in enumerate(ENDS)})
     about = {"grade": "quick", "seed": 1, "counts": {}, "envelope_sha256": "0" * 64, "versions": {}, "budget_s": None}
     page, _ = render_page(json.loads(json.dumps({**about, **summary}).replace("NaN", "null")), _manner())
     (tmp_path / "benchmark.html").write_text(page, encoding="utf-8")
-    looks_right(browser, tmp_path / "benchmark.html")
+    looks_right(browser, tmp_path / "benchmark.html", widths=widths)
 
 
 def test_a_page_of_nulls_alone() -> None:

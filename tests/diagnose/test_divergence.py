@@ -83,6 +83,7 @@ def test_what_is_left_on_the_fitted_recording_counts(robot, sealed):
     assert found.verdict is Verdict.UNEXPLAINED
 
 
+@pytest.mark.slow
 def test_a_parameter_that_took_the_colour_of_the_noise_is_not_missing_physics(robot):
     """A trapezoid under feedback leaves inertias open: on plain errors one went to a tenth, and the model missed motion by that.
 

@@ -52,12 +52,23 @@ def test_a_run_is_counted_in_products_of_a_step(robot):
     assert took(sticking) == took(sticking) >= 2000
 
 
-def test_a_search_that_has_spent_its_budget_says_so_with_any_number_of_threads(robot, plant):
+@pytest.fixture(scope="module")
+def spent(robot, plant):
+    """``spent(jobs)``: a diagnosis that spends its budget."""
     estimation, held_out = recorded(plant, 1), recorded(plant, 2, 0.5)
     few = Options(jobs=1, effects=PAIR, effort=0.02)
-    one, two = (diagnose(robot, [estimation], [held_out], dataclasses.replace(few, jobs=jobs)) for jobs in (1, 2))
-    assert one.verdict is Verdict.UNEXPLAINED
-    assert any("--effort" in note for note in one.notes)
+    return lambda jobs: diagnose(robot, [estimation], [held_out], dataclasses.replace(few, jobs=jobs))
+
+
+def test_a_search_that_has_spent_its_budget_says_so(spent):
+    two = spent(2)
+    assert two.verdict is Verdict.UNEXPLAINED
+    assert any("--effort" in note for note in two.notes)
+
+
+@pytest.mark.slow
+def test_a_budget_is_spent_alike_by_any_number_of_threads(spent):
+    one, two = spent(1), spent(2)
     assert [(f.effect, f.place) for f in one.findings] == [(f.effect, f.place) for f in two.findings]
     assert one.fit["corrected"].rms == two.fit["corrected"].rms
     assert one.rivals == two.rivals

@@ -273,6 +273,7 @@ def test_an_answer_by_motion_is_not_asked_again(monkeypatch):
     assert not free.asked
 
 
+@pytest.mark.slow
 def test_friction_is_named_beside_a_slow_unknown_torque(tmp_path):
     """A free run adds the unknown torque up; by force each sample counts for itself."""
     model, files = tmp_path / "rotor.xml", []

@@ -40,7 +40,7 @@ FEW = ("coulomb_friction", "backlash", "hardening_stiffness", "torque_offset", "
 @pytest.fixture(scope="module")
 def with_coulomb(pair, robot):
     """(recordings, result) with Coulomb friction concealed; every registered effect is a candidate."""
-    recordings = pair(COULOMB)
+    recordings = pair(COULOMB, seconds=2.0)
     return recordings, diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1))
 
 
@@ -84,6 +84,7 @@ def test_coulomb_friction_is_found(with_coulomb):
     assert result.gap_closed > 0.97
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_the_number_of_threads(with_coulomb, robot):
     (estimation, held_out), _ = with_coulomb
     one, two = (diagnose(robot, [estimation], [held_out], Options(jobs=jobs, effects=FEW)) for jobs in (1, 2))
@@ -125,7 +126,8 @@ def test_two_effects_are_told_apart(pair, robot):
     assert found["time_delay"].parameters["delay_s"].value == pytest.approx(2e-3, rel=0.03)
 
 
-@pytest.mark.parametrize("torque", [pytest.param(0.05, marks=pytest.mark.slow), 0.3])
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [0.05, 0.3])
 def test_what_no_candidate_explains_is_said_to_be_unexplained(pair, robot, torque):
     """Friction is concealed and no friction may be named: structure remains, and is said to."""
     estimation, held_out = pair(effect("coulomb_friction", torque_Nm=torque), seconds=2.5)
@@ -162,7 +164,7 @@ def test_candidates_are_what_the_chain_offers(with_coulomb, robot):
 
 
 def test_without_a_held_out_recording_blocks_are_held_out(record, robot):
-    result = diagnose(robot, [record(COULOMB, seconds=6.0)], (), Options(jobs=1, effects=FEW))
+    result = diagnose(robot, [record(COULOMB, seconds=4.0)], (), Options(jobs=1, effects=FEW))
     (finding,) = result.findings
     assert finding.effect == "coulomb_friction"
     assert {r["role"] for r in result.recordings} == {"estimation", "held-out"}
@@ -310,6 +312,7 @@ def test_files_in_a_folder_with_the_contracts_json_out(pair, tmp_path):
     assert np.std(run.velocity - held_out.velocity) == pytest.approx(said["fit"]["corrected"]["held_out_rms"], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_command_loads_neither_scipy_signal_nor_scipy_stats(pair, tmp_path):
     """They take half a second to load, and a second core is of no help."""
     one, two = (write(tmp_path / f"{name}.csv", r) for name, r in zip("ab", pair(COULOMB, seconds=0.5), strict=True))

@@ -58,7 +58,7 @@ def test_every_form_is_of_an_effect_of_the_contract():
 
 
 def test_a_form_is_named_by_the_contract(robot, damped):
-    only = ("coulomb_friction", "presliding_friction", "stribeck_friction", "torque_offset")
+    only = ("coulomb_friction", "presliding_friction")
     found = diagnose(robot, damped[:1], damped[1:], Options(effects=only, jobs=1))
     assert found.verdict is Verdict.MISSING_PHYSICS
     (finding,) = found.findings

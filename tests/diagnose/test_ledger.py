@@ -73,7 +73,9 @@ class Counted:
         self.kept += 1
 
 
-@pytest.mark.parametrize(("share", "jobs"), [(0.2, 1), pytest.param(0.7, 1, marks=pytest.mark.slow), (0.95, 2)])
+@pytest.mark.parametrize(
+    ("share", "jobs"), [pytest.param(0.2, 1, marks=pytest.mark.slow), pytest.param(0.7, 1, marks=pytest.mark.slow), (0.95, 2)]
+)
 def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path, share, jobs):
     recordings, options, expected, count = whole
     options = dataclasses.replace(options, jobs=jobs)
@@ -103,6 +105,7 @@ def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch)
     assert set(asked) <= set(again._known)
 
 
+@pytest.mark.slow
 def test_a_second_search_over_all_recordings_is_remembered_too(whole, robot, tmp_path, monkeypatch):
     (estimation, held_out), options, *_ = whole
     options = dataclasses.replace(options, effects=("stribeck_friction",))

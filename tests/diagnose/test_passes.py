@@ -121,6 +121,7 @@ def fed_back(looped):
     return looped(laws, measurement, np.random.default_rng(6), *loops)
 
 
+@pytest.mark.slow
 def test_coloured_noise_in_a_loop_is_no_missing_physics(robot, fed_back):
     """A fit on plain errors takes the noise for response, and the torque, which holds it, predicts the residual."""
     first, other = fed_back
@@ -160,6 +161,7 @@ def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot
     is_sought_on_whitened_errors_only(fitter, monkeypatch)
 
 
+@pytest.mark.slow
 def test_what_a_filter_leaves_open_all_recordings_may_settle(robot, looped):
     """A null whose estimation recording tells little of a damping, by the noise's own filter as well, was `unexplained`."""
     measurement = Measurement(velocity_noise=0.0375, poles=(0.857 + 0.395j, 0.857 - 0.395j))

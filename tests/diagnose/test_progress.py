@@ -87,23 +87,22 @@ def test_a_terminal_shows_one_moving_line(monkeypatch, capsys):
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_the_command_is_quiet_when_asked(pair, tmp_path):
+@pytest.mark.parametrize("quiet", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_command_is_quiet_when_asked(pair, tmp_path, quiet):
     for name, r in zip(("log.csv", "other.csv"), pair(effect("coulomb_friction", torque_Nm=0.1), seconds=0.5), strict=True):
         rows = np.column_stack([r.time, r.torque, r.velocity, r.angle])
         header = "time_s,torque_Nm,velocity_rad_s,angle_rad"
         np.savetxt(tmp_path / name, rows, delimiter=",", header=header, comments="")
-    said = {}
-    for quiet in ((), ("--quiet",)):
-        arguments = [
-            "diagnose", str(tmp_path / "log.csv"), "--held-out", str(tmp_path / "other.csv"), "--jobs", "1", "--effects",
-            "coulomb_friction", "--model", str(shipped_model("robot_axis1")), "--out", str(tmp_path / "report"), *quiet,
-        ]  # fmt: skip
-        answer = CliRunner().invoke(cli, arguments)
-        assert answer.exit_code == 0, answer.output
-        said[quiet] = answer.stderr
-    assert said[("--quiet",)] == ""
-    assert "compare: refitting the nominal model" in said[()]
-    assert "best so far coulomb_friction@motor" in said[()]
+    arguments = [
+        "diagnose", str(tmp_path / "log.csv"), "--held-out", str(tmp_path / "other.csv"), "--jobs", "1", "--effects",
+        "coulomb_friction", "--model", str(shipped_model("robot_axis1")), "--out", str(tmp_path / "report"),
+        *(("--quiet",) if quiet else ()),
+    ]  # fmt: skip
+    answer = CliRunner().invoke(cli, arguments)
+    assert answer.exit_code == 0, answer.output
+    assert (answer.stderr == "") is quiet
+    assert ("compare: refitting the nominal model" in answer.stderr) is not quiet
+    assert ("best so far coulomb_friction@motor" in answer.stderr) is not quiet
 
 
 def test_compiling_is_told_and_how_far():

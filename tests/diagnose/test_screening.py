@@ -137,6 +137,7 @@ def test_a_short_recording_is_screened_in_full(robot, recordings):
     assert screening_of(made, made.fit(made.hypothesis(()), iterations=1)).every == 1
 
 
+@pytest.mark.slow
 def test_a_screening_of_all_samples_is_the_fitter_itself(fitter, base):
     whole = Screening(fitter, base, fitter)
     (best, *_) = screen(fitter, base, candidates(fitter))

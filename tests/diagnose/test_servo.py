@@ -75,6 +75,7 @@ def test_a_small_error_of_force_is_an_all_clear():
     assert "No missing physics can be named" in result.summary
 
 
+@pytest.mark.slow
 def test_without_that_rule_it_would_be(monkeypatch):
     monkeypatch.setattr(servo, "IMITATED", set())
     assert told(1, (*FEW, "time_delay"), unknown=0.4).findings

@@ -205,7 +205,9 @@ def test_the_files_are_judged_by_plain_mujoco(tmp_path):
     assert written["nominal"]["held_out_rms"] > 3 * judged
 
 
-@pytest.mark.parametrize(("friction", "verdict"), [(0.0, Verdict.NO_MISMATCH), (0.08, Verdict.MISSING_PHYSICS)])
+@pytest.mark.parametrize(
+    ("friction", "verdict"), [(0.0, Verdict.NO_MISMATCH), pytest.param(0.08, Verdict.MISSING_PHYSICS, marks=pytest.mark.slow)]
+)
 def test_a_default_timestep_is_no_physics(tmp_path, friction, verdict):
     """MuJoCo's default options (2 ms, Euler, soft friction): the engine differs from the file by many times the noise."""
     nominal = tmp_path / "pendulum.xml"

@@ -105,6 +105,7 @@ def _edges(grid):
     return np.concatenate([[-np.inf], 0.5 * (grid[1:] + grid[:-1]), [np.inf]])
 
 
+@pytest.mark.slow
 def test_the_same_with_two_threads(faded, robot):
     (estimation, held_out), one = faded
     two = diagnose(robot, [estimation], [held_out], Options(jobs=2, effects=("time_delay",)))
@@ -182,6 +183,7 @@ def test_none_is_given_where_no_torque_is_missing(pair, robot):
     assert found is None or found.held_out.rms > 0.8 * fitter.validate(base).rms
 
 
+@pytest.mark.slow
 def test_a_model_that_holds_a_map_gets_no_second_one(faded, robot):
     (estimation, held_out), result = faded
     fitter = Fitter(robot + result.map.effect, MotionView(), (prepare(estimation),), (prepare(held_out),), 1)

@@ -10,11 +10,9 @@ from robot_axis import effect
 from diagnose.pipeline import Options, diagnose
 
 FEW = ("coulomb_friction", "hardening_stiffness", "torque_offset", "time_delay", "actuator_lag", "torque_ripple")
-HIDDEN = (
-    effect("coulomb_friction", torque_Nm=0.1),
-    effect("time_delay", place="actuator", delay_s=2e-3),
-    effect("torque_ripple", amplitude_Nm=0.04, cycles_per_rev=6.3, phase_rad=0.5),
-)
+COULOMB = effect("coulomb_friction", torque_Nm=0.1)
+DELAY = effect("time_delay", place="actuator", delay_s=2e-3)
+RIPPLE = effect("torque_ripple", amplitude_Nm=0.04, cycles_per_rev=6.3, phase_rad=0.5)
 
 
 def scaled(axis, mass, pace):
@@ -35,16 +33,19 @@ HEAVY_AND_SLOW, LIGHT_AND_FAST = (1e3, 5.0), (1e-3, 0.2)
 
 
 @pytest.mark.parametrize(
-    ("hidden", "sizes"),
-    zip(HIDDEN, [(HEAVY_AND_SLOW, LIGHT_AND_FAST), (HEAVY_AND_SLOW,), (LIGHT_AND_FAST,)], strict=True),
-    ids=[e.id for e in HIDDEN],
+    ("hidden", "mass", "pace"),
+    [
+        pytest.param(COULOMB, *HEAVY_AND_SLOW, id="coulomb_friction, heavy"),
+        pytest.param(COULOMB, *LIGHT_AND_FAST, id="coulomb_friction, light", marks=pytest.mark.slow),
+        pytest.param(DELAY, *HEAVY_AND_SLOW, id="time_delay, heavy", marks=pytest.mark.slow),
+        pytest.param(RIPPLE, *LIGHT_AND_FAST, id="torque_ripple, light"),
+    ],
 )
-def test_a_scaled_machine_has_the_scaled_diagnosis(pair, robot, hidden, sizes):
+def test_a_scaled_machine_has_the_scaled_diagnosis(pair, robot, hidden, mass, pace):
     recordings = pair(hidden, seconds=1.5)
     plain = diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1, effects=FEW))
     assert [(f.effect, f.place) for f in plain.findings] == [(hidden.id, hidden.place)]
-    for mass, pace in sizes:
-        scales_with(robot, recordings, plain, mass, pace)
+    scales_with(robot, recordings, plain, mass, pace)
 
 
 def scales_with(robot, recordings, plain, mass, pace):

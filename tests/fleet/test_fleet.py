@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import looks_right
+from browser import WINDOWS, looks_right
 
 from mjsim.errors import InputError
 from simgap.fleet.page import headline, write_page
@@ -266,13 +266,14 @@ def test_table_and_page(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["fleet.html", "fleet.parquet"]
 
 
-def test_the_page_in_a_browser(browser, tmp_path):
+@WINDOWS
+def test_the_page_in_a_browser(browser, tmp_path, widths):
     table = [
         row(f"r{i}", d, v + 0.01 * d * (i == 1)) for i, v in enumerate((0.30, 0.31, 0.29, 0.32, 0.30, 0.9)) for d in range(1, 8)
     ]
     table.append(row("a-robot-with-a-rather-long-name", 1, None, verdict="refused", effect=None, problem="too short"))
     write_page(tmp_path / "fleet.html", table, "m.xml")
-    looks_right(browser, tmp_path / "fleet.html")
+    looks_right(browser, tmp_path / "fleet.html", widths=widths)
 
 
 def test_a_record_is_whole_or_not_there(tmp_path):

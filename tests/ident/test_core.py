@@ -189,6 +189,7 @@ def test_a_common_prefilter_leaves_the_plant(bj_truth):
     assert_allclose(plant.F, bj_truth.model.F, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_box_jenkins_model_ends_no_higher_than_the_output_error_model_in_it():
     """Oversampled, with white noise: C and D are not needed, cancel, and stalled every start but the nested one."""
     rng = np.random.default_rng(0)

@@ -118,8 +118,11 @@ def _slow_record(seed, colour, n=3000):
 
 @pytest.mark.parametrize(
     ("colour", "structure"),
-    [([1], Structure.oe(3, 3, 1)), ([1, -0.97], Structure.bj(3, 0, 1, 3, 1)), ([1, -0.97], Structure.oe(3, 3, 1))],
-    ids=["white", "coloured", "coloured, no noise model"],
+    [
+        pytest.param([1], Structure.oe(3, 3, 1), id="white", marks=pytest.mark.slow),
+        pytest.param([1, -0.97], Structure.bj(3, 0, 1, 3, 1), id="coloured"),
+        pytest.param([1, -0.97], Structure.oe(3, 3, 1), id="coloured, no noise model", marks=pytest.mark.slow),
+    ],
 )
 def test_independence_holds_its_size_on_the_data_of_the_fit(colour, structure):
     """Also on a slow plant, and with residuals that are coloured: good plants are not called poor."""

@@ -97,8 +97,13 @@ def test_no_library_names_the_packages(monkeypatch: pytest.MonkeyPatch, shot: Sh
         film([shot], tmp_path / "c.png")
 
 
+# an axis and a robot; `make proof` takes all of them
+QUICK = ("pendulum", "arm3")
+MODELS = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in shipped_models()]
+
+
 @pytest.mark.usefixtures("screen")
-@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("name", MODELS)
 def test_a_model_alone_is_moved_by_a_chirp(name: str, tmp_path: Path) -> None:
     out = tmp_path / "model.png"
     result = CliRunner().invoke(command, [str(shipped_model(name)), "--out", str(out), "--size", "320x240"])

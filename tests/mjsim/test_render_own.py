@@ -193,7 +193,9 @@ def test_a_recording_in_a_picture_of_each_style(pendulum, style, width):
 
 
 @pytest.mark.usefixtures("screen")
-@pytest.mark.parametrize("name", ["arm.mp4", "arm.gif", "arm.png"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("arm.mp4", marks=pytest.mark.slow), pytest.param("arm.gif", marks=pytest.mark.slow), "arm.png"]
+)
 def test_a_robot_alone_in_each_format(arm, name):
     ended = CliRunner().invoke(
         command, [str(arm / "arm.xml"), "--out", str(arm / name), "--size", "160x120", "--fps", "4", "--duration", "1"]
@@ -271,7 +273,7 @@ def test_a_robot_log_without_a_common_time(arm):
 
 
 def test_a_robots_scenario_and_a_robot_itself_are_filmed_in_motion(tmp_path: Path, screen: None) -> None:
-    for source in ("arm6_friction", "arm3"):
+    for source in ("arm3_nominal", "arm3"):
         out = tmp_path / f"{source}.gif"
         words = [source, "--out", str(out), "--duration", "2", "--fps", "1", "--size", "320x240"]
         result = CliRunner().invoke(command, words, catch_exceptions=False)

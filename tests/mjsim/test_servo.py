@@ -75,7 +75,7 @@ def test_the_linear_servo_is_exact_for_every_hold(hold):
     ],
     ids=["limit", "deadband", "both", "torque-speed", "saturation"],
 )  # fmt: skip
-@pytest.mark.parametrize("hold", ["held", "linear"])
+@pytest.mark.parametrize("hold", [pytest.param("held", marks=pytest.mark.slow), "linear"])
 def test_limits_and_dead_band_are_events(servo, effects, law, hold):
     found = axis(servo, *(effect_class(name)(**values) for name, values in effects.items()))
     run = simulate(found, SQUARE, DT, hold=hold)

@@ -61,6 +61,7 @@ def test_nothing_stands_under_the_name_of_a_case_that_cannot_be_made(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_sealed_case_has_the_number_and_the_bytes_of_the_benchmark(tmp_path):
     write_cases(tmp_path / "sealed", tmp_path / "envelope" / "truth.json", {"nothing": 1, "parameters_only": 1}, 5)
     truths = json.loads((tmp_path / "envelope" / "truth.json").read_text())["cases"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -90,7 +90,10 @@ def opened(
         yield watched
 
 
-WIDTHS = (390, 768, 1400)  # of a phone, a tablet and a desktop [px]
+WIDTHS = (390, 1400)  # of a phone and a desktop [px]
+WINDOWS = pytest.mark.parametrize(
+    "widths", [pytest.param(WIDTHS, id="phone and desktop"), pytest.param((768,), id="tablet", marks=pytest.mark.slow)]
+)  # of tests that open a page by `looks_right`
 CUT_OFF = """() => [...document.querySelectorAll('td, th, .tiles *, button, select, h1, h2, p, figcaption')].filter((e) =>
     e.offsetParent !== null && !e.closest('.scroll') && e.getBoundingClientRect().right > innerWidth + 1)
     .map((e) => e.textContent)"""
@@ -106,12 +109,13 @@ COVERED = """() => {
 }"""  # texts that lie under the switch of colours
 
 
-def looks_right(browser: Any, file: Path, plots: int = 0) -> None:
+def looks_right(browser: Any, file: Path, plots: int = 0, widths: Sequence[int] = WIDTHS) -> None:
     """Hold that a page opens from disk at each width in both colours: nothing reported, requested, covered or out of sight.
 
     At each width it is opened in the one and changed to the other, as a device does by time of day.
     """
-    for width, schemes in zip(WIDTHS, (("light", "dark"), ("dark", "light"), ("light", "dark")), strict=True):
+    for width in widths:
+        schemes = ("light", "dark") if width < 768 else ("dark", "light")
         with opened(browser, file, width, color_scheme=schemes[0]) as w:
             w.see_all()
             w.until(f"document.querySelectorAll('.plot.on').length >= {plots}")

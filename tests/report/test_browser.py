@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import WIDTHS, Watched, looks_right, opened
+from browser import WIDTHS, WINDOWS, Watched, looks_right, opened
 from synthetic import DIFF, DT, TRUTH, synthetic
 
 from diagnose.report import write_report
@@ -24,7 +24,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module", params=(WIDTHS[0], WIDTHS[-1]))
+@pytest.fixture(scope="module", params=WIDTHS)
 def wide(request: pytest.FixtureRequest, browser: Any, file: Path) -> Any:
     """The page in the narrowest and the widest window, all plots drawn; tests leave it as they found it."""
     with opened(browser, file, request.param) as watched:
@@ -57,8 +57,9 @@ def drag(w: Watched, part: str, start: float, end: float) -> None:
     mouse.up()
 
 
-def test_opens_from_disk_and_fits_the_window(browser: Any, file: Path) -> None:
-    looks_right(browser, file, plots=5)
+@WINDOWS
+def test_opens_from_disk_and_fits_the_window(browser: Any, file: Path, widths: tuple[int, ...]) -> None:
+    looks_right(browser, file, plots=5, widths=widths)
 
 
 def test_twenty_seconds_open_quickly(browser: Any, tmp_path: Path) -> None:

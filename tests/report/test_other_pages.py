@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import looks_right, opened
+from browser import WINDOWS, looks_right, opened
 
 import simgap
 
@@ -32,9 +32,12 @@ def pages(log: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) 
     return {"identification": fitted.report(folder / "identification.html"), "check": folder / "check.html"}
 
 
+@WINDOWS
 @pytest.mark.parametrize(("name", "plots"), [("identification", 0), ("check", 3)])
-def test_opens_from_disk_and_fits_the_window(browser: Any, pages: dict[str, Path], name: str, plots: int) -> None:
-    looks_right(browser, pages[name], plots)
+def test_opens_from_disk_and_fits_the_window(
+    browser: Any, pages: dict[str, Path], name: str, plots: int, widths: tuple[int, ...]
+) -> None:
+    looks_right(browser, pages[name], plots, widths)
 
 
 @pytest.mark.parametrize(("scheme", "chosen", "dark"), [("light", "", False), ("dark", "", True), ("dark", "light", False)])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import looks_right, opened
+from browser import WINDOWS, looks_right, opened
 
 from diagnose.report.film import Film
 from diagnose.result import Estimate, FitFigures, Verdict
@@ -65,8 +65,9 @@ def still(file: Path) -> Path:
     return path
 
 
-def test_fits_each_window(browser: Any, still: Path) -> None:
-    looks_right(browser, still, plots=6)
+@WINDOWS
+def test_fits_each_window(browser: Any, still: Path, widths: tuple[int, ...]) -> None:
+    looks_right(browser, still, plots=6, widths=widths)
 
 
 def test_every_joint_has_an_explorer_of_its_own(browser: Any, still: Path) -> None:

@@ -56,7 +56,9 @@ def moving() -> RobotLog:
     return run_robot(robot_scenario("arm6_friction", sample_time_s=0.01))
 
 
-@pytest.mark.parametrize("joint", ["joint1", "joint3", "joint5"])
+@pytest.mark.parametrize(
+    "joint", [pytest.param("joint1", marks=pytest.mark.slow), "joint3", pytest.param("joint5", marks=pytest.mark.slow)]
+)
 def test_a_joint_that_moved_unseen_is_named_by_torque(moving: RobotLog, joint: str) -> None:
     r = without(moving, joint)
     found = moved_unseen(moving.robot, r, *smoothed(moving.robot, r))
@@ -79,7 +81,7 @@ def test_a_joint_that_moved_unseen_is_named_by_command(tmp_path: Path) -> None:
     assert found.joint == "joint3"
 
 
-@pytest.mark.parametrize("effect", ["stribeck_friction", "torque_ripple"])
+@pytest.mark.parametrize("effect", [pytest.param("stribeck_friction", marks=pytest.mark.slow), "torque_ripple"])
 def test_a_joint_that_rested_is_only_said_to_be_held(effect: str, tmp_path: Path) -> None:
     """A payload, another armature and an effect at a neighbour are no motion of the joint that is not logged."""
     text = RESTING

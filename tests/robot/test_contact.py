@@ -70,6 +70,7 @@ def test_rows_are_widened_to_both_sides():
     assert stretches(np.array([1, 0, 1, 1], bool), 0.5) == [(1.0, 2.0), (0.0, 0.5)]
 
 
+@pytest.mark.slow
 def test_by_force_contact_is_left_out_and_said(pressed):
     robot, log, _, _ = pressed
     found = diagnose_robot(robot, [log]).diagnosis

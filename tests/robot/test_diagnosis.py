@@ -246,7 +246,15 @@ def test_laws_are_screened_where_a_link_is_at_the_wall_of_the_barrier(case, stre
     assert promised[0][1].law.id == "coulomb_friction"
 
 
-@pytest.mark.parametrize(("turned", "surer"), [(-5.0, 1.0), (-2.0, 30.0), (-0.5, 1e3), (-0.02, 1e3)])
+@pytest.mark.parametrize(
+    ("turned", "surer"),
+    [
+        (-5.0, 1.0),
+        pytest.param(-2.0, 30.0, marks=pytest.mark.slow),
+        pytest.param(-0.5, 1e3, marks=pytest.mark.slow),
+        (-0.02, 1e3),
+    ],
+)
 def test_torques_that_no_robot_gives_leave_bodies_and_finite_promises(case, turned, surer):
     """Links are pushed to the wall of the barrier; surer: factor of the weights of all rows."""
     folder = case()

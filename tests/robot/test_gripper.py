@@ -16,7 +16,7 @@ from simgap.robot import diagnose_robot_files
 from tests.robot.test_scenario import GRIPPER
 
 TOML = """model = "gripper.xml"
-duration_s = 20
+duration_s = 12
 sample_time_s = 0.01
 [excitation]
 kind = "fourier"

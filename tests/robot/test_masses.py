@@ -105,6 +105,7 @@ def test_words_for_masses_that_cannot_be_told_apart():
     assert line("forearm.payload") == "payload on forearm: +0.5 kg [+0.4804, +0.5196]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.7])
 def test_the_mass_of_a_link_in_the_middle_is_found_and_leaves_the_gains(tmp_path, factor):
     link = SIX.arm.links[2]

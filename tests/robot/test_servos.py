@@ -40,7 +40,7 @@ LAWS = ("coulomb_friction", "servo_deadband", "load_dependent_friction")
 def folder(tmp_path_factory):
     """``folder(robot)``: the nominal file and two logs of the robot."""
 
-    def make(robot, seconds=8.0):
+    def make(robot, seconds=6.0):
         out = tmp_path_factory.mktemp("servo")
         (out / "arm.xml").write_text(servo_mjcf(NOMINAL))
         for seed, name in ((1, "a"), (2, "b")):
@@ -135,7 +135,7 @@ def test_the_picture_is_rendered_or_a_plan_of_the_joints(rubbing, monkeypatch):
 
 
 def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):
-    where = folder(NOMINAL.with_servo(2, dead_band=0.03), 6.0)
+    where = folder(NOMINAL.with_servo(2, dead_band=0.03), 4.0)
     d = diagnosed(where)
     assert [(f.effect, f.joint, f.place) for f in d.findings] == [("servo_deadband", "joint3", "actuator")]
     (carried,) = carried_effects(where / "out" / "corrected.xml")
@@ -152,7 +152,7 @@ def test_a_cable_is_no_weight_and_no_spring(folder):
 
 
 def test_a_robot_as_in_the_file_has_no_findings(folder):
-    d = diagnosed(folder(NOMINAL, 6.0))
+    d = diagnosed(folder(NOMINAL, 4.0))
     assert d.verdict is Verdict.NO_MISMATCH
     assert not d.changed
 
@@ -173,6 +173,7 @@ def test_a_payload_is_a_number_of_the_robot_and_no_physics(folder):
     assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
 
 
+@pytest.mark.slow
 def test_one_delay_at_all_joints_is_said_to_be_perhaps_the_log(folder):
     late = NOMINAL
     for j in range(3):

@@ -239,7 +239,7 @@ def a_log(path: Path, dt: float, seconds: float, column: str = "velocity_rad_s")
     return path
 
 
-@pytest.mark.parametrize("column", ["velocity_rad_s", "angle_rad"])
+@pytest.mark.parametrize("column", [pytest.param("velocity_rad_s", marks=pytest.mark.slow), "angle_rad"])
 def test_a_recording_takes_the_robots_place(tmp_path: Path, column: str) -> None:
     robot = recorded_robot(a_log(tmp_path / "log.csv", 1e-3, 8.0, column))
     result = robot_models(robot, (BETTER,))[0]
