@@ -107,6 +107,7 @@ def test_backlash_is_found(pair, robot):
     assert finding.parameters["gap_rad"].value == pytest.approx(2e-4, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_transmission_error_is_found(pair, robot):
     estimation, held_out = pair(effect("transmission_error", amplitude_rad=2e-4, cycles_per_rev=4.0, phase_rad=0.5), seconds=4.0)
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=(*FEW, "transmission_error")))
@@ -116,6 +117,7 @@ def test_a_transmission_error_is_found(pair, robot):
     assert finding.parameters["cycles_per_rev"].value == pytest.approx(4.0, rel=0.01)
 
 
+@pytest.mark.slow  # a pair is found in test_search.py
 def test_two_effects_are_told_apart(pair, robot):
     delay = effect("time_delay", place="actuator", delay_s=2e-3)
     estimation, held_out = pair(COULOMB, delay)
