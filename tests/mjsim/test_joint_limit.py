@@ -156,6 +156,6 @@ def test_a_stop_of_a_joint_that_others_follow_is_written_as_found(side: int) -> 
     stopped = axis + stop(angle_rad=at, time_constant_s=0.02, damping_ratio=0.5)
     expected = simulate(stopped, torque, DT).velocity
     assert np.min(side * expected) < 0, "it is thrown back"
-    plain, lacks = literal(path, stopped, torque, DT, FRICTION_STEP)
+    plain, _, lacks = literal(path, stopped, torque, DT, FRICTION_STEP)
     assert plain is not None, lacks
     assert relative(plain.velocity, expected) < 1e-3
