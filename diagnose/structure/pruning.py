@@ -33,10 +33,14 @@ class Pruning:
         """Fits of a structure with each reduced form of one of its effects in place of it."""
         return [partial(self._from, current, effects) for effects in graph.simplified(self.state.fitter, current, effect)]
 
-    def limits(self, current: Fitted) -> list[Fitted]:
-        """Fits of a structure with one of its effects at its limit."""
+    def limits(self, current: Fitted, effect: Effect | None = None) -> list[Callable[[], Fitted]]:
+        """Fits of a structure with one of its effects, or a given one, at its limit."""
         neighbours = graph.limits(self.state.candidates, current)
-        return [self._from(current, (*others, s.effect)) for others, s in neighbours]
+        return [
+            partial(self._from, current, (*others, s.effect))
+            for others, s in neighbours
+            if effect is None or effect.key not in key_of(others)
+        ]
 
     def _from(self, current: Fitted, effects: tuple[Effect, ...]) -> Fitted:
         """The best fit of a structure, from the parameters of another one as well, once for each of its minima."""
@@ -50,7 +54,7 @@ class Pruning:
         return state.fits.get(key, f)
 
     def eliminate(self, current: Fitted) -> Fitted:
-        """Drop every effect that is not significant; try reduced forms of each."""
+        """Drop every effect that is not significant; try reduced forms and limits of each."""
         changed = True
         while changed and current.effects:
             changed = False
@@ -63,8 +67,8 @@ class Pruning:
         return current
 
     def _smaller(self, current: Fitted, effect: Effect, rest: Fitted) -> Iterator[Fitted]:
-        """A structure without an effect (``rest``), and with its reduced forms."""
-        for fit in (lambda: rest, *self.simplified(current, effect)):
+        """A structure without an effect (``rest``), with its reduced forms, and with its limits."""
+        for fit in (lambda: rest, *self.simplified(current, effect), *self.limits(current, effect)):
             p = fit()
             if p.ok and self.state.admitted([e.id for e in p.effects]):
                 yield p

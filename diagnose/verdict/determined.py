@@ -82,9 +82,11 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance) -> Fit
     In place of one whose numbers the recording cannot show a rival of the search stands as well, if it is significant.
     """
     effect = found.effect
-    fits: list[Callable[[], Fitted]] = [lambda: search.pruning.without(best, effect), *search.pruning.simplified(best, effect)]
+    pruning = search.pruning
+    fits: list[Callable[[], Fitted]] = [
+        lambda: pruning.without(best, effect), *pruning.simplified(best, effect), *pruning.limits(best, effect)
+    ]  # fmt: skip
     rivals = [fit() for fit in fits]
-    rivals += [f for f in search.pruning.limits(best) if effect.key not in f.key]
     usable = [f for f in rivals if f.ok and effect.key not in f.key and search.state.admitted([e.id for e in f.effects])]
     least = min(usable, key=search.criterion, default=None)
     if least is None or not isinstance(found, Outside):

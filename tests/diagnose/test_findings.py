@@ -38,7 +38,7 @@ def search_of(robot, without=None, simpler=(), limits=(), admitted=lambda ids: T
     fits = {}
     pruning = SimpleNamespace(
         without=lambda best, effect: without[effect.key], simplified=lambda best, effect: [lambda f=f: f for f in simpler],
-        limits=lambda best: list(limits), fit_confounders=lambda best, effect: asked.append(effect.key),
+        limits=lambda *_: [lambda f=f: f for f in limits], fit_confounders=lambda best, effect: asked.append(effect.key),
     )  # fmt: skip
     asked: list[str] = []
     return SimpleNamespace(

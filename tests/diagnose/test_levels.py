@@ -147,7 +147,7 @@ def search(*rivals, others=(), limits=(), significant=lambda f: True):
     return SimpleNamespace(
         pruning=SimpleNamespace(
             without=lambda best, effect: without, simplified=lambda best, effect: [lambda f=f: f for f in simpler],
-            limits=lambda best: list(limits),
+            limits=lambda *_: [lambda f=f: f for f in limits],
         ),
         state=SimpleNamespace(admitted=lambda ids: "hysteresis" not in ids), criterion=lambda f: f.cost,
         significance=SimpleNamespace(significant=lambda nominal, f: significant(f)), nominal=lambda: "nominal",

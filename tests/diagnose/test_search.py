@@ -142,6 +142,22 @@ def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong
     fitter.close()
 
 
+def test_a_law_that_gains_nothing_over_its_limit_is_dropped_for_it(robot, pair):
+    """Stribeck friction that fades over next to no speed, where static friction was fitted from a bad start."""
+    hidden = effect("static_friction", torque_Nm=0.1, peak=1.8)
+    first, other = pair(hidden)
+    fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
+    search = Search(fitter, SearchOptions())
+    fading = effect("stribeck_friction", torque_Nm=0.1, extra_static_torque_Nm=0.08, stribeck_velocity_rad_s=1e-3)
+    found = fitter.fit(fitter.hypothesis((fading,)))
+    stuck = fitter.fit(fitter.hypothesis((effect("static_friction", torque_Nm=0.02, peak=1.1),)), iterations=0)
+    search.keep(found)
+    search.keep(stuck)
+    assert stuck.chi2 > 2 * found.chi2
+    assert search.pruning.eliminate(found).key == ("static_friction@motor",)
+    fitter.close()
+
+
 def test_what_the_angle_shows_is_taken_in_first(robot, pair):
     """A velocity that drifts from the angle has an offset, whatever else is missing."""
     hidden = (
@@ -276,7 +292,8 @@ def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
     level = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 0.003}
     base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **level)]), iterations=3)
     assert [s.candidate.key for _, s in limits(search.state.candidates, base)] == [sticks.key]
-    search.pruning.limits(base)
+    (fit,) = search.pruning.limits(base)
+    fit()
     assert search.fits[(sticks.key,)].chi2 < 1.01 * base.chi2
     (found,) = search.fits[(sticks.key,)].effects
     assert found.torque_Nm == pytest.approx(0.1, rel=0.05)

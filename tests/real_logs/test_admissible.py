@@ -105,7 +105,7 @@ class _Search:
         )
         bare = self.fitted(())
         self.pruning = SimpleNamespace(
-            without=lambda best, effect: bare, simplified=lambda best, effect: [], limits=lambda best: []
+            without=lambda best, effect: bare, simplified=lambda best, effect: [], limits=lambda *_: []
         )
         self.options, self.nominal = SimpleNamespace(width=10), lambda: bare
         self.tested = 1
