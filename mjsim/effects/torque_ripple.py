@@ -70,6 +70,14 @@ class TorqueRipple(Effect):
             return None
         return cls(amplitude_Nm=value.amplitude, cycles_per_rev=value.cycles, phase_rad=value.phase - math.pi)
 
+    def limits(self) -> tuple[Effect, ...]:
+        """A weight, where the torque repeats once a turn."""
+        from mjsim.effects.gravity_load import GravityLoad
+
+        if round(self.cycles_per_rev) != 1:
+            return ()
+        return (GravityLoad(torque_Nm=self.amplitude_Nm, phase_rad=self.phase_rad),)
+
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
         return wave(self.cycles_per_rev, scales)

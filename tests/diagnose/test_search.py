@@ -20,7 +20,10 @@ from diagnose.structure.candidates import Candidate, can_replace, inherit
 from diagnose.structure.graph import limits, named, refines
 from diagnose.structure.search import Search
 from diagnose.thresholds import FAR, TWICE
+from mjsim.axis import Axis, Body, Chain
 from mjsim.effects import effect_class
+from mjsim.ode import simulate
+from mjsim.recording import Recording
 
 N, BLOCKS = 20_000, 40
 
@@ -156,6 +159,29 @@ def test_a_law_that_gains_nothing_over_its_limit_is_dropped_for_it(robot, pair):
     assert stuck.chi2 > 2 * found.chi2
     assert search.pruning.eliminate(found).key == ("static_friction@motor",)
     fitter.close()
+
+
+@pytest.mark.parametrize("cycles", [1.0003, 2.0])
+def test_a_torque_that_repeats_once_a_turn_is_a_weight(cycles):
+    body = Body("motor", 0.08, 0.1, "hinge")
+    pendulum = Axis(Chain((body,), ()), (effect("torque_ripple", amplitude_Nm=1.5, cycles_per_rev=round(cycles), phase_rad=0.2),))
+    t, rng = np.arange(1000) * 4e-3, np.random.default_rng(0)
+    u = 2.0 * np.sin(2 * np.pi * (0.3 + 0.2 * t) * t)
+    run = simulate(pendulum, u, 4e-3)
+    r = Recording(t, u, run.velocity + 0.02 * rng.standard_normal(len(t)), run.angle + 1e-4 * rng.standard_normal(len(t)), 4e-3)
+    experiment = prepare(r)
+    fitter = Fitter(Axis(pendulum.chain, ()), MotionView(), (experiment,), (experiment,), 1)
+    search = Search(fitter, SearchOptions())
+    ripple = effect("torque_ripple", amplitude_Nm=1.5, cycles_per_rev=cycles, phase_rad=0.2)
+    found = fitter.fit(fitter.hypothesis((ripple,)))
+    (kept,) = search.pruning.eliminate(found).effects
+    fitter.close()
+    if cycles == 2.0:
+        assert kept.id == "torque_ripple"
+        assert not ripple.limits()
+    else:
+        assert kept.id == "gravity_load"
+        assert kept.torque_Nm == pytest.approx(1.5, rel=0.01)
 
 
 def test_what_the_angle_shows_is_taken_in_first(robot, pair):
