@@ -7,40 +7,22 @@ import math
 from functools import partial
 from types import SimpleNamespace
 
-import mujoco
-import numpy as np
 import pytest
+from rotor_log import rotor_log
 
 from diagnose.verdict.reference import Run, at_noise, cases_of, chi_square
 from diagnose.verdict.reference_runs import run_files
 from mjsim.mjcf import load_axis
 from mjsim.mjcf.faithful import AUTHOR, Faithful, write_as_author
 from mjsim.plant import MujocoPlant
-from mjsim.recording import Recording
 from simgap import sensitivity
 from simgap.bench import Bench
 from simgap.sensitivity import refitted_with_starts
 
-DT, SIGMA, SPREAD = 2e-3, 0.02, 5e-4
-PENDULUM = """<mujoco><option timestep="0.002"/><worldbody><body name="rod" pos="0 0 1">
+PENDULUM = """<mujoco><option timestep="0.005"/><worldbody><body name="rod" pos="0 0 1">
   <joint name="hinge" axis="0 1 0" damping="0.05"/>
   <inertial pos="0 0 -.3" mass=".5" diaginertia=".02 .02 .02"/></body></worldbody>
   <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
-
-
-def log(seed):
-    """A pendulum that goes over the top, from rest near the bottom."""
-    m = mujoco.MjModel.from_xml_string(PENDULUM)
-    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
-    t = DT * np.arange(2500)
-    u = 2.0 * np.sin(2 * np.pi * (0.4 + 0.2 * t) * t + seed) * np.minimum(t, 1.0)
-    q, v = np.empty(len(t)), np.empty(len(t))
-    for k in range(len(t)):
-        q[k], v[k], d.ctrl[0] = d.qpos[0], d.qvel[0], u[k]
-        mujoco.mj_step(m, d)
-    return Recording(
-        t, u, v + SIGMA * rng.standard_normal(len(t)), q + SPREAD * rng.standard_normal(len(t)), DT, source=f"{seed}.csv"
-    )
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +32,7 @@ def bench(tmp_path_factory):
     model, out = folder / "model.xml", folder / "corrected.xml"
     model.write_text(PENDULUM)
     given = load_axis(model)
-    cases = cases_of([log(1)], [log(2)])
+    cases = cases_of([rotor_log(PENDULUM, 1)], [rotor_log(PENDULUM, 2)])
     axis = given.with_values({p.name: p.value * 1.0002 for p in given.chain.linear_parameters()})
     write = partial(write_as_author, model)
     form = Faithful(AUTHOR, math.nan, write(axis, out), write)
