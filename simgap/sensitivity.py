@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from diagnose.verdict.reference import Case, Run, chi_square, error, judged
-from diagnose.verdict.reference_fit import MOST_WORK, free_numbers, uncertainties
+from diagnose.verdict.reference_fit import MOST_WORK, free_numbers, uncertainties, unshown_numbers
 from diagnose.verdict.reference_runs import run_files, run_watched, too_far, work_of
 from diagnose.verdict.reference_stage import APART
 from diagnose.verdict.reference_verdict import MISSES
@@ -84,7 +84,7 @@ def _refit(
     """
     if form.lacks or any(run is None for run in runs) or work_of(MujocoPlant.load(bench.out), cases) > MOST_WORK / OWN_SLOPES:
         return None
-    now, origins = free_numbers(axis), [c.start() for c in cases]
+    now, origins = free_numbers(axis, unshown_numbers(cases)), [c.start() for c in cases]
     moves = [(i, *m) for i, c in enumerate(cases) for m in zip(("angle", "velocity"), c.spread(), strict=True) if m[1] > 0.0]
     width, at = len(now), [(getattr(runs[i].start, name) - getattr(origins[i], name)) / size for i, name, size in moves]  # type: ignore[union-attr]
 

@@ -99,8 +99,8 @@ class Halving:
     def _restart(self, base: Fitted, running: list[Fitted]) -> None:
         """Fit added bodies from the nominal linear parameters, where the residual is far from the noise.
 
-        The fitted parameters of the base stand in for a body that is missing, and few iterations lead from there to it. Not where
-        a neighbour leaves little more than noise: no other minimum leaves much less.
+        The fitted parameters of the base compensate for the missing body, and few iterations lead from there to it. Not where a
+        neighbour leaves little more than noise: no other minimum leaves much less.
         """
         fitter = self.state.fitter
         new = [

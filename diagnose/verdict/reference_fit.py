@@ -26,7 +26,16 @@ from mjsim.mjcf.faithful import Writer
 from mjsim.mjcf.write import UNFAITHFUL
 from mjsim.plant import MujocoPlant, Start
 
-__all__ = ["MOST_WORK", "Refit", "free_numbers", "refit_in_engine", "refit_in_simulator", "standard_errors", "uncertainties"]
+__all__ = [
+    "MOST_WORK",
+    "Refit",
+    "free_numbers",
+    "refit_in_engine",
+    "refit_in_simulator",
+    "standard_errors",
+    "uncertainties",
+    "unshown_numbers",
+]
 
 STEP = 3e-3  # relative step of the differences: above the jumps that events make, below what bends the response
 FINE = 1e-4  # the same where a slope of an unstable motion is asked, which bends within less than `STEP`
@@ -64,7 +73,7 @@ def free_numbers(axis: Axis, held: Container[str] = ()) -> dict[str, float]:
     return {name: value for name, value in values.items() if name not in held and name not in axis.chain.held}
 
 
-def _unshown(cases: Sequence[Case]) -> frozenset[str]:
+def unshown_numbers(cases: Sequence[Case]) -> frozenset[str]:
     """Numbers that stay in a fit: with one of them free, all of a servo's log times one factor would fit alike."""
     return frozenset(name for case in cases for name in case.unshown)
 
@@ -166,7 +175,7 @@ def standard_errors(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) 
     """
     fitted = [(c, s) for c, s in zip(cases, starts, strict=True) if c.estimation.any()]
     parts, at = [c for c, _ in fitted], [s for _, s in fitted]
-    names = list(free_numbers(axis, _unshown(cases)))
+    names = list(free_numbers(axis, unshown_numbers(cases)))
     J = _jacobian(axis, names, parts, _in_engine(parts, at, locked=False))
     return {} if J is None else _errors(names, J.T @ J)
 
@@ -180,7 +189,9 @@ def uncertainties(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) ->
     slopes = []
     for case, start in zip(cases, starts, strict=True):
         every = replace(case, estimation=case.estimation | case.held_out)
-        J = _jacobian(axis, list(free_numbers(axis, _unshown(cases))), [every], _in_engine([every], [start], locked=False), FINE)
+        J = _jacobian(
+            axis, list(free_numbers(axis, unshown_numbers(cases))), [every], _in_engine([every], [start], locked=False), FINE
+        )
         if J is None:
             return [math.inf] * len(cases)
         slopes.append(J)
@@ -215,7 +226,7 @@ def refit_in_simulator(
             return None
         best: Refit | None = None
         whole, at = [c for c, _ in fitted], [s for _, s in fitted]
-        held = _left_out(axis, out) | _unshown(cases)
+        held = _left_out(axis, out) | unshown_numbers(cases)
         metric = _metric(axis, held, whole, at)
         for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
@@ -261,7 +272,7 @@ def refit_in_engine(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) 
     """Refit by the fitting engine, from the same starts; its runs are of all recordings."""
     fitted = [i for i, c in enumerate(cases) if c.estimation.any()]
     run = _in_engine([cases[i] for i in fitted], [starts[i] for i in fitted], locked=True)
-    found = _refit(axis, [cases[i] for i in fitted], run, run, held=_unshown(cases))
+    found = _refit(axis, [cases[i] for i in fitted], run, run, held=unshown_numbers(cases))
     return None if found is None else replace(found, runs=_engine(found.axis, cases, starts, locked=True))
 
 

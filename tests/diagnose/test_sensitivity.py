@@ -57,6 +57,18 @@ def test_numbers_and_starts_are_found_at_once(bench):
     assert b.out.read_bytes() == file
 
 
+def test_numbers_that_the_recordings_cannot_tell_stay(bench):
+    b, form, runs = bench
+    name = b.given.chain.linear_parameters()[0].name
+    cases = [dataclasses.replace(c, unshown=(name,)) for c in b.nominal.cases]
+    held = dataclasses.replace(b, nominal=SimpleNamespace(cases=cases))
+    assert refitted_with_starts(held, b.axis, form, runs) is not None
+    now, before = ({p.name: p.value for p in a.chain.linear_parameters()} for a in (load_axis(b.out), b.axis))
+    assert now[name] == pytest.approx(before[name], rel=1e-9)
+    others = [n for n in now if n != name]
+    assert any(now[n] != pytest.approx(before[n], rel=1e-9) for n in others)
+
+
 def test_no_refit_of_what_lacks_a_law_diverges_or_costs_too_much(bench, monkeypatch):
     b, form, runs = bench
     assert refitted_with_starts(b, b.axis, dataclasses.replace(form, lacks=("a law",)), runs) is None
