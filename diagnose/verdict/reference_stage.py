@@ -1,8 +1,9 @@
 """Before the search: whether engine and simulator differ on the nominal model, and which of the two the recordings bear.
 
-Where they differ by more than a fifth of the noise, the nominal structure is refitted by both. Where it comes near the noise and
-the recordings bear the simulator's numerics (they were made with it, say), the difference of the two runs is taken out of what
-the search compares. That is then the user's simulator beside the recording, to first order in what the search changes,
+Where they differ by more than a fifth of the noise, the nominal structure is refitted by both. Where the recordings bear the
+simulator's numerics (they were made with it, say), and it comes near the noise with these or leaves half the squared error that
+it leaves by the engine, the difference of the two runs is taken out of what the search compares. That is then the user's
+simulator beside the recording, to first order in what the search changes,
 
     y - [S(theta) + M(theta_0) - S(theta_0)],    M: the file in MuJoCo, S: the engine, theta_0: the nominal structure, refitted.
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from diagnose.data.servo import as_servo
 from diagnose.result import Diagnosis, Traces
-from diagnose.thresholds import FAR, UNEXPLAINED
+from diagnose.thresholds import FAR, TWICE, UNEXPLAINED
 from diagnose.verdict.reference import Case, Run, at_noise, cases_of, chi_square, error, judged
 from diagnose.verdict.reference_fit import Refit, refit_in_engine, refit_in_simulator
 from diagnose.verdict.reference_runs import run_files
@@ -51,7 +52,7 @@ class Nominal:
     kind of friction, None where MuJoCo holds a joint at rest; soft: how far the softness moves the file's run, over the noise.
     runs, engine: of each case, both free; apart: rms difference of the two over the noise, the largest of the recordings;
     simulator: whether the recordings bear the simulator's numerics rather than the engine's: the refitted nominal structure
-    does with them, and comes near the noise; shifts: to add to the velocity of each recording, also where that is open.
+    does with them, and comes near the noise or leaves half as much; shifts: to add to the velocity of each recording, also where that is open.
     """
 
     path: Path
@@ -123,8 +124,8 @@ def compare_nominal(
         for case, start, run in zip(cases, starts, refitted.runs, strict=True)
     ]
     shifts = _shifts(cases, refitted.runs, same)
-    near = refitted.chi2 <= FAR * chi_square(cases, refitted.runs)[1]
-    return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts) and near, shifts=shifts)
+    shown = refitted.chi2 <= FAR * chi_square(cases, refitted.runs)[1] or TWICE * refitted.chi2 <= by_engine.chi2
+    return dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, simulator=bool(shifts) and shown, shifts=shifts)
 
 
 def _unshown(given: Axis, axis: Axis) -> tuple[str, ...]:

@@ -16,6 +16,8 @@ from diagnose.data.servo import as_servo
 from diagnose.pipeline import Options, diagnose
 from diagnose.problem.view import MotionView
 from diagnose.result import Verdict
+from diagnose.thresholds import FAR, TWICE
+from diagnose.verdict.reference_stage import compare_nominal
 from mjsim.errors import InputError
 from mjsim.known_torque import KnownTorque
 from mjsim.mjcf import load_axis, load_model
@@ -222,6 +224,26 @@ def test_a_default_timestep_is_no_physics(tmp_path, friction, verdict):
     if friction:
         assert [f.effect for f in result.findings] == ["coulomb_friction"]
         assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(friction, rel=0.05)
+
+
+@pytest.mark.parametrize(("options", "simulator"), [("", True), ('<option timestep="1e-4" integrator="RK4"/>', False)])
+def test_a_nominal_structure_that_leaves_half_as_much_says_whose_numerics_a_log_has(tmp_path, options, simulator):
+    """Dry friction is missing, and leaves far more than noise by both engines."""
+    path = tmp_path / "pendulum.xml"
+    path.write_text(default_pendulum(0.0))
+    truth = default_pendulum(0.08).replace("<worldbody>", f"{options}<worldbody>")
+    logs = [tmp_path / f"log{i}.csv" for i in range(2)]
+    for i, log in enumerate(logs):
+        table = default_log(truth, seed=i + 1)
+        np.savetxt(log, table, delimiter=",", header="time_s,command_rad,angle_rad", comments="", fmt="%.9g")
+    fitted, held = (load(log, model=path) for log in logs)
+    found = compare_nominal(path, load_axis(path), [fitted], [held], 1)
+    assert found.by_engine.chi2 > FAR * len(fitted)
+    assert found.simulator is simulator
+    if simulator:
+        assert found.refitted.chi2 > FAR * len(fitted)
+        assert TWICE * found.refitted.chi2 < found.by_engine.chi2
+        assert found.corrections()
 
 
 @pytest.mark.slow
