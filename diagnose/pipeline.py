@@ -46,12 +46,14 @@ def diagnose(
     progress: Callable[[Step], None] = lambda _: None,
     ledger: Ledger | None = None,
     corrections: Mapping[str, np.ndarray] | None = None,
+    surpassed: Callable[[Diagnosis], bool] | None = None,
 ) -> Diagnosis:
     """Diagnose recordings of one axis against its nominal model.
 
     ``progress`` is called with each `Step`; ``ledger``: where fits are written down as they are found, and looked up before they
     are made. ``corrections`` (N,): added to the measured velocity where motion is compared, by the SHA-256 (else source) of
-    a recording. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
+    a recording. ``surpassed``: asked before a torque map is fitted, with the diagnosis without one; where another diagnosis is
+    better, none is fitted. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
     options, began = options or Options(), time.monotonic()
     recordings, held_out, alike = with_common_channels(recordings, held_out)
@@ -62,7 +64,7 @@ def diagnose(
     view = choose_view(recordings, options.judge or recordings[0].judge or ("motion" if derived else None), nominal)
     taken = 0
 
-    def by(experiments: Split) -> Diagnosis:
+    def by(experiments: Split, surpassed: Callable[[Diagnosis], bool] | None = None) -> Diagnosis:
         nonlocal taken
         fitted, held = (corrected(group, corrections or {}) for group in experiments)
         judged = with_samples(view, (*fitted, *held), nominal, options.judge)
@@ -70,12 +72,12 @@ def diagnose(
         fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS), began + options.seconds)
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
-                return _diagnose(fitter, options, Progress(progress), began)
+                return _diagnose(fitter, options, Progress(progress), began, surpassed)
         finally:
             taken += fitter.runs
             fitter.close()
 
-    result = by(split(recordings, held_out))
+    result = by(split(recordings, held_out), surpassed)
     said = (*alike, *said, *((DERIVED,) if derived else ()))
     result = dataclasses.replace(result, notes=(*said, *result.notes))
     if held_out and options.since(began).seconds and _only_held_out_shows(result):
@@ -85,7 +87,9 @@ def diagnose(
     return result
 
 
-def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float) -> Diagnosis:
+def _diagnose(
+    fitter: Fitter, options: Options, progress: Progress, began: float, surpassed: Callable[[Diagnosis], bool] | None
+) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
     search, best, whitened = searched(fitter, options, progress)
     fitter = search.fitter
@@ -98,10 +102,14 @@ def _diagnose(fitter: Fitter, options: Options, progress: Progress, began: float
     found = findings(search, best)
     remaining = remaining_error(search, base, best, structure, options)
     verdict = decide(search, base, best, remaining)
-    mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     rows = repeated_rows(fitter, best)
-    outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, mapped is not None, unit_of(fitter), undetermined)
-    return diagnosis(outcome, base, mapped, mismatches, options, began)
+    outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, False, unit_of(fitter), undetermined)
+    if verdict is Verdict.UNEXPLAINED and surpassed is not None:
+        unmapped = diagnosis(outcome, base, None, mismatches, options, began)
+        if not _only_held_out_shows(unmapped) and surpassed(unmapped):  # else it may be diagnosed again itself
+            return unmapped
+    mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
+    return diagnosis(dataclasses.replace(outcome, mapped=mapped is not None), base, mapped, mismatches, options, began)
 
 
 def _only_held_out_shows(result: Diagnosis) -> bool:

@@ -32,18 +32,28 @@ def by_either_numerics(
     say: Callable[[Step], None], ledger: Ledger | None,
 ) -> tuple[Axis, Nominal, Diagnosis]:  # fmt: skip
     """The nominal axis with the friction that fits the recordings, its runs, and the diagnosis beside it."""
-    began = time.monotonic()
-    first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections())
-    best, n = (given, first), sum(int(c.estimation.sum()) for c in given.cases)
-    for why, other in _others(given, first):
-        within = options.since(began)
-        if not within.seconds:
-            break
-        say(Step("search", f"again with {why}"))
-        second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections())
-        if _better(second, best[1], n):
-            best = other, second
-    return best[0].axis, best[0], without_difference(best[1], best[0])
+    began, n = time.monotonic(), sum(int(c.estimation.sum()) for c in given.cases)
+    better: list[tuple[Nominal, Diagnosis]] = []
+    asked: list[Diagnosis] = []
+
+    def surpassed(first: Diagnosis) -> bool:
+        """Search with the other numerics that ``first`` leaves open; whether one of these answers is better."""
+        asked.append(first)
+        for why, other in _others(given, first):
+            within = options.since(began)
+            if not within.seconds:
+                break
+            say(Step("search", f"again with {why}"))
+            second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections())
+            if _better(second, better[-1][1] if better else first, n):
+                better.append((other, second))
+        return bool(better)
+
+    first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections(), surpassed)
+    if not asked:
+        surpassed(first)
+    nominal, result = better[-1] if better else (given, first)
+    return nominal.axis, nominal, without_difference(result, nominal)
 
 
 def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:

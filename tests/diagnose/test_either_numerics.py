@@ -88,13 +88,16 @@ def test_a_number_costs_its_price_in_twice_the_log_likelihood():
 def searched(monkeypatch):
     """`by_either_numerics` around made-up searches: (answers in turn, others, seconds, each takes) -> (answer, calls)."""
 
-    def ask(answers, others, seconds=math.inf, takes=1.0):
+    def ask(answers, others, seconds=math.inf, takes=1.0, maps=None):
         now, calls = [100.0], []
 
-        def diagnose(axis, recordings, held_out, options, say, ledger, corrections):
+        def diagnose(axis, recordings, held_out, options, say, ledger, corrections, surpassed=None):
+            at = len(calls)
             calls.append((axis, options.seconds, ledger, corrections))
             now[0] += takes
-            return answers[len(calls) - 1]
+            if surpassed is not None and at == 0 and maps is not None:
+                maps.append("none" if surpassed(answers[at]) else "fitted")
+            return answers[at]
 
         monkeypatch.setattr(either_numerics.time, "monotonic", lambda: now[0])
         monkeypatch.setattr(either_numerics, "diagnose", diagnose)
@@ -124,6 +127,17 @@ def test_the_best_of_several_numerics_counts(searched):
     (axis, _, told), _ = searched([best, worse, good], others)
     assert axis == "first"
     assert told[0] is best
+
+
+def test_a_torque_map_is_fitted_only_where_no_other_numerics_are_better(searched):
+    """A search that would fit a map asks first; the searches that follow are then not repeated."""
+    bad, good = (result(Verdict.UNEXPLAINED, rms) for rms in (1.0, 0.5))
+    others = [("a", made("second"))]
+    for answers, axis, fate in (([bad, good], "second", "none"), ([good, bad], "first", "fitted")):
+        maps = []
+        (found, _, told), calls = searched(answers, others, seconds=10.0, maps=maps)
+        assert (found, told[0], maps) == (axis, good, [fate])
+        assert [c[:3] for c in calls] == [("first", 10.0, "ledger"), ("second", 9.0, None)]
 
 
 def test_no_search_begins_when_the_time_is_over(searched):

@@ -84,6 +84,17 @@ def test_a_map_of_the_right_place_and_variables_is_given(faded):
     assert "fade" not in json.dumps(result.as_dict(), default=float)
 
 
+def test_none_is_fitted_where_another_diagnosis_is_better(faded, robot):
+    (estimation, held_out), given = faded
+    asked = []
+    options = Options(jobs=1, effects=("time_delay",))
+    result = diagnose(robot, [estimation], [held_out], options, surpassed=lambda bare: not asked.append(bare))
+    assert result.map is None
+    assert [(bare.verdict, bare.map) for bare in asked] == [(given.verdict, None)]
+    assert result.fit["corrected"].rms == given.fit["corrected"].rms
+    assert result.simulations < given.simulations
+
+
 def test_the_bands_hold_the_truth_up_to_what_the_models_own_numbers_can_say(faded):
     """A constant, and parts linear in speed or command, are the model's own: the rest of the surface is the truth's."""
     (estimation, _), result = faded
