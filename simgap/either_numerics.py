@@ -2,7 +2,8 @@
 
 The nominal structure chooses (`diagnose.verdict.reference_stage`). Physics that it lacks leaves the choice open: where the first
 choice leaves more than noise, or finds several effects, of which one may compensate for the numerics, the search is repeated with
-the other choice, and the diagnosis of the higher penalised likelihood counts.
+the other choice, and the diagnosis of the higher penalised likelihood counts. Where the nominal structure shows the simulator's
+numerics by a factor of two, the first choice counts unless it leaves an error of twice the noise variance.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 from diagnose.fit.ledger import Ledger
 from diagnose.options import Options
@@ -18,7 +20,7 @@ from diagnose.pipeline import diagnose
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.progress import Step
 from diagnose.result import Diagnosis, Verdict
-from diagnose.thresholds import UNEXPLAINED
+from diagnose.thresholds import FAR, UNEXPLAINED
 from diagnose.verdict.reference_stage import Nominal, by_other_friction, without_difference
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
@@ -44,8 +46,10 @@ def by_either_numerics(
             if not within.seconds:
                 break
             say(Step("search", f"again with {why}"))
-            second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections())
-            if _better(second, better[-1][1] if better else first, n):
+            so_far = better[-1][1] if better else first
+            behind = partial(_behind, so_far, n)
+            second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections(), behind)
+            if not behind(second):
                 better.append((other, second))
         return bool(better)
 
@@ -58,6 +62,8 @@ def by_either_numerics(
 
 def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:
     """Other numerics that the answer leaves open, and in words what they are."""
+    if given.simulator and given.shows_simulator and not _far(first, FAR):
+        return
     if given.shifts and (_far(first) or sum(f.kind == "physics" for f in first.findings) > 1):
         kind = "exact numerics" if given.simulator else "the numerics of the simulator"
         yield kind, dataclasses.replace(given, simulator=not given.simulator)
@@ -77,10 +83,14 @@ def _open(result: Diagnosis, axis: Axis) -> bool:
     return friction and _far(result)
 
 
-def _far(result: Diagnosis) -> bool:
-    """Whether more than noise is left, or it is not explained."""
-    far = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2
+def _far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:
+    """Whether more than ``level`` times the noise variance is left, or it is not explained."""
+    far = result.fit["corrected"].rms ** 2 > level * result.noise_floor**2
     return far or result.verdict is Verdict.UNEXPLAINED
+
+
+def _behind(first: Diagnosis, n: int, second: Diagnosis) -> bool:
+    return not _better(second, first, n)
 
 
 def _better(second: Diagnosis, first: Diagnosis, n: int) -> bool:

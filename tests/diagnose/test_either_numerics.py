@@ -11,7 +11,7 @@ import pytest
 from diagnose.options import Options
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import FitFigures, Verdict
-from diagnose.thresholds import UNEXPLAINED
+from diagnose.thresholds import FAR, UNEXPLAINED
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.effects import effect_class
 from simgap import either_numerics
@@ -62,6 +62,12 @@ def test_the_other_numerics_are_searched_where_an_effect_may_stand_in_for_them()
         assert list(_others(given(simulator=simulator, shifts=shifts), one)) == []
         assert len(list(_others(given(simulator=simulator, shifts=shifts), result(Verdict.UNEXPLAINED, 1.1)))) == 1
     assert list(_others(given(), two)) == []
+    for chi2, asked in ((49.0, 0), (51.0, 1)):  # of the nominal structure, with the simulator's numerics and with exact ones
+        shown = given(simulator=True, shifts=shifts, refitted=SimpleNamespace(chi2=chi2), by_engine=SimpleNamespace(chi2=100.0))
+        assert len(list(_others(shown, two))) == asked
+        for noise, far in ((FAR * 0.99, asked), (FAR * 1.01, 1)):
+            assert len(list(_others(shown, result(Verdict.MISSING_PHYSICS, noise**0.5)))) == far
+        assert len(list(_others(shown, result(Verdict.UNEXPLAINED)))) == 1
 
 
 def test_more_than_noise_is_told_by_the_level_of_the_noise():
@@ -95,7 +101,7 @@ def searched(monkeypatch):
             at = len(calls)
             calls.append((axis, options.seconds, ledger, corrections))
             now[0] += takes
-            if surpassed is not None and at == 0 and maps is not None:
+            if surpassed is not None and maps is not None:
                 maps.append("none" if surpassed(answers[at]) else "fitted")
             return answers[at]
 
@@ -133,10 +139,10 @@ def test_a_torque_map_is_fitted_only_where_no_other_numerics_are_better(searched
     """A search that would fit a map asks first; the searches that follow are then not repeated."""
     bad, good = (result(Verdict.UNEXPLAINED, rms) for rms in (1.0, 0.5))
     others = [("a", made("second"))]
-    for answers, axis, fate in (([bad, good], "second", "none"), ([good, bad], "first", "fitted")):
+    for answers, axis, fates in (([bad, good], "second", ["fitted", "none"]), ([good, bad], "first", ["none", "fitted"])):
         maps = []
         (found, _, told), calls = searched(answers, others, seconds=10.0, maps=maps)
-        assert (found, told[0], maps) == (axis, good, [fate])
+        assert (found, told[0], maps) == (axis, good, fates)  # the second search ends first
         assert [c[:3] for c in calls] == [("first", 10.0, "ledger"), ("second", 9.0, None)]
 
 
