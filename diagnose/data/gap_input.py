@@ -1,4 +1,4 @@
-"""The input in gaps of the stamps: held at the last row, or on a straight line to the next one, as the motion across them shows.
+"""The input in gaps of the stamps: held at the last row, or smooth to the next one, as the motion across them shows.
 
 A log that lacks rows lacks the input too, and what acted meanwhile moves all that follows in a free run. The momentum that the
 axis gained across a stretch from row a to row b is
@@ -8,11 +8,16 @@ axis gained across a stretch from row a to row b is
 whatever its inertia, damping, weight, spring and dry friction are. The weights w are fitted to stretches of the same lengths that
 lack no row, by least squares, and each input in the gaps is judged by its error there. A logger that loses rows leaves the input
 as smooth as it was; one that is held up with the task leaves it held.
+
+A smooth input lies on a straight line between the rows beside a gap, or on the cubic through two rows on each side (J.-P. Berrut,
+L. N. Trefethen, SIAM Rev. 46 (2004) 501), whichever errs less at the rows of the stretches that lack none. A chord lies inside a
+curve: on straight lines a sinusoidal torque is too small in every gap, and friction is found too small.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -26,9 +31,10 @@ __all__ = ["with_input_in_gaps"]
 INPUTS = ("torque", "command", "control")
 
 TAKEN = (
-    "The input in {count} gaps of the stamps was not recorded. It is taken on straight lines between the rows beside them: "
-    "across the gaps the motion then errs by {line:.3g} {unit}, with the input held by {held:.3g}."
+    "The input in {count} gaps of the stamps was not recorded. It is taken on {form}: "
+    "across the gaps the motion then errs by {smooth:.3g} {unit}, with the input held by {held:.3g}."
 )
+LINE, CUBIC = "straight lines between the rows beside them", "cubics through two rows on each side"
 
 
 def with_input_in_gaps(
@@ -36,22 +42,24 @@ def with_input_in_gaps(
 ) -> tuple[list[Recording], list[Recording], tuple[str, ...]]:
     """The recordings with the input in their gaps as the motion shows it, in all alike, and a sentence where it is changed.
 
-    As given where no row is missing, the input is not held between samples, or the motion is no clearer by straight lines.
+    As given where no row is missing, the input is not held between samples, or the motion is no clearer by a smooth input.
     """
     every = [*recordings, *held_out]
-    lines = [_on_lines(r) for r in every]
-    if not any(r is not new for r, new in zip(every, lines, strict=True)):
+    curved = _bends(every)
+    smooth = [_smooth(r, curved=curved) for r in every]
+    if not any(r is not new for r, new in zip(every, smooth, strict=True)):
         return list(recordings), list(held_out), ()
-    asked = [_errors(r, new) for r, new in zip(every, lines, strict=True) if new is not r]
+    asked = [_errors(r, new) for r, new in zip(every, smooth, strict=True) if new is not r]
     errors = [e for e in asked if e is not None]
     if not errors:
         return list(recordings), list(held_out), ()
-    held, line = (float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for e in zip(*errors, strict=True))
-    if not line < held:
+    held, by_smooth = (float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for e in zip(*errors, strict=True))
+    if not by_smooth < held:
         return list(recordings), list(held_out), ()
     unit = "rad/s" if every[0].units.get("velocity") != "m/s" else "m/s"
-    said = TAKEN.format(count=sum(len(_gaps(r)) for r in every), line=line, held=held, unit=unit)
-    return lines[: len(recordings)], lines[len(recordings) :], (said,)
+    count, form = sum(len(_gaps(r)) for r in every), CUBIC if curved else LINE
+    said = TAKEN.format(count=count, form=form, smooth=by_smooth, held=held, unit=unit)
+    return smooth[: len(recordings)], smooth[len(recordings) :], (said,)
 
 
 def _gaps(r: Recording) -> list[tuple[int, int]]:
@@ -62,20 +70,58 @@ def _gaps(r: Recording) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(there) if b > a + 1]
 
 
-def _on_lines(r: Recording) -> Recording:
-    """The recording with its input on straight lines across the gaps; itself where there are none or the input is not held."""
-    if r.hold != "held" or not _gaps(r) or (r.velocity is None and r.angle is None):
+def _fillable(r: Recording) -> bool:
+    """Whether rows are missing, the input is held between samples, and there is a motion to judge by."""
+    return r.hold == "held" and bool(_gaps(r)) and not (r.velocity is None and r.angle is None)
+
+
+def _smooth(r: Recording, *, curved: bool) -> Recording:
+    """The recording with a smooth input across the gaps, on cubics where ``curved``; itself where nothing is to be filled."""
+    if not _fillable(r):
         return r
     assert r.missing is not None
     there, k = np.flatnonzero(~r.missing), np.arange(len(r))
-    filled = {
-        name: np.interp(k, there, getattr(r, name)[there]) for name in INPUTS if getattr(r, name) is not None
-    }  # fmt: skip
+    filled = {}
+    for name in INPUTS:
+        known = getattr(r, name)
+        if known is not None:
+            filled[name] = np.interp(k, there, known[there])
+            for a, b in _gaps(r) if curved else ():
+                if a > 0 and b < len(r) - 1 and not r.missing[a - 1] and not r.missing[b + 1]:
+                    filled[name][a + 1 : b] = _cubic(b - a) @ known[[a - 1, a, b, b + 1]]
     return dataclasses.replace(r, **filled)
 
 
-def _errors(held: Recording, lines: Recording) -> tuple[np.ndarray, np.ndarray] | None:
-    """What the momentum across each gap (g,) errs by, as a velocity: with the input held, and on straight lines.
+def _cubic(n: int) -> np.ndarray:
+    """Weights (n - 1, 4) of the rows -1, 0, n, n + 1 in the values at the rows 1 to n - 1 of the cubic through them."""
+    at, rows = np.array([-1.0, 0.0, n, n + 1.0]), np.arange(1.0, n)
+    return np.column_stack([np.prod([(rows - o) / (x - o) for o in at if o != x], axis=0) for x in at])
+
+
+def _line(n: int) -> np.ndarray:
+    """Weights (n - 1, 4) of the rows -1, 0, n, n + 1 in the values at the rows 1 to n - 1 of the line from row 0 to row n."""
+    share = np.arange(1.0, n) / n
+    return np.column_stack([np.zeros(n - 1), 1.0 - share, share, np.zeros(n - 1)])
+
+
+def _bends(recordings: Sequence[Recording]) -> bool:
+    """Whether cubics err less than lines across stretches that lack no row, of the lengths of the gaps."""
+    squares = np.zeros(2)
+    for r in filter(_fillable, recordings):
+        assert r.missing is not None
+        whole, u = np.concatenate([[0], np.cumsum(r.missing)]), r.input
+        for n, count in Counter(b - a for a, b in _gaps(r)).items():
+            first = np.arange(1, len(u) - n - 1)
+            first = first[whole[first - 1] == whole[first + n + 2]]
+            if len(first):
+                across = u[first[:, None] + np.arange(-1, n + 2)]
+                ends, between = across[:, [0, 1, n + 1, n + 2]], across[:, 2 : n + 1]
+                squares += [count * float(np.mean((between - ends @ w(n).T) ** 2)) for w in (_cubic, _line)]
+    return bool(squares[0] < squares[1])
+
+
+def _errors(held: Recording, smooth: Recording) -> tuple[np.ndarray, np.ndarray] | None:
+    """What the momentum across each gap (g,) errs by, as a velocity: with the input held, and smooth.
 
     None where fewer than ten stretches without a gap are there for each weight.
     """
@@ -91,7 +137,7 @@ def _errors(held: Recording, lines: Recording) -> tuple[np.ndarray, np.ndarray] 
     w = np.linalg.lstsq(_across(known, ends), _across(v, ends), rcond=1e-10)[0]
     ends = np.array(gaps, int)
     moved = _across(v, ends)
-    first, second = (moved - _across(_gained(r, v), ends) @ w for r in (held, lines))
+    first, second = (moved - _across(_gained(r, v), ends) @ w for r in (held, smooth))
     return first, second
 
 

@@ -10,10 +10,15 @@ import numpy as np
 import pytest
 
 import simgap
-from diagnose.data.gap_input import with_input_in_gaps
+from diagnose.data.gap_input import _cubic, _line, with_input_in_gaps
+from diagnose.data.split import split
+from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import _order_left
 from diagnose.pipeline import Options
+from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.result import Verdict
+from mjsim.effects import effect_class
+from mjsim.mjcf import load_axis
 from simgap.pipeline import diagnose_recordings
 
 DT, LOGGED, OF, NOISE = 0.002, 8, 13, 0.05
@@ -143,4 +148,51 @@ def test_friction_is_found_in_a_log_that_lost_rows(tmp_path):
     assert result.verdict is Verdict.MISSING_PHYSICS
     assert [f.law for f in result.findings] == ["coulomb_friction"]
     assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(0.15, rel=0.05)
-    assert any("on straight lines" in note for note in result.notes)
+    assert any("on cubics" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("noise", "form", "most"), [(0.0, "on cubics", 0.01), (0.05, "on straight lines", 0.3)])
+def test_a_smooth_input_bends_in_the_gaps_and_a_noisy_one_does_not(noise, form, most):
+    """Straight lines lie inside a curve, by .02 N m here; a cubic through noise errs more than a line."""
+    log, torque = lossy(6, gaps=60)
+    recorded = log.torque + noise * np.random.default_rng(6).standard_normal(len(log))
+    (filled,), _, (said,) = with_input_in_gaps([dataclasses.replace(log, torque=recorded)], [])
+    assert form in said
+    missed = np.abs(filled.torque - torque[: len(log)])[log.missing]
+    assert np.max(missed) < most
+    if not noise:
+        there = np.flatnonzero(~log.missing)
+        lines = np.interp(np.arange(len(log)), there, torque[there])
+        assert np.max(np.abs(lines - torque[: len(log)])) > 2 * most
+
+
+def test_cubics_through_four_rows_are_exact_for_cubics():
+    for n in (2, 3, 7):
+        x = np.arange(-1.0, n + 2)
+        u = 1.0 + x * (0.3 + x * (-0.2 + 0.05 * x))
+        assert _cubic(n) @ u[[0, 1, -2, -1]] == pytest.approx(u[2:-2], rel=1e-12)
+        straight = 2.0 - 0.3 * x
+        assert _line(n) @ straight[[0, 1, -2, -1]] == pytest.approx(straight[2:-2], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", [100, 102, 104])
+def test_what_the_gaps_hide_of_the_input_does_not_move_friction(seed, tmp_path):
+    """On straight lines it is off by .3 to 1.5 standard errors from that by the true input, towards zero."""
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.format(friction=0), encoding="utf-8")
+    axis, pairs = load_axis(path), [lossy(seed), lossy(seed + 1)]
+    true = [dataclasses.replace(log, torque=torque[: len(log)]) for log, torque in pairs]
+    filled = with_input_in_gaps([pairs[0][0]], [pairs[1][0]])
+    (best, error), (other, _) = (friction_of(axis, *logs) for logs in (true, (*filled[0], *filled[1])))
+    assert abs(other - best) < 0.1 * error
+    assert abs(best - 0.15) < 3 * error
+
+
+def friction_of(axis, fitted, held):
+    """Coulomb friction of a pair of recordings, and its standard error [N m]."""
+    view = choose_view([fitted, held], None, axis)
+    estimation, validation = split([fitted], [held])
+    fitter = Fitter(axis, with_samples(view, (*estimation, *validation), axis, None), estimation, validation, 1)
+    found = fitter.refined(fitter.fit(fitter.hypothesis((effect_class("coulomb_friction")(place="motor", torque_Nm=0.15),))))
+    (at,) = [i for i, e in enumerate(found.hypothesis.entries) if e.name == "torque_Nm" and "coulomb" in e.owner]
+    return found.effects[0].values["torque_Nm"], float(found.standard_errors(fitter.noise)[at])
