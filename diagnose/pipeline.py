@@ -24,9 +24,9 @@ from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Verdict
 from diagnose.structure.passes import searched
-from diagnose.thresholds import LARGE, RUNS, SECOND_SPLIT, UNEXPLAINED
+from diagnose.thresholds import RUNS, SECOND_SPLIT
 from diagnose.verdict.assemble import diagnosis, unit_of
-from diagnose.verdict.decide import decide
+from diagnose.verdict.decide import decide, only_held_out_shows
 from diagnose.verdict.determined import determined
 from diagnose.verdict.findings import findings, merged
 from diagnose.verdict.notes import DERIVED, SHARED, Outcome
@@ -80,7 +80,7 @@ def diagnose(
     result = by(split(recordings, held_out), surpassed)
     said = (*alike, *said, *((DERIVED,) if derived else ()))
     result = dataclasses.replace(result, notes=(*said, *result.notes))
-    if held_out and options.since(began).seconds and _only_held_out_shows(result):
+    if held_out and options.since(began).seconds and only_held_out_shows(result):
         shared = by(split((*recordings, *held_out), ()))
         if shared.verdict is Verdict.MISSING_PHYSICS:
             return dataclasses.replace(shared, notes=(*said, SHARED, *shared.notes))
@@ -92,8 +92,7 @@ def _diagnose(
 ) -> Diagnosis:
     progress.stage("compare", "refitting the nominal model")
     search, best, whitened = searched(fitter, options, progress)
-    fitter = search.fitter
-    base = search.nominal()
+    fitter, base = search.fitter, search.nominal()
     progress.stage("validate", "residual, intervals, rivals")
     best = search.polish(merged(search, best))
     best, undetermined = determined(search, fitter.refined(best))
@@ -106,17 +105,10 @@ def _diagnose(
     outcome = Outcome(search, best, found, remaining, verdict, rows, whitened, False, unit_of(fitter), undetermined)
     if verdict is Verdict.UNEXPLAINED and surpassed is not None:
         unmapped = diagnosis(outcome, base, None, mismatches, options, began)
-        if not _only_held_out_shows(unmapped) and surpassed(unmapped):  # else it may be diagnosed again itself
+        if not only_held_out_shows(unmapped) and surpassed(unmapped):  # else it may be diagnosed again itself
             return unmapped
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     return diagnosis(dataclasses.replace(outcome, mapped=mapped is not None), base, mapped, mismatches, options, began)
-
-
-def _only_held_out_shows(result: Diagnosis) -> bool:
-    """Whether the mismatch is unexplained, and is none on the recordings that were fitted."""
-    best = result.fit["corrected"]
-    clean = best.rms**2 < UNEXPLAINED * result.noise_floor**2
-    return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms**2 > LARGE * result.noise_floor**2
 
 
 def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:

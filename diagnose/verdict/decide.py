@@ -9,13 +9,13 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.options import Options
 from diagnose.problem.start_state import is_of_start
-from diagnose.result import Estimate, Verdict
+from diagnose.result import Diagnosis, Estimate, Verdict
 from diagnose.structure.search import Search
-from diagnose.thresholds import EQUIVALENT, ROUNDING
+from diagnose.thresholds import EQUIVALENT, LARGE, ROUNDING, UNEXPLAINED
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.effects import Effect
 
-__all__ = ["decide", "equivalents", "estimates", "only_repeated_rows", "p_values"]
+__all__ = ["decide", "equivalents", "estimates", "only_held_out_shows", "only_repeated_rows", "p_values"]
 
 
 def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> Verdict:
@@ -38,6 +38,13 @@ def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> 
         return Verdict.NO_MISMATCH
     gain = base.n * math.log(given / base.chi2) if base.chi2 > 0 else math.inf
     return Verdict.PARAMETERS_ONLY if gain > search.options.entry + search.options.price * count / 2 else Verdict.NO_MISMATCH
+
+
+def only_held_out_shows(result: Diagnosis) -> bool:
+    """Whether the mismatch is unexplained, and is none on the recordings that were fitted."""
+    best = result.fit["corrected"]
+    clean = best.rms**2 < UNEXPLAINED * result.noise_floor**2
+    return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms**2 > LARGE * result.noise_floor**2
 
 
 def only_repeated_rows(verdict: Verdict, rows: RepeatedRows, options: Options) -> bool:

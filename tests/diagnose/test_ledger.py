@@ -114,7 +114,7 @@ def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch)
 def test_a_second_search_over_all_recordings_is_remembered_too(whole, robot, tmp_path, monkeypatch):
     (estimation, held_out), options, *_ = whole
     options = dataclasses.replace(options, effects=("stribeck_friction",))
-    monkeypatch.setattr("diagnose.pipeline._only_held_out_shows", lambda result: True)
+    monkeypatch.setattr("diagnose.pipeline.only_held_out_shows", lambda result: True)
     ledger = Ledger(tmp_path / "state.jsonl", "this")
     first = diagnose(robot, [estimation], [held_out], options, ledger=ledger)
     assert any(note.startswith("The estimation recordings fit without it") for note in first.notes)
