@@ -26,7 +26,7 @@ import numpy as np
 from diagnose.data.experiment import smooth_velocity
 from mjsim.recording import Recording
 
-__all__ = ["with_input_in_gaps"]
+__all__ = ["as_moved", "with_input_in_gaps"]
 
 INPUTS = ("torque", "command", "control")
 
@@ -60,6 +60,12 @@ def with_input_in_gaps(
     count, form = sum(len(_gaps(r)) for r in every), CUBIC if curved else LINE
     said = TAKEN.format(count=count, form=form, smooth=by_smooth, held=held, unit=unit)
     return smooth[: len(recordings)], smooth[len(recordings) :], (said,)
+
+
+def as_moved(recording: Recording) -> Recording:
+    """One recording with the input in its gaps as the motion shows it, and a note where it is changed."""
+    (filled,), _, said = with_input_in_gaps([recording], [])
+    return dataclasses.replace(filled, notes=(*recording.notes, *said)) if said else recording
 
 
 def _gaps(r: Recording) -> list[tuple[int, int]]:

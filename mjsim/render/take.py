@@ -7,7 +7,7 @@ keyframe, else at qpos0. A robot's recording, with columns ``JOINT.angle_rad``, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -173,11 +173,14 @@ def _load(rig: Rig, path: Path) -> Recording:
     return record if rig.axis is None else as_driven(rig.axis.axis.chain, record)
 
 
-def simulated(rig: Rig, recording: Path | None, name: str = "simulation") -> Take:
+def simulated(
+    rig: Rig, recording: Path | None, name: str = "simulation", ready: Callable[[Recording], Recording] = lambda r: r
+) -> Take:
     """The model in plain MuJoCo on the input of a recording, from its first sample; a demonstration without one.
 
     Effects that a corrected model carries and plain MuJoCo lacks are simulated by the analytic equations instead. A recording
-    of one joint of a robot moves that joint; the others are held. Raises InputError, also when the simulation diverges.
+    of one joint of a robot moves that joint; the others are held. ``ready``: what is made of a recording of one joint before its
+    input is taken. Raises InputError, also when the simulation diverges.
     """
     try:
         if recording is None:
@@ -186,7 +189,7 @@ def simulated(rig: Rig, recording: Path | None, name: str = "simulation") -> Tak
         robot = _robot_log(rig, recording)
         if robot is not None:
             return robot.simulated(rig, name)
-        record = _load(rig, recording)
+        record = ready(_load(rig, recording))
         return _chain(rig, record, name) if rig.axis is not None else _one_joint(rig, record, name)
     except DivergedError as error:
         raise InputError(rig.path, str(error)) from None

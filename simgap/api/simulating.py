@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diagnose.data.gap_input import as_moved
 from mjsim.effects import Effect, NotApplicableError
 from mjsim.errors import InputError, nearest
 from mjsim.mjcf import load_model
@@ -46,7 +47,8 @@ def simulate(
 
     ``source``: the input (N,) at samples ``dt`` [s] apart, a torque [N m | N] or the command of a servo [rad | m], from rest at
     angle 0; or a recording (a file, columns by name, a `Recording`), on whose input the model runs and whose first sample it
-    starts from. ``effects``: physics to add to the model, such as ``simgap.effects["backlash"](place="gearbox", gap_rad=1e-3)``.
+    starts from; in gaps of its stamps the input is what moved the axis across them, as `diagnose` takes it.
+    ``effects``: physics to add to the model, such as ``simgap.effects["backlash"](place="gearbox", gap_rad=1e-3)``.
     ``engine``: ``"ode"`` the analytic equations, ``"mujoco"`` MuJoCo with steps that end at events, ``"literal"`` plain MuJoCo on
     the file as it is. ``start``: at the first sample of a recording, ``"rest"``, ``"recorded"``, a state, or ``"auto"``: where
     the recording starts in motion the state that suits all of it best, else that of the first two with the smaller error.
@@ -102,7 +104,7 @@ def _input(source: Any, dt: float | None, model: Model, *, servo: bool, joint: s
         record = loaded(source, model, joint=joint)
         if not isinstance(record, Recording):
             raise InputError(record.source, "a recording of a robot", "of one axis", "name a joint")
-        return record
+        return as_moved(record)
     values = np.asarray(source, float)
     if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).all():
         raise InputError("input", f"shape {values.shape}", "at least two finite numbers (N,)", "correct it")

@@ -75,6 +75,7 @@ def _is_model(source: str) -> bool:
 
 def _film_model(path: Path, out: Path, view: str, wanted: _Wanted) -> str:
     """Film a model: its own geoms where one of them moves, else the magnified axis. Returns what was drawn."""
+    from diagnose.data.gap_input import as_moved
     from mjsim.render.take import Rig, recorded, simulated, take_of_run
 
     if view == "magnified":
@@ -87,7 +88,7 @@ def _film_model(path: Path, out: Path, view: str, wanted: _Wanted) -> str:
     elif wanted.simulation is not None:
         takes.append(recorded(rig, wanted.simulation, "simulation"))
     elif wanted.recording is not None or rig.axis is None:
-        takes.append(simulated(rig, wanted.recording))
+        takes.append(simulated(rig, wanted.recording, ready=as_moved))
     else:
         said, run = _demonstrated(rig.axis.path, *SLOW)
         takes.append(take_of_run(rig, said, run))
@@ -139,6 +140,7 @@ def _film_takes(rig: Rig, takes: list[Take], out: Path, wanted: _Wanted, *, need
 
 def _film_axis(path: Path, out: Path, wanted: _Wanted) -> str:
     """Film the axis of a model as rotor, gear and arm, wind-up and gap magnified."""
+    from diagnose.data.gap_input import as_moved
     from mjsim import ode
     from mjsim.control import as_driven
     from mjsim.mjcf import load_axis
@@ -151,7 +153,7 @@ def _film_axis(path: Path, out: Path, wanted: _Wanted) -> str:
         shots = [shot_of_run(said, axis, run)]
     else:
         driven = axis.chain.driven
-        record = as_driven(axis.chain, load(wanted.recording, model=path, driven=driven))
+        record = as_moved(as_driven(axis.chain, load(wanted.recording, model=path, driven=driven)))
         if wanted.simulation is not None:
             first = shot_of_recording("simulation", axis, load(wanted.simulation, model=path, driven=driven))
         else:

@@ -63,6 +63,9 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
 
     Example: simgap replay report/corrected.xml other.csv --out prediction.csv
     """
+    import numpy as np
+
+    from diagnose.data.gap_input import as_moved
     from diagnose.json_file import json_text
     from mjsim.errors import InputError, nearest
     from mjsim.mjcf import load_model
@@ -87,6 +90,8 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     source, subject = load_model(model), Model(model)
     record = loaded(recording, subject, joint=joint)
     assert isinstance(record, Recording)
+    noted = len(record.notes)
+    record = as_moved(record)
     servo = source.axis.chain.servo is not None
     fitted = fitted_start(source, record) if start == "auto" and not servo else None
     run = simulate(subject, record, engine=engine, start=start if fitted is None else fitted)
@@ -94,7 +99,8 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     measured, predicted = record.column(channel), getattr(run, channel)
     if channel == "angle" and not servo and fitted is None:
         predicted = predicted + (measured[0] - predicted[0])
-    figures = _figures(measured, predicted, recording)
+    compared = np.ones(len(record), bool) if record.missing is None else ~record.missing
+    figures = _figures(measured[compared], predicted[compared], recording)
     run.save(out)
     result = {**figures, "channel": channel, "engine": engine, "effects": [e.key for e in source.axis.effects]}
     result |= {"start": dataclasses.asdict(fitted)} if fitted else {}
@@ -115,7 +121,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     )
     if plain is not None:
         click.echo(f"  in plain MuJoCo, by the options of the file: rms error {plain:.6g} {unit} (--engine literal)")
-    for line in (*_told(fitted, source), *(f"plain MuJoCo lacks {x}" for x in lacks)):
+    for line in (*record.notes[noted:], *_told(fitted, source), *(f"plain MuJoCo lacks {x}" for x in lacks)):
         click.echo(f"  {line}")
     if record.loop == "closed":
         click.echo("  recorded under feedback: a free run can drift even with the true model")
@@ -148,7 +154,8 @@ def _plain_rms(model: Subject, record: Recording, start: str | Start, channel: s
     predicted, measured = getattr(run, channel), record.column(channel)
     if channel == "angle" and isinstance(start, str) and source.axis.chain.servo is None:
         predicted = predicted + (measured[0] - predicted[0])
-    return float(np.sqrt(np.mean((measured - predicted) ** 2)))
+    compared = slice(None) if record.missing is None else ~record.missing
+    return float(np.sqrt(np.mean((measured - predicted)[compared] ** 2)))
 
 
 def _told(start: Start | None, source: Model) -> list[str]:

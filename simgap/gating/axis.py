@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from diagnose.data.channels import with_common_channels
 from diagnose.data.derived import without_derived_velocity
 from diagnose.data.experiment import Experiment, hold_out_blocks, prepare
+from diagnose.data.gap_input import with_input_in_gaps
 from diagnose.data.servo import as_servo
 from diagnose.problem.choose_view import choose_view
 from diagnose.problem.view import View
@@ -51,6 +52,7 @@ def judged(model: Path, recordings: Sequence[Path], known: Baseline, tolerance: 
     loaded = [as_driven(chain, load(p, model=model, binding=carried_binding(source, p), driven=chain.driven)) for p in recordings]
     roles = [of_the_baseline(r.source, r.sha256, known) for r in loaded]
     loaded, _, _ = with_common_channels(loaded, [])
+    loaded, _, _ = with_input_in_gaps(loaded, [])
     if known.by_mujoco:
         errors = _in_mujoco(model, source.axis, loaded, roles)
     else:

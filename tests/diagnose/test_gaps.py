@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 
 import mujoco
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import simgap
-from diagnose.data.gap_input import _cubic, _line, with_input_in_gaps
+from diagnose.data.gap_input import _cubic, _line, as_moved, with_input_in_gaps
 from diagnose.data.split import split
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import _order_left
@@ -19,6 +21,9 @@ from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.result import Verdict
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis
+from mjsim.recording import load
+from mjsim.render.take import Rig, simulated
+from simgap.cli import cli
 from simgap.pipeline import diagnose_recordings
 
 DT, LOGGED, OF, NOISE = 0.002, 8, 13, 0.05
@@ -186,6 +191,45 @@ def test_what_the_gaps_hide_of_the_input_does_not_move_friction(seed, tmp_path):
     (best, error), (other, _) = (friction_of(axis, *logs) for logs in (true, (*filled[0], *filled[1])))
     assert abs(other - best) < 0.1 * error
     assert abs(best - 0.15) < 3 * error
+
+
+@pytest.fixture(scope="module")
+def lossy_files(tmp_path_factory):
+    """Logs that lost rows, the model that made them, and a baseline of the noise."""
+    folder = tmp_path_factory.mktemp("lossy")
+    (folder / "arm.xml").write_text(ARM.format(friction=0.15), encoding="utf-8")
+    recordings = []
+    for name, seed, role in (("a", 1, "estimation"), ("b", 2, "held-out")):
+        log, path = lossy(seed, gaps=60)[0], folder / f"{name}.csv"
+        columns = np.column_stack([log.time, log.torque, log.angle, log.velocity])[~log.missing]
+        np.savetxt(path, columns, delimiter=",", header="time_s,torque_Nm,angle_rad,velocity_rad_s", comments="")
+        path.with_suffix(".toml").write_text('[recording]\ntime = "time_s"\njitter = 0.1\n')
+        recordings.append({"file": path.name, "sha256": load(path).sha256, "role": role})
+    figures = {"fit": {"nominal": {"rms": 0.02, "held_out_rms": 0.02}}, "recordings": recordings}
+    view = {"judged_on": {"view": "motion (free run)", "unit": "rad/s"}}
+    (folder / "diagnosis.json").write_text(json.dumps(figures | view))
+    return folder
+
+
+def test_replay_and_gate_take_the_input_in_gaps_as_diagnose_does(lossy_files, tmp_path):
+    """Held at the last row, the input leaves 1.4 times the noise at the true model."""
+    words = [str(lossy_files / "arm.xml"), str(lossy_files / "a.csv")]
+    for engine in ("ode", "literal"):
+        call = ["replay", *words, "--out", str(tmp_path / "p.csv"), "--engine", engine]
+        told = json.loads(CliRunner().invoke(cli, [*call, "--json"]).output)
+        assert told["rms"] == pytest.approx(0.02, rel=0.05)
+    assert told["rms"] < 0.021
+    assert "on cubics" in CliRunner().invoke(cli, call).output
+    gate = ["gate", *words, str(lossy_files / "b.csv"), "--baseline", str(lossy_files / "diagnosis.json"), "--json"]
+    ratios = [c["ratio"] for c in json.loads(CliRunner().invoke(cli, gate).output)["checks"]]
+    assert ratios == pytest.approx([1.0, 1.0], rel=0.05)
+
+
+def test_a_film_takes_the_input_in_gaps_as_diagnose_does(lossy_files):
+    rig, path, torque = Rig.of(lossy_files / "arm.xml"), lossy_files / "a.csv", lossy(1, gaps=60)[1]
+    ready = (lambda r: dataclasses.replace(r, torque=torque[: len(r)]), as_moved, lambda r: r)
+    true, moved, held = (simulated(rig, path, ready=r).qpos[:, 0] for r in ready)
+    assert np.std(moved - true) < 0.05 * np.std(held - true)
 
 
 def friction_of(axis, fitted, held):
