@@ -103,7 +103,13 @@ def line(ended: subprocess.CompletedProcess[str], code: int, *parts: str) -> Non
 @pytest.mark.parametrize(
     ("error", "call", "code", "parts"),
     [
-        ("MemoryError('unable to allocate 3 GiB')", 20, 2, ("not enough memory", "3 GiB", "--jobs")),
+        pytest.param(
+            "MemoryError('unable to allocate 3 GiB')",
+            20,
+            2,
+            ("not enough memory", "3 GiB", "--jobs"),
+            marks=pytest.mark.slow,
+        ),
         ("ode.DivergedError('left the finite numbers at 0.5 s')", 1, 2, ("pendulum.xml", "diverges", "at 0.5 s")),
         pytest.param(
             "ZeroDivisionError('made')",

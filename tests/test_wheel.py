@@ -46,6 +46,7 @@ def test_imports_name_the_installed_place(build, before, after):
     assert build.rewritten(f"{head}{before}\n") == f"{head}{after}\n"
 
 
+@pytest.mark.slow
 def test_nothing_in_the_wheel_imports_a_package_of_the_source_tree(build, tmp_path):
     build.lay_out(ROOT, tmp_path / "simgap")
     found = []

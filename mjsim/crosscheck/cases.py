@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,15 +71,20 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
     )  # fmt: skip
 
 
-def effect_cases(axis: Axis, u: np.ndarray, dt: float = DT) -> tuple[list[Case], list[tuple[str, str]]]:
+def effect_cases(
+    axis: Axis, u: np.ndarray, dt: float = DT, names: Collection[str] | None = None
+) -> tuple[list[Case], list[tuple[str, str]]]:
     """One case for every registered effect at every place, at the first start of a fit; and what the chain has no place for.
 
+    ``u``: torque (N) [N m], sampled every ``dt`` [s]; ``names``: of the effects that are wanted, all where None is given.
     The input is mirrored where the effect changes nothing as it is, as a stop that the motion goes away from.
     """
     bare = Axis(axis.chain, (), axis.backlash_law)
     run = ode.simulate(bare, u, dt)
     cases, skipped = [], []
     for name, cls in registered().items():
+        if names is not None and name not in names:
+            continue
         for place in cls.places:
             try:
                 cls(place=place, **dict.fromkeys((x.name for x in cls.specs()), 1.0)).ports(axis.chain)

@@ -42,7 +42,7 @@ def test_the_generator_knows_nothing_of_the_fitting_code() -> None:
         "nothing",
         pytest.param("parameters_only", marks=pytest.mark.slow),
         pytest.param("plain", marks=pytest.mark.slow),
-        "behind_feedback",
+        pytest.param("behind_feedback", marks=pytest.mark.slow),
     ],
 )
 def test_a_case_is_reproducible_and_of_its_level(level: str) -> None:

@@ -60,6 +60,7 @@ def spent(robot, plant):
     return lambda jobs: diagnose(robot, [estimation], [held_out], dataclasses.replace(few, jobs=jobs))
 
 
+@pytest.mark.slow
 def test_a_search_that_has_spent_its_budget_says_so(spent):
     two = spent(2)
     assert two.verdict is Verdict.UNEXPLAINED

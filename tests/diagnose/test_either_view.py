@@ -65,6 +65,7 @@ def test_what_was_asked_for_is_not_changed():
     assert not _is_open(dataclasses.replace(result, channel="velocity"), pair[0], Options())
 
 
+@pytest.mark.slow
 def test_motion_decides_where_it_explains_the_recordings(tmp_path):
     model = tmp_path / "rotor.xml"
     model.write_text(MODEL, encoding="utf-8")

@@ -232,6 +232,7 @@ def test_a_mechanism_that_swings_up_when_its_motor_is_held_is_judged_by_motion(r
     assert isinstance(choose_view([angle_only], None, damped), ForceView)
 
 
+@pytest.mark.slow
 def test_a_position_alone_will_do(pair, robot):
     """Its differences are judged, averaged as the measured ones are, and weighed by the noise that they make of the angle's."""
     for hidden, expected in (((), []), ((COULOMB,), ["coulomb_friction"])):
@@ -361,6 +362,7 @@ def test_slow_noise_of_the_velocity_is_no_offset(record, seed):
     assert excluded_by_angle([prepare(drifting)]) == {"torque_offset": "sensor_offset"}
 
 
+@pytest.mark.slow
 def test_what_only_the_held_out_recording_exercises_is_sought_in_all(robot, record):
     """A spring that hardens: at a tenth of the torque it does nothing that the fitted recording could show."""
     hardening = effect("hardening_stiffness", place="arm", coefficient_Nm_rad3=2e9)

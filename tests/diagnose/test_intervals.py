@@ -88,6 +88,7 @@ def test_an_error_of_twice_the_noise_is_no_noise(robot, record, times, far):
         fitter.close()
 
 
+@pytest.mark.slow
 def test_one_channel_with_a_large_error_is_no_all_clear(robot, record):
     """Friction outside the effects that are allowed, of which one channel shows four times the noise."""
     logs = [dataclasses.replace(record(COULOMB, seed=s), angle=None) for s in (4, 5)]

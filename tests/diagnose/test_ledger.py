@@ -79,7 +79,12 @@ def test_remembering_changes_nothing(whole, robot):
 
 
 @pytest.mark.parametrize(
-    ("share", "jobs"), [pytest.param(0.2, 1, marks=pytest.mark.slow), pytest.param(0.7, 1, marks=pytest.mark.slow), (0.95, 2)]
+    ("share", "jobs"),
+    [
+        pytest.param(0.2, 1, marks=pytest.mark.slow),
+        pytest.param(0.7, 1, marks=pytest.mark.slow),
+        pytest.param(0.95, 2, marks=pytest.mark.slow),
+    ],
 )
 def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path, share, jobs):
     recordings, options, expected, count = whole

@@ -99,6 +99,7 @@ def test_plain_mujoco_has_the_other_weight(lighter, model, tmp_path):
     assert np.std(plain - of_law) < 0.01 * np.std(of_nominal - of_law)
 
 
+@pytest.mark.slow
 def test_a_refinement_takes_the_place_of_nominal_friction(model, tmp_path):
     nominal = load_axis(model)
     refined = make(

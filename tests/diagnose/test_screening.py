@@ -66,6 +66,7 @@ def test_its_sensitivities_are_those_of_all_samples(fitter, base):
         assert np.linalg.norm(a - b) < 0.03 * np.linalg.norm(b)
 
 
+@pytest.mark.slow
 def test_it_promises_what_all_samples_promise(fitter, base):
     thin, supposed = screening_of(fitter, base), candidates(fitter)
     some = {s.candidate: s.gain for s in thin.screen(supposed)}

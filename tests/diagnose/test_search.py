@@ -100,6 +100,7 @@ def test_a_structure_without_an_effect_is_fitted_once(fitter_of, pair):
     assert fitter.runs == runs
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair):
     """And an offset of the sensor, which is no motion either, is not whitened away."""
     from scipy.signal import lfilter

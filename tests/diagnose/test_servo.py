@@ -68,6 +68,7 @@ def test_the_answer_to_unknown_torques_is_named_nothing(seed):
     assert any("a torque acts that it does not know of" in n for n in result.notes)
 
 
+@pytest.mark.slow
 def test_a_small_error_of_force_is_an_all_clear():
     result = told(3, unknown=0.04)
     assert not result.findings

@@ -264,6 +264,7 @@ def test_soft_friction_of_the_simulator_is_coulomb_friction(tmp_path, others):
     assert result.fit["corrected"].held_out_rms < 1.1 * 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
     [

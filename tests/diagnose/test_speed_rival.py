@@ -55,6 +55,7 @@ def test_a_smooth_law_of_friction_is_no_wave_over_the_angle(rotor):
     assert any(r.test == "speed" for r in found.refusals)
 
 
+@pytest.mark.slow
 def test_friction_that_varies_over_the_turn_is_named(rotor):
     found = diagnose(rotor, [swing(varying, 1)], [swing(varying, 2)], Options(jobs=1, effects=EFFECTS))
     assert [f.effect for f in found.findings] == ["position_dependent_friction"]

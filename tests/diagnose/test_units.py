@@ -38,7 +38,7 @@ HEAVY_AND_SLOW, LIGHT_AND_FAST = (1e3, 5.0), (1e-3, 0.2)
         pytest.param(COULOMB, *HEAVY_AND_SLOW, id="coulomb_friction, heavy"),
         pytest.param(COULOMB, *LIGHT_AND_FAST, id="coulomb_friction, light", marks=pytest.mark.slow),
         pytest.param(DELAY, *HEAVY_AND_SLOW, id="time_delay, heavy", marks=pytest.mark.slow),
-        pytest.param(RIPPLE, *LIGHT_AND_FAST, id="torque_ripple, light"),
+        pytest.param(RIPPLE, *LIGHT_AND_FAST, id="torque_ripple, light", marks=pytest.mark.slow),
     ],
 )
 def test_a_scaled_machine_has_the_scaled_diagnosis(pair, robot, hidden, mass, pace):

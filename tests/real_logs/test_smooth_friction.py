@@ -36,12 +36,19 @@ def log(path, speed, seed):
     return path
 
 
-@pytest.mark.parametrize("speed", [0.1, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_smooth_friction_is_found_with_its_speed(tmp_path, speed):
+@pytest.mark.parametrize(
+    ("speed", "options"),
+    [
+        (0.1, Options(jobs=1, effects=("coulomb_friction",))),
+        pytest.param(0.1, Options(jobs=2), marks=pytest.mark.slow),
+        pytest.param(0.5, Options(jobs=2), marks=pytest.mark.slow),
+    ],
+)
+def test_smooth_friction_is_found_with_its_speed(tmp_path, speed, options):
     model = tmp_path / "model.xml"
     model.write_text(MODEL)
     first, second = (log(tmp_path / f"{seed}.csv", speed, seed) for seed in (1, 2))
-    diagnose_files([first], model, tmp_path / "out", [second], Options(jobs=2), progress=False)
+    diagnose_files([first], model, tmp_path / "out", [second], options, progress=False)
     found = json.loads((tmp_path / "out/diagnosis.json").read_text())
     assert found["verdict"] == "missing_physics"
     (finding,) = found["findings"]

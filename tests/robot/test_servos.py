@@ -134,6 +134,7 @@ def test_the_picture_is_rendered_or_a_plan_of_the_joints(rubbing, monkeypatch):
     assert f'fill="{_hex(COLOURS[Verdict.MISSING_PHYSICS])}"' in plan
 
 
+@pytest.mark.slow
 def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):
     where = folder(NOMINAL.with_servo(2, dead_band=0.03), 4.0)
     d = diagnosed(where)
@@ -144,6 +145,7 @@ def test_a_dead_band_is_carried_and_runs_in_mujoco(folder):
     assert fit["corrected"].held_out_rms < 0.1 * fit["nominal"].held_out_rms
 
 
+@pytest.mark.slow
 def test_a_cable_is_no_weight_and_no_spring(folder):
     where = folder(NOMINAL.with_servo(1, cable=2.0), 6.0)
     d = diagnosed(where, ("cable_torque", "gravity_load", "gravity_compensation_spring", "coulomb_friction"))
