@@ -63,7 +63,7 @@ def test_a_reader_that_goes_away(tmp_path, words):
     assert err == ""
 
 
-@pytest.mark.parametrize("closed", [(1,), (0, 1, 2)], ids=["output", "all"])
+@pytest.mark.parametrize("closed", [pytest.param((1,), marks=pytest.mark.slow), (0, 1, 2)], ids=["output", "all"])
 def test_standard_streams_that_are_closed(tmp_path, closed):
     """Results go to their files; no file takes the descriptor of a stream."""
     recording(tmp_path / "log.csv")

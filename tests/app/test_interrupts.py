@@ -28,6 +28,7 @@ def test_an_interrupt_while_the_drawing_process_starts_does_not_end_it(tmp_path,
     previews.close()
 
 
+@pytest.mark.slow
 def test_an_interrupt_before_the_server_has_started_is_no_error(tmp_path):
     words = [sys.executable, "-m", "simgap", "app", "--no-browser", "--folder", str(tmp_path / "runs")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -99,6 +99,7 @@ def test_the_black_box_is_judged_at_its_own_rate(plain: Task) -> None:
     assert answer["held_out_rms"] >= 0.95 * answer["refitted_rms"]
 
 
+@pytest.mark.slow
 def test_the_sparse_model_runs_as_the_axis_does(plain: Task) -> None:
     axis, r = plain.nominal, plain.estimation
     none = np.zeros(len(TERMS))

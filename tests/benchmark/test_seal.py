@@ -105,6 +105,7 @@ def test_noise_reaches_the_torque_only_through_the_loop() -> None:
     assert rms(a.torque - b.torque) > 0.5 * loop.kp * 0.05
 
 
+@pytest.mark.slow
 def test_the_envelope(tmp_path: Path) -> None:
     out, truth = tmp_path / "sealed", tmp_path / "truth" / "truth.json"
     counts = {"nothing": 1, "parameters_only": 1}

@@ -60,6 +60,7 @@ def test_the_order_need_not_be_known_to_the_last_digit(robot, record):
     assert off == pytest.approx(exact, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_effect_without_an_order_has_no_such_rival(robot, record):
     assert gains(robot, record(), ripple())[0] >= 0
     fitter = Fitter(robot, MotionView(), (prepare(record()),), (), 1)

@@ -331,6 +331,7 @@ def test_a_command_loads_neither_scipy_signal_nor_scipy_stats(pair, tmp_path):
     assert not ended.stderr.split()
 
 
+@pytest.mark.slow
 def test_a_ripple_is_found_without_an_angle_channel(pair, robot):
     """The orders are then looked for over the integral of the velocity."""
     ripple = effect("torque_ripple", amplitude_Nm=0.04, cycles_per_rev=6.3, phase_rad=0.5)

@@ -170,6 +170,7 @@ def test_an_effect_that_only_moves_events_does_not_pay(robot, fitter):
     assert events_only(search, bare, after), "nor where noise alone is left: there are minima below the one that was found"
 
 
+@pytest.mark.slow
 def test_a_pair_is_led_once_but_for_the_last_digits_of_its_fits(robot, fitter, monkeypatch):
     search = Search(fitter, SearchOptions())
     ripple = effect_class("torque_ripple")(amplitude_Nm=1e-3, cycles_per_rev=5.4, phase_rad=0.0)
@@ -187,6 +188,7 @@ def test_a_pair_is_led_once_but_for_the_last_digits_of_its_fits(robot, fitter, m
     assert len(calls) > first
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_there_beside_stiction_gains_in_a_led_model_too(robot, sticking):
     plant, _ = sticking
     ripple = effect_class("torque_ripple")(amplitude_Nm=0.02, cycles_per_rev=5.4, phase_rad=0.4)

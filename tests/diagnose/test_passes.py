@@ -178,7 +178,7 @@ def test_what_a_filter_leaves_open_all_recordings_may_settle(robot, looped):
     assert result.verdict in (Verdict.PARAMETERS_ONLY, Verdict.NO_MISMATCH)
 
 
-@pytest.mark.parametrize("spent", [True, False])
+@pytest.mark.parametrize("spent", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_search_that_could_not_look_takes_nothing_back(search_of, pair, monkeypatch, spent):
     """The whitened search of two effects was left the simulations for one, and the answer was that one."""
     search = search_of(*pair(effect("coulomb_friction", torque_Nm=0.3)))

@@ -51,7 +51,7 @@ def test_a_step_is_one_line():
     assert "about 1 s left" in str(Step("search", seconds=0.01))
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_diagnosis_tells_what_it_is_at(pair, robot, jobs):
     estimation, held_out = pair(effect("coulomb_friction", torque_Nm=0.1))
     steps: list[Step] = []

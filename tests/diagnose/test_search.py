@@ -366,6 +366,7 @@ def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(f
     assert not can_replace(Candidate("gravity_load", "arm"), coulomb())
 
 
+@pytest.mark.slow
 def test_a_position_locked_effect_is_refined_again_at_the_order_that_stands_out(fitter_of, pair):
     """It may have entered at an order of the nominal model's residual."""
     values = {"torque_Nm": 0.1, "relative_amplitude": 0.4, "phase_rad": 0.3}

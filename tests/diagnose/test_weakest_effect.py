@@ -98,6 +98,7 @@ def test_an_effect_that_is_in_the_recordings_stays(asked):
     assert after == before
 
 
+@pytest.mark.slow
 def test_an_effect_that_explains_more_than_a_little_is_not_asked_about(asked):
     less, before, after = asked(0.002, 1.01 * SMALL)
     assert less is None

@@ -319,6 +319,7 @@ def test_extrema_of_a_resonance():
     assert found[0].frequency_hz == pytest.approx(20, rel=0.01)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn(bj_truth):
     from ident.page import png
     from ident.plot import plot_bode, plot_comparison, plot_orders, plot_pole_zero, plot_residuals

@@ -163,6 +163,7 @@ def test_a_gap_behind_the_motor_of_a_users_model_is_stepped_as_found(name: str, 
     assert "timestep" not in note or "that is written" in note
 
 
+@pytest.mark.slow
 def test_a_form_of_another_law_misses_at_every_timestep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from mjsim.mjcf import native_write
     from mjsim.mjcf.slack_write import loosen_link as right

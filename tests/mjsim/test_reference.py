@@ -146,7 +146,13 @@ def test_a_short_lag_is_resolved() -> None:
 
 
 @pytest.mark.parametrize(
-    ("coulomb", "tau"), [(0.0, 7.8e-6), (0.1, 7.8e-6), (0.1, 1e-6), pytest.param(0.0, 1e-6, marks=pytest.mark.slow)]
+    ("coulomb", "tau"),
+    [
+        (0.0, 7.8e-6),
+        (0.1, 7.8e-6),
+        pytest.param(0.1, 1e-6, marks=pytest.mark.slow),
+        pytest.param(0.0, 1e-6, marks=pytest.mark.slow),
+    ],
 )
 def test_a_lag_shorter_than_any_step_delays(tau: float, coulomb: float) -> None:
     model = axis(effect("actuator_lag", time_constant_s=tau), effect("coulomb_friction", torque_Nm=coulomb))

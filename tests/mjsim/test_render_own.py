@@ -272,6 +272,7 @@ def test_a_robot_log_without_a_common_time(arm):
         recorded(Rig.of(arm / "arm.xml"), arm / "bad.csv")
 
 
+@pytest.mark.slow
 def test_a_robots_scenario_and_a_robot_itself_are_filmed_in_motion(tmp_path: Path, screen: None) -> None:
     for source in ("arm3_nominal", "arm3"):
         out = tmp_path / f"{source}.gif"
