@@ -209,6 +209,15 @@ FEWEST = _number(
     DERIVED,
     round(1 / (2 * SMALL**2)),
     "samples",
-    "of a recording, or of its first part: the rms of white samples has the relative deviation 1 / sqrt(2 n) = SMALL",
+    "of all recordings that are fitted, or of a first part: the rms of white samples has the relative deviation "
+    "1 / sqrt(2 n) = SMALL",
     "experiment",
+)
+SHORTEST = _number(
+    "SHORTEST",
+    DERIVED,
+    round(1 / (2 * (TWICE * SMALL) ** 2)),
+    "samples",
+    "of one of several recordings: the rms of its noise, which weighs it against the others, is known to TWICE SMALL",
+    "short_recordings",
 )

@@ -256,9 +256,10 @@ def test_the_table_of_numbers_does_not_grow():
 def test_what_is_derived_follows_from_other_numbers():
     t = importlib.import_module("diagnose.thresholds")
     derived = {name for name, x in t.TABLE.items() if x.kind == t.DERIVED}
-    assert derived == {"FAIR", "SAME", "LEADING", "LEAST_SAMPLES", "FEWEST", "LARGE", "FAR", "SENSOR_SHARE"}
+    assert derived == {"FAIR", "SAME", "LEADING", "LEAST_SAMPLES", "FEWEST", "SHORTEST", "LARGE", "FAR", "SENSOR_SHARE"}
     assert math.isclose(math.sqrt(2 / t.LEAST_SAMPLES), t.MATERIAL), "a mean square is known to a material gain"
     assert math.isclose(1 / math.sqrt(2 * t.FEWEST), t.SMALL), "an rms is known to a small share"
+    assert math.isclose(1 / math.sqrt(2 * t.SHORTEST), t.TWICE * t.SMALL), "a weight is known to a tenth"
     assert math.isclose(math.sqrt(t.FAIR), 1 / t.TWICE)
     assert math.isclose(t.SAME * t.CLEAR, t.MATERIAL)
     assert math.isclose((t.LARGE - 1) * t.TWICE, 1), "an error of half the variance of the noise"

@@ -37,6 +37,7 @@ class Context:
 
     recording: Recording
     machine: Machine
+    together: int = 0  # measured samples of all recordings that are checked at once
 
     @property
     def hold(self) -> str:

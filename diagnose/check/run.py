@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from diagnose.check import faults as _faults  # noqa: F401  (registers the checks)
 from diagnose.check.context import Context
 from diagnose.check.excitation import excitation
+from diagnose.check.faults.short import count_of
 from diagnose.check.machine import Machine
 from diagnose.check.registry import checks
 from diagnose.check.thresholds import Z95
@@ -29,7 +30,8 @@ def check_log(machine: Machine, recordings: Sequence[Recording]) -> LogCheck:
     """
     began = time.monotonic()
     with threadpool_limits(1, "blas"):
-        contexts = [Context(r, machine) for r in recordings]
+        together = sum(map(count_of, recordings))
+        contexts = [Context(r, machine, together) for r in recordings]
         found = [
             dataclasses.replace(problem, recording=c.recording.source)
             for c in contexts

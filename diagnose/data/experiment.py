@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diagnose.data.noise import channel_noise, coloured_noise_level, white_noise_level
-from diagnose.thresholds import FAR, FEWEST, ROUNDING, SMALL
+from diagnose.thresholds import FAR, FEWEST, ROUNDING, SHORTEST, SMALL, TWICE
 from mjsim.errors import InputError
 from mjsim.recording import Recording
 from mjsim.signals import limits, plain_step, value_step
@@ -19,14 +19,18 @@ __all__ = [
     "Experiment",
     "angle_noise_level",
     "corrected",
+    "fewest_of",
     "first_angle",
     "held_rows",
     "hold_out_blocks",
     "measured_angle",
+    "measured_count",
     "measured_velocity",
     "middle",
     "prepare",
+    "resting_angle",
     "smooth_velocity",
+    "with_common_noise",
 ]
 
 
@@ -123,6 +127,23 @@ def first_angle(recording: Recording) -> tuple[float, float]:
     return best
 
 
+def resting_angle(recording: Recording) -> tuple[float, float]:
+    """The angle [rad | m] at the first sample of a recording from rest, and its standard deviation; 0, 0 where there is no angle.
+
+    The mean over the rows ahead of the first change of the input, where these differ by no more than twice their noise; else the
+    first row.
+    """
+    q = recording.angle
+    if q is None:
+        return 0.0, 0.0
+    noise = max(angle_noise_level(q), channel_noise(recording, "angle"))
+    changed = np.flatnonzero(recording.input != recording.input[0])
+    n = int(changed[0]) if len(changed) else 1
+    if n < 2 or noise == 0.0 or float(np.std(q[:n], ddof=1)) > TWICE * noise:  # it settles
+        return float(q[0]), noise
+    return float(np.mean(q[:n])), noise / math.sqrt(n)
+
+
 def angle_noise_level(q: np.ndarray) -> float:
     """Noise rms of an angle (N,): that of its sixth differences, at least that of rounding where all values lie on a grid."""
     return max(white_noise_level(q), value_step(q) / math.sqrt(12.0))
@@ -157,6 +178,28 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
     return carried
 
 
+def measured_count(recording: Recording) -> int:
+    """Number of samples that were measured: those that lie in no gap of the stamps."""
+    return len(recording) - (0 if recording.missing is None else int(np.sum(recording.missing)))
+
+
+def fewest_of(recordings: Sequence[Recording]) -> int:
+    """Measured samples that each recording of a fit needs: `SHORTEST` where together they have `FEWEST`, else `FEWEST`."""
+    return SHORTEST if sum(map(measured_count, recordings)) >= FEWEST else FEWEST
+
+
+def with_common_noise(experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
+    """The experiments, those of fewer than `FEWEST` samples weighed by the noise of all: theirs alone is known too roughly.
+
+    The variance is the mean of the variances, weighed by the numbers of samples.
+    """
+    counts = [measured_count(e.recording) for e in experiments]
+    if all(n >= FEWEST for n in counts):
+        return tuple(experiments)
+    common = math.sqrt(sum(n * e.sigma**2 for n, e in zip(counts, experiments, strict=True)) / sum(counts))
+    return tuple(e if n >= FEWEST else dataclasses.replace(e, sigma=common) for n, e in zip(counts, experiments, strict=True))
+
+
 def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: int = FEWEST) -> Experiment:
     """Check a recording and make it an experiment; rows that were held and not measured do not count.
 
@@ -164,9 +207,12 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     """
     v = measured_velocity(recording)
     missing = np.zeros(len(v), bool) if recording.missing is None else recording.missing
-    n = int(np.sum(~missing))
+    n = measured_count(recording)
     if n < minimum:
-        raise InputError(recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}", "record longer")
+        together = ", in one recording or in several that are fitted together" if minimum == FEWEST else ""
+        raise InputError(
+            recording.source, f"{n} samples ({recording.duration:.3g} s)", f"at least {minimum}{together}", "record longer"
+        )
     noise = _velocity_noise(recording, v)
     spread = float(np.std(v))
     if recording.driven and np.ptp(recording.input) == 0 and not steps_from_rest(recording):
@@ -201,13 +247,10 @@ def prepare(recording: Recording, *, counts: np.ndarray | None = None, minimum: 
     of_angle = 0.0
     if recording.angle is not None:
         of_angle = max(angle_noise_level(recording.angle), channel_noise(recording, "angle"))
-    angle = 0.0 if recording.angle is None else float(recording.angle[0])
     if recording.command is not None and recording.angle is not None:
         noise = of_angle
         spread = float(np.std(recording.angle))
-    angle_error = of_angle
-    if moving:
-        angle, angle_error = first_angle(recording)
+    angle, angle_error = (first_angle if moving else resting_angle)(recording)
     sigma = max(noise, math.sqrt(ROUNDING) * spread)
     return Experiment(
         recording, counts, sigma, moving, before, speed=speed, angle=angle, angle_error=angle_error, angle_noise=of_angle

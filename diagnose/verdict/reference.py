@@ -17,11 +17,14 @@ import numpy as np
 from diagnose.data.derived import without_derived_velocity
 from diagnose.data.experiment import (
     angle_noise_level,
+    fewest_of,
     first_angle,
     hold_out_blocks,
     measured_velocity,
     prepare,
+    resting_angle,
     smooth_velocity,
+    with_common_noise,
 )
 from diagnose.data.noise import channel_noise
 from diagnose.result import FitFigures
@@ -67,8 +70,8 @@ class Case:
         """Where the recording starts, by its first samples."""
         r = self.recording
         angle = float(r.angle[0]) if r.angle is not None else 0.0
-        if self.moving and not self.servo:
-            angle, _ = first_angle(r)
+        if not self.moving or not self.servo:
+            angle, _ = (first_angle if self.moving else resting_angle)(r)
         if self.servo:
             return Start(angle, 0.0, float(r.input[0]))
         before = float(r.input[0]) if self.moving or r.command is not None else 0.0
@@ -87,8 +90,8 @@ class Case:
         """
         q = self.recording.angle
         angle = 0.0 if q is None else max(channel_noise(self.recording, "angle"), plain_step(q) / math.sqrt(12.0))
-        if self.moving and not self.servo:
-            _, angle = first_angle(self.recording)
+        if not self.moving or not self.servo:
+            _, angle = (first_angle if self.moving else resting_angle)(self.recording)
         speed = SMALL * float(np.sqrt(np.mean(self.measured**2)))
         return angle, math.hypot(self.sigma, speed) if self.moving and not self.servo else 0.0
 
@@ -122,20 +125,22 @@ class Run:
     start: Start
 
 
-def cases_of(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> tuple[Case, ...]:
-    """Every recording once, split as the diagnosis splits them: by recording, else by blocks."""
+def cases_of(recordings: Sequence[Recording], held_out: Sequence[Recording], minimum: int | None = None) -> tuple[Case, ...]:
+    """Every recording once, split as the diagnosis splits them: by recording, else by blocks.
+
+    ``minimum``: measured samples of each, by default as many as a diagnosis needs. Raises InputError for one that cannot be used.
+    """
+    least = fewest_of(recordings) if minimum is None else minimum
+    every = [without_derived_velocity(r) for r in (*recordings, *held_out)]
     out = []
-    for role, group in (("estimation", recordings), ("held-out", held_out)):
-        for given in group:
-            r = without_derived_velocity(given)
-            e = prepare(r)
-            mine, other = (e.counts, np.zeros(len(r), bool))
-            if not held_out:
-                mine, other = (e.counts & part for part in hold_out_blocks(r))
-            elif role == "held-out":
-                mine, other = other, mine
-            measured = measured_velocity(r) if r.command is None or r.angle is None else r.angle
-            out.append(Case(r, measured, e.sigma, e.moving, mine, other))
+    for i, (r, e) in enumerate(zip(every, with_common_noise([prepare(r, minimum=least) for r in every]), strict=True)):
+        mine, other = (e.counts, np.zeros(len(r), bool))
+        if not held_out:
+            mine, other = (e.counts & part for part in hold_out_blocks(r))
+        elif i >= len(recordings):
+            mine, other = other, mine
+        measured = measured_velocity(r) if r.command is None or r.angle is None else r.angle
+        out.append(Case(r, measured, e.sigma, e.moving, mine, other))
     return tuple(out)
 
 

@@ -18,6 +18,7 @@ from diagnose.data.gap_input import with_input_in_gaps
 from diagnose.data.servo import as_servo
 from diagnose.problem.choose_view import choose_view
 from diagnose.problem.view import View
+from diagnose.thresholds import SHORTEST
 from diagnose.verdict.reference import Case, cases_of, error
 from diagnose.verdict.reference_runs import run_files
 from mjsim.axis import Axis
@@ -86,7 +87,7 @@ def _in_mujoco(model: Path, axis: Axis, recordings: Sequence[Recording], roles: 
 def _case(axis: Axis, recording: Recording, roles: tuple[str, ...]) -> Case:
     """The recording split as the diagnosis split it: into blocks where it had both roles."""
     _, (r,), _, _ = as_servo(axis, [recording], [])
-    return cases_of([r], [])[0] if len(roles) > 1 else cases_of([r], [r])[ROLES.index(roles[0])]
+    return cases_of([r], [], SHORTEST)[0] if len(roles) > 1 else cases_of([r], [r], SHORTEST)[ROLES.index(roles[0])]
 
 
 def _errors(axis: Axis, view: View, recording: Recording, roles: tuple[str, ...]) -> _Errors:
@@ -98,7 +99,7 @@ def _errors(axis: Axis, view: View, recording: Recording, roles: tuple[str, ...]
     squares, counts = {}, {}
     blocks = dict(zip(ROLES, hold_out_blocks(recording), strict=True))
     for role in roles:
-        experiment = prepare(recording, counts=blocks[role] if len(roles) > 1 else None)
+        experiment = prepare(recording, counts=blocks[role] if len(roles) > 1 else None, minimum=SHORTEST)
         axes = [axis] if role == "estimation" else [axis, _in_phase(axis, view, experiment)]
         starts = _starts(axis, recording) if view.channel == "velocity" else [None]
         keep = view.counts(experiment)
