@@ -21,7 +21,7 @@ from diagnose.evidence.context import Context
 from diagnose.fit.fits import Fits
 from diagnose.fit.fitted import Fitted, HeldOut
 from diagnose.fit.fitter import Fitter
-from diagnose.fit.path import relaxed
+from diagnose.fit.path import over_horizons, relaxed
 from diagnose.fit.starts import about_nominal
 from diagnose.progress import Progress
 from diagnose.structure.budget import SearchOptions
@@ -174,7 +174,25 @@ class Search:
         near = [f for f in near if self.state.once("relax", f.key, round(math.log(f.chi2), 1)) and not self.state.spent()]
         for f in self.fitter.map([partial(relaxed, self.fitter, f) for f in near]):
             self.state.keep(f)
-        return self.selection.best(self.fits.best(current)) if near else best
+        horizons = self._over_horizons(self.selection.best(self.fits.best(current)) if near else best)
+        return self.selection.best(self.fits.best(current)) if near or horizons else best
+
+    def _over_horizons(self, best: Fitted) -> bool:
+        """Fit the leading nonsmooth structure over growing horizons and then along falling gains, where the best leaves much.
+
+        An early event at the wrong time moves all later ones, which the falling gains alone do not undo.
+        """
+        if not self.fitter.above(best, FAR) or self.state.spent():
+            return False
+        ahead = [f for f in self.fits.values() if f.rough and f.ok and self.criterion(f) <= self.criterion(best)]
+        leading = min(ahead, key=self.criterion, default=None)
+        if leading is None or not self.state.once("horizons", leading.key, round(math.log(leading.chi2), 1)):
+            return False
+        found = over_horizons(self.fitter, leading, leading.linear)
+        if not found.ok or found is leading:
+            return False
+        self.state.keep(relaxed(self.fitter, found))
+        return True
 
     def _observed(self, current: Fitted) -> Fitted:
         """The best structure once additions were compared under an observer gain, where the free run has many minima."""

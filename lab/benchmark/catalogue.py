@@ -16,7 +16,7 @@ from lab.benchmark.experiment import log_uniform
 from lab.benchmark.laws import GAP_IMPACT, GAP_NO_PULL, Laws
 from mjsim.errors import InputError
 
-__all__ = ["CATALOGUE", "EQUIVALENT", "OTHER_LAWS", "OUTSIDE", "Draw", "Entry", "compose", "draw", "find"]
+__all__ = ["CATALOGUE", "EQUIVALENT", "LOG_FAULTS", "OTHER_LAWS", "OUTSIDE", "Draw", "Entry", "compose", "draw", "find"]
 
 
 @dataclass(frozen=True)
@@ -225,6 +225,9 @@ OUTSIDE: tuple[Entry, ...] = (
     _outside("held_rows", "sensor", {"probability": Draw(2e-4, 2e-3), "rows": Draw(5.0, 40.0)}, {}),
 )
 # fmt: on
+
+# What is a fault of the log rather than of the axis -> its name in ``log.problems`` of diagnosis.json.
+LOG_FAULTS: Mapping[str, str] = {"held_rows": "duplicated_rows"}
 
 
 def draw(entry: Entry, rng: np.random.Generator, max_torque: float) -> dict[str, float]:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from itertools import permutations
 from typing import Any
 
-from lab.benchmark.catalogue import EQUIVALENT
+from lab.benchmark.catalogue import EQUIVALENT, LOG_FAULTS
 from lab.benchmark.laws import Laws
 from lab.benchmark.sized import SPREAD
 
@@ -187,6 +187,13 @@ def _verdict_right(truth: Mapping[str, Any], verdict: str) -> bool:
     return bool(verdict == truth["verdict"])
 
 
+def _as_log_fault(truth: Mapping[str, Any], result: Mapping[str, Any]) -> bool:
+    """Whether all that is missing is a fault of the log which the answer names as such, with no physics in its place."""
+    faults = {p["problem"] for p in result.get("log", {}).get("problems", ())}
+    wanted = [LOG_FAULTS.get(e) for e in truth["effects"]]
+    return bool(wanted) and all(w in faults for w in wanted) and not result.get("findings") and result.get("verdict") in WITHOUT
+
+
 def _outcome(truth: Mapping[str, Any], verdict: str, right: bool, exact: bool, named: bool, shared: int, extra: bool) -> Outcome:
     if truth["level"] in NULLS:
         if right:
@@ -243,7 +250,13 @@ def score_case(name: str, truth: Mapping[str, Any], result: Mapping[str, Any]) -
     verdict_right = not error and _verdict_right(truth, verdict)
     shared = sum(bool(_called(f) & any_name) for f in findings)
     extra = any(len(part) < len(findings) and _covers(part, way) for way in ways for part in _parts(findings))
-    outcome = Outcome.ERROR if error else _outcome(truth, verdict, verdict_right, exact, named, shared, extra and bool(wanted))
+    if _as_log_fault(truth, result):
+        verdict_right = True
+        outcome = Outcome.RIGHT
+    else:
+        outcome = (
+            Outcome.ERROR if error else _outcome(truth, verdict, verdict_right, exact, named, shared, extra and bool(wanted))
+        )
     linear = result.get("linear_parameters", {})
     gap, left = (math.nan, {}) if error else _fits(truth, result)
     sizes = truth.get("size", {}).values()

@@ -64,6 +64,10 @@ def said(verdict: str, *findings: dict[str, Any], after: float = 0.1, before: fl
     }
 
 
+def logged(result: dict[str, Any], problem: str) -> dict[str, Any]:
+    return {**result, "log": {"problems": [{"problem": problem, "recording": "a.csv"}]}}
+
+
 CF, TO, AF, DA, DS = (
     "coulomb_friction@motor", "torque_offset@motor", "asymmetric_friction@motor", "time_delay@actuator", "time_delay@sensor",
 )  # fmt: skip
@@ -85,6 +89,10 @@ ENDS = [
     (truth("out_of_library", "held_rows@sensor"), said(UN), Outcome.RIGHT),
     (truth("out_of_library", "held_rows@sensor"), said(MP, finding(CF)), Outcome.WRONG_NAME),
     (truth("out_of_library", "held_rows@sensor"), said(NO), Outcome.MISSED),
+    (truth("out_of_library", "held_rows@sensor"), logged(said(PO), "duplicated_rows"), Outcome.RIGHT),
+    (truth("out_of_library", "held_rows@sensor"), logged(said(PO), "clipped"), Outcome.MISSED),
+    (truth("out_of_library", "held_rows@sensor"), logged(said(MP, finding(CF)), "duplicated_rows"), Outcome.WRONG_NAME),
+    (truth("plain", CF), logged(said(PO), "duplicated_rows"), Outcome.MISSED),
     (truth("nothing"), said(NO), Outcome.RIGHT),
     (truth("nothing"), said(PO), Outcome.RIGHT),
     (truth("nothing"), said(MP, finding(CF)), Outcome.FALSE_ALARM),
