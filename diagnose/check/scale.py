@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from diagnose.check.machine import Machine
 from diagnose.check.relation import Fit, Pair, Ratio, Relation, Signals, compare_channels
-from diagnose.check.thresholds import DISTINCT, PARAMETER_FACTOR, RATIO_TOLERANCE, RESOLVED, Z_TEST
+from diagnose.check.thresholds import DISTINCT, INERTIA_RANGE, PARAMETER_FACTOR, RATIO_TOLERANCE, RESOLVED, Z_TEST
 
 __all__ = ["Evidence", "Hypothesis", "Scale", "find_scale", "gather", "hypotheses"]
 
@@ -169,6 +169,16 @@ class Evidence:
                 continue
             if f.inertia.value > 0 and second.value > 0 and abs(math.log(f.inertia.value / second.value)) < 2 * SPREAD:
                 return math.sqrt(f.inertia.value * second.value)
+        return None
+
+    def out_of_reach(self) -> Ratio | None:
+        """The inertia over the model's where both it and a second torque are off, the same way, by more than a fit takes."""
+        for f in self.fits:
+            second = f.gravity if f.gravity is not None and f.gravity.determined(RESOLVED) else f.loss
+            if second is None or (f.inertia.value > 1) != (second.value > 1):
+                continue
+            if _rejected(f.inertia, INERTIA_RANGE) and _rejected(second, INERTIA_RANGE):
+                return f.inertia
         return None
 
 

@@ -7,8 +7,8 @@ from statistics import NormalDist
 __all__ = [
     "ACTUATOR_DELAY", "CLIPPED_SHARE", "CONTENT_DROP", "DISTINCT", "EDGE_DROP", "EDGE_SLOPE", "EQUAL_NEIGHBOURS",
     "EXCESS_TOLD", "FAMILY_LEVEL", "FLOOR_SLOPE", "FOLLOWED", "HOLD_TOLERANCE", "IMPACTS", "IMPACT_NOISE",
-    "INTERPOLATED",    "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "PARAMETER_FACTOR", "RANGE_FIX", "RATIO_TOLERANCE",
-    "RESOLVED", "SHAPE_SPREAD", "SKEW_FIX", "STRAIGHT", "TESTS", "Z95", "Z_TEST",
+    "INERTIA_RANGE", "INTERPOLATED", "JITTER_FIX", "JITTER_LIMIT", "MODE_RATE", "PARAMETER_FACTOR", "RANGE_FIX",
+    "RATIO_TOLERANCE", "RESOLVED", "SHAPE_SPREAD", "SKEW_FIX", "STRAIGHT", "TESTS", "Z95", "Z_TEST",
 ]  # fmt: skip
 
 FAMILY_LEVEL = 1e-3
@@ -40,6 +40,10 @@ squared."""
 DISTINCT = 5.0
 """Smallest factor that counts as a unit or a gear side: below it a scale may be a wrong parameter at both ends of the range
 above."""
+
+INERTIA_RANGE = 10.0
+"""Factor by which an inertia of a fit may differ from the model's (`diagnose.problem.hypothesis`): beyond it every fit ends at
+that bound."""
 
 RATIO_TOLERANCE = 0.1
 """Relative distance between the ratio of angle to integrated velocity and a known factor: gains of sensors are known to some

@@ -193,6 +193,19 @@ def test_a_scale_of_the_inertia_alone_is_no_unit(log, machine):
     assert not names(check_log(other, [log()])) & {"unit", "side", "sign", "torque_scale"}
 
 
+@pytest.mark.parametrize(("torque", "fixed"), [(1 / 200, True), (1 / 7, False), (30.0, True), (7.0, False)])
+def test_a_model_out_of_reach_of_any_fit_is_a_scale(torque, fixed, log, machine):
+    """Inertia and weight that differ from the model by unlike factors, both beyond a tenth or ten times."""
+    m = machine()
+    heavy = dataclasses.replace(m.axis.chain.bodies[0], inertia=m.axis.chain.bodies[0].inertia * (3.0 if torque < 1 else 1 / 3.0))
+    other = Machine(dataclasses.replace(m.axis, chain=dataclasses.replace(m.axis.chain, bodies=(heavy,))))
+    found = [p for p in check_log(other, [times(log(), torque=torque)]).problems if p.problem == "torque_scale"]
+    assert [p.severity for p in found] == [Severity.FIX] * fixed
+    if fixed:
+        low, high = found[0].ci95
+        assert low < torque * 0.2 / 0.18 / (3.0 if torque < 1 else 1 / 3.0) < high
+
+
 @pytest.mark.parametrize("late", [-0.2, -0.03, -0.005, 0.005, 0.2])
 def test_a_skew_is_measured(late, log, checked):
     found = only(checked(log(rate=1000, late=late)), "skew")
