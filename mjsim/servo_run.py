@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mjsim.hold import between
+from mjsim.hold import within
 from mjsim.mujoco_run import run_literal
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mjsim.ode import Trajectory
     from mjsim.recording import Recording
 
-__all__ = ["literal_servo_run"]
+__all__ = ["finer", "literal_servo_run", "sampled"]
 
 
 def literal_servo_run(source: Model, recording: Recording) -> Trajectory:
@@ -32,11 +32,17 @@ def literal_servo_run(source: Model, recording: Recording) -> Trajectory:
     if r.hold == "held":
         return run_literal(source, r.input, r.dt, initial=start, before=before, known=r.known_torque)
     each = max(1, math.ceil(r.dt / float(source.mjmodel.opt.timestep) - 1e-6))
-    u, slope = between(r.input, r.dt, r.hold)
-    fine = (u[:, None] + slope[:, None] * (np.arange(each) + 0.5) * (r.dt / each)).ravel()
-    known = r.known_torque
-    if known is not None:
-        known = np.interp(np.arange(len(fine)) / each, np.arange(len(known)), known)
-    run = run_literal(source, fine, r.dt / each, initial=start, before=before, known=known)
+    fine = within(r.input, r.dt, r.hold, each)
+    known = None if r.known_torque is None else finer(r.known_torque, each)
+    return sampled(run_literal(source, fine, r.dt / each, initial=start, before=before, known=known), each)
+
+
+def finer(known: np.ndarray, each: int) -> np.ndarray:
+    """A known torque (N,) at ``each`` times as many samples, in straight lines between those that there are."""
+    return np.asarray(np.interp(np.arange(len(known) * each) / each, np.arange(len(known)), known))
+
+
+def sampled(run: Trajectory, each: int) -> Trajectory:
+    """Every so-manyth sample of a run."""
     names = ("time", "torque", "velocity", "angle", "q", "v", "coupling_torque")
     return dataclasses.replace(run, **{name: getattr(run, name)[::each].copy() for name in names})

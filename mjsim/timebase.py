@@ -204,7 +204,7 @@ def resample(arrays: dict[str, np.ndarray], hold: str, dt: float) -> tuple[dict[
         if name == "time":
             out[name] = grid
         elif name in ("torque", "command", "control"):
-            out[name] = np.interp(grid, time, y) if hold == "linear" else _means(time, y, grid, dt)
+            out[name] = np.interp(grid, time, y) if hold == "linear" else _means(time, y, grid, dt, hold)
         elif name == "known_torque":
             out[name] = np.interp(grid, time, y)
         else:
@@ -263,10 +263,12 @@ def _spline(time: np.ndarray, y: np.ndarray, grid: np.ndarray) -> np.ndarray:
     return np.asarray(CubicSpline(time, y)(grid))
 
 
-def _means(time: np.ndarray, u: np.ndarray, grid: np.ndarray, dt: float) -> np.ndarray:
-    """Means over the samples of a grid of an input that is constant from each stamp to the next."""
+def _means(time: np.ndarray, u: np.ndarray, grid: np.ndarray, dt: float, hold: str) -> np.ndarray:
+    """Means over the samples of a grid of an input that is constant from each stamp to the next, by rows of the same hold."""
     if np.ptp(u) == 0:  # to the last digit
         return np.full(len(grid), u[0])
+    if hold == "mean":  # each row is of the interval before it
+        return np.concatenate([u[:1], _means(time, np.append(u[1:], u[-1:]), grid, dt, "held")[:-1]])
     edges = np.append(time, max(time[-1], grid[-1]) + 2.0 * dt)
     area = np.concatenate([[0.0], np.cumsum(u * np.diff(edges))])
     total = np.interp(np.append(grid, grid[-1] + dt), edges, area)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.hold import within
 from mjsim.known_torque import KnownTorque
 from mjsim.mjcf import Model
 from mjsim.recording import Recording
@@ -27,24 +30,41 @@ SLOPE = 0.005  # seconds over which the first velocity is read off
 
 
 def run_torque(source: Model, torque: np.ndarray, record: Recording, engine: str, initial: np.ndarray | None) -> Trajectory:
-    """One run on a commanded torque (N,), the recording's or its beginning, and its known torque. Raises DivergedError."""
+    """One run on a commanded torque (N,), the recording's or its beginning, and its known torque. Raises DivergedError.
+
+    A torque that is not held between samples is cut for MuJoCo into parts of a timestep, at its mean over each.
+    """
+    axis = _with_known(source.axis, record)
+    if engine == "ode":
+        from mjsim import ode
+
+        angle = None if record.angle is None else record.angle[: len(torque)]
+        origin = None if initial is None else 0.0  # it has the angle of the recording
+        return ode.simulate(axis, torque, record.dt, initial=initial, angle=angle, origin=origin, hold=record.hold)
+    if record.hold == "held":
+        return _stepped(source, axis, torque, record.dt, record.known_torque, engine, initial)
+    from mjsim.servo_run import finer, sampled
+
+    each = max(1, math.ceil(record.dt / float(source.mjmodel.opt.timestep) - 1e-6))
+    known = None if record.known_torque is None else finer(record.known_torque, each)
+    fine = within(np.asarray(torque, float), record.dt, record.hold, each)
+    run = sampled(_stepped(source, axis, fine, record.dt / each, known, engine, initial), each)
+    return dataclasses.replace(run, torque=np.array(torque, float))
+
+
+def _stepped(
+    source: Model, axis: Axis, torque: np.ndarray, dt: float, known: np.ndarray | None, engine: str, initial: np.ndarray | None
+) -> Trajectory:
+    """A run of MuJoCo on a torque (N,) held over each sample of dt [s]: of the file, or of the axis with steps to each event."""
     if engine == "literal":
         from mjsim.mujoco_run import run_signals
 
         bodies = len(source.found.chain.bodies)  # one that an effect splits off starts undeflected
         initial = None if initial is None else initial[:, :bodies]
-        known = None if record.known_torque is None else record.known_torque[: len(torque)]
-        return run_signals(source, torque, record.dt, initial=initial, known=known)
-    axis = _with_known(source.axis, record)
-    if engine == "mujoco":
-        from mjsim import accurate
+        return run_signals(source, torque, dt, initial=initial, known=None if known is None else known[: len(torque)])
+    from mjsim import accurate
 
-        return accurate.simulate(axis, torque, record.dt, initial=initial)
-    from mjsim import ode
-
-    angle = None if record.angle is None else record.angle[: len(torque)]
-    origin = None if initial is None else 0.0  # it has the angle of the recording
-    return ode.simulate(axis, torque, record.dt, initial=initial, angle=angle, origin=origin)
+    return accurate.simulate(axis, torque, dt, initial=initial)
 
 
 def _with_known(axis: Axis, record: Recording) -> Axis:

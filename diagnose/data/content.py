@@ -40,8 +40,11 @@ def at_content_rate(recordings: Sequence[Recording]) -> tuple[list[Recording], t
     return [decimated(r, every) for r in recordings], (said,)
 
 
-def decimated(recording: Recording, every: int) -> Recording:
-    """Every so-manyth sample of a recording; the input is the mean over each of the longer samples."""
+def decimated(recording: Recording, every: int, *, held: bool = False) -> Recording:
+    """Every so-manyth sample of a recording; the input is the mean over each of the longer samples.
+
+    A row holds the mean of the interval before it; ``held``: of the interval that begins with it, as of an input that is held.
+    """
     n = len(recording) // every
 
     def cut(x: np.ndarray) -> np.ndarray:
@@ -51,13 +54,16 @@ def decimated(recording: Recording, every: int) -> Recording:
     for name in ("torque", "command", "control", "known_torque"):
         x = getattr(recording, name)
         if x is not None:
-            if recording.hold == "linear":
-                x = 0.5 * (x + np.append(x[1:], x[-1]))
-            arrays[name] = x[: n * every].reshape(n, every).mean(axis=1)
+            after = np.append(x[1:], x[-1])
+            x = {"held": x, "linear": 0.5 * (x + after), "mean": after}[
+                recording.hold
+            ]  # means of the intervals that begin with a row
+            means = x[: n * every].reshape(n, every).mean(axis=1)
+            arrays[name] = means if held else np.concatenate([means[:1], means[:-1]])
     columns = {k: cut(v) for k, v in recording.columns.items()}
     if recording.missing is not None:
         arrays["missing"] = cut(recording.missing)
-    return dataclasses.replace(recording, **arrays, columns=columns, dt=recording.dt * every, hold="mean")
+    return dataclasses.replace(recording, **arrays, columns=columns, dt=recording.dt * every, hold="held" if held else "mean")
 
 
 def _factor(recording: Recording) -> int:

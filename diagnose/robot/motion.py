@@ -16,6 +16,7 @@ import numpy as np
 
 from diagnose.data.noise import white_noise_level
 from mjsim.errors import InputError
+from mjsim.hold import at_samples
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import inertia_along
@@ -167,8 +168,8 @@ def prepare(
         j = robot.joints.index(name)
         assert recording.torque is not None
         raw = robot.gear[j] * recording.torque[:, recording.joints.index(name)]
-        if recording.hold == "held":  # held over each sample, it acts half a sample late on average
-            raw = _earlier(raw, recording.dt)
+        if recording.hold != "linear":  # its mean about each sample: half a sample late, or early
+            raw = at_samples(raw, recording.hold)
         torque[:, j] = sosfiltfilt(sos, sosfiltfilt(first, raw)[::coarse])
     every = max(1, int(1 / (dt * THINNED * cutoff)))
     ddz, reach = derivative(z, dt, second=True), math.ceil(ENDS / (cutoff * dt))
@@ -191,11 +192,6 @@ def prepare(
         recording.source, recording.sha256, role, recording.time[::coarse], z, dz, ddz, torque, counts,
         held, sos, every, dt, payload, contact,
     )  # fmt: skip
-
-
-def _earlier(u: np.ndarray, dt: float) -> np.ndarray:
-    """A signal held over each sample, as its mean over the sample around each instant: (u[k - 1] + u[k]) / 2."""
-    return np.concatenate([u[:1], 0.5 * (u[1:] + u[:-1])])
 
 
 def _counts(dz: np.ndarray, dt: float, cutoff: float) -> np.ndarray:

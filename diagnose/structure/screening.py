@@ -32,9 +32,8 @@ __all__ = ["Screening", "most_decimation", "screening_of"]
 
 def _decimated(e: Experiment, every: int) -> Experiment:
     """Every so-manyth sample of an experiment, under the mean of the torque until the next."""
-    part = dataclasses.replace(decimated(e.recording, every), second_angle=None, second_velocity=None)
-    if e.recording.hold == "held":
-        part = dataclasses.replace(part, hold="held")  # of which the mean is exact
+    held = e.recording.hold == "held"  # of which the mean is exact
+    part = dataclasses.replace(decimated(e.recording, every, held=held), second_angle=None, second_velocity=None)
     at = slice(0, len(part) * every, every)
     correction = None if e.correction is None else e.correction[at]
     return dataclasses.replace(e, recording=part, counts=e.counts[at], correction=correction)

@@ -110,10 +110,7 @@ class Case:
 
     def drive(self) -> tuple[np.ndarray, Hold]:
         """Input (N, 1) of a plant, and how it goes between samples."""
-        u, hold = self.recording.input, Hold(self.recording.hold)
-        if hold is Hold.MEAN:  # of the sample that begins with the row; a plant takes that of the sample that ends with it
-            u = np.concatenate([u[:1], u[:-1]])
-        return u[:, None], hold
+        return self.recording.input[:, None], Hold(self.recording.hold)
 
 
 @dataclass(frozen=True, eq=False)

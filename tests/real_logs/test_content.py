@@ -68,11 +68,15 @@ def test_an_interpolated_angle_is_taken_at_the_rate_of_its_samples():
     assert slow.dt >= 0.003
 
 
-@pytest.mark.parametrize(("hold", "first"), [("held", 1.0), ("mean", 1.0), ("linear", 1.5)])
+@pytest.mark.parametrize(("hold", "first"), [("held", 1.0), ("mean", 2.0), ("linear", 1.5)])
 def test_the_input_of_a_slower_log_is_its_mean(hold, first):
+    """Rows 0 to 8: the mean of the first interval of three samples stands in the row at its end."""
     r = recording(100.0, np.arange(9.0), np.zeros(9), None, "a.csv", hold=hold)
     slow = decimated(r, 3)
-    assert slow.torque[0] == pytest.approx(first)
+    assert slow.torque[1] == pytest.approx(first)
+    assert slow.hold == "mean"
+    ahead = decimated(r, 3, held=True)
+    assert (ahead.torque[0], ahead.hold) == (pytest.approx(first), "held")
     assert len(slow) == 3
     assert slow.dt == pytest.approx(0.03)
 
