@@ -28,7 +28,8 @@ def scales_of(fitter: Fitter, effect: Effect) -> Scales:
     cls = type(effect)
     turning = fitter.scales[cls.angle_of or effect.place]
     own = fitter.scales_for(cls, effect.place)
-    return dataclasses.replace(own, travel=turning.travel, velocity=turning.velocity, turns=turning.turns)
+    band = fitter.view.band(fitter.experiments[0].recording.dt)
+    return dataclasses.replace(own, travel=turning.travel, velocity=turning.velocity, turns=turning.turns, band=band)
 
 
 def out_of_range(f: Fitted, fitter: Fitter) -> tuple[Outside, ...]:

@@ -64,7 +64,7 @@ def with_samples(view: View, experiments: Sequence[Experiment], nominal: Axis, a
     swings_up = growth_when_held(nominal) * max(r.duration for r in recordings) > -math.log(SMALL)
     if asked is None and not swings_up:
         return MotionView.of(nominal, recordings)
-    r, band = poor[0].recording, view.cutoff_hz or 0.1 / poor[0].recording.dt
+    r, band = poor[0].recording, view.band(poor[0].recording.dt)
     raise InputError(
         r.source, f"{r.duration:.3g} s, of which no {TAPS} samples in motion can be judged by force below {band:.3g} Hz",
         "motion for longer than the low-pass takes to settle",

@@ -49,8 +49,9 @@ class Problem:
     """Recordings, view and weights; `relax` and `on` return other problems.
 
     varies: linear parameters that each recording has of its own; orders, swung: spatial orders in the residual, as starts for
-    position-locked effects and for a varying inertia; whitening: monic filter over a scale; prior_weight: of the nominal model's
-    numbers; sigmas: noise rms by recording; pace: the axis by whose steps runs are counted, the nominal one if None.
+    position-locked effects and for a varying inertia; unsure: those of the orders that do not stand out over all; whitening:
+    monic filter over a scale; prior_weight: of the nominal model's numbers; sigmas: noise rms by recording; pace: the axis by
+    whose steps runs are counted, the nominal one if None.
     """
 
     nominal: Axis
@@ -62,6 +63,7 @@ class Problem:
     varies: tuple[str, ...] = ()
     orders: tuple[float, ...] = ()
     swung: tuple[float, ...] = ()
+    unsure: tuple[float, ...] = ()
     whitening: np.ndarray = field(default_factory=lambda: np.ones(1))
     prior_weight: float = 1.0
     pace: Axis | None = None
@@ -89,12 +91,12 @@ class Problem:
             prior_weight=self.prior_weight if prior_weight is None else prior_weight,
         )
 
-    def with_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = ()) -> Problem:
+    def with_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = (), unsure: tuple[float, ...] = ()) -> Problem:
         """The same with the spatial orders found in a residual as starts."""
         # judged by force, orders have to stand out of the residual: none is tried for being whole
         turning = self.view.channel != "torque"
         scales = scales_by_place(self.nominal, self.experiments[0], orders, swung, turning=turning)
-        return dataclasses.replace(self, scales=scales, orders=orders, swung=swung)
+        return dataclasses.replace(self, scales=scales, orders=orders, swung=swung, unsure=unsure)
 
     def on(
         self,

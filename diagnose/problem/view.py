@@ -23,9 +23,9 @@ from diagnose.thresholds import DITHER, HALVINGS, LEAST_SAMPLES, MOST_SUBSTEPS, 
 from mjsim.axis import Axis
 from mjsim.effects import NotApplicableError
 from mjsim.effects.ports import StaticMap
+from mjsim.hold import at_samples, delayed, lagged
 from mjsim.ode import DivergedError, apply_input, count_work, inverse, sensed, simulate
 from mjsim.recording import Recording
-from mjsim.signals import lfilter
 from mjsim.system import MOST_STEPS, STEP, System, assemble
 
 __all__ = ["ForceView", "MotionView", "Signals", "View", "highest_observer_gain"]
@@ -68,7 +68,7 @@ def _delivered(s: System, torque: np.ndarray, dt: float, before: float) -> np.nd
         split = late - s.input_delay / dt  # part of a sample over which the newer command acts
         earlier = np.concatenate([np.full(late, before), u])
         u = split * earlier[1 : len(u) + 1] + (1.0 - split) * earlier[: len(u)]
-    return _lagged(u, s.input_lag, dt, before)
+    return lagged(u, s.input_lag, dt, before)
 
 
 def _ahead(s: System, v: np.ndarray, dt: float) -> np.ndarray:
@@ -101,6 +101,9 @@ class View(Protocol):
 
     def noise(self, experiment: Experiment) -> float | None:
         """Noise rms of the compared signal where the recording tells it, else None."""
+
+    def band(self, dt: float) -> float:
+        """Highest frequency [Hz] that is compared, of recordings sampled every dt [s]."""
 
 
 def _rounded(measured: np.ndarray, clean: np.ndarray, step: float, counts: np.ndarray) -> np.ndarray:
@@ -249,6 +252,10 @@ class MotionView:
         """White noise of the measured channel."""
         return experiment.sigma
 
+    def band(self, dt: float) -> float:
+        """All that the samples hold: half their rate [Hz]."""
+        return 0.5 / dt
+
 
 @dataclass(frozen=True)
 class ForceView:
@@ -257,12 +264,14 @@ class ForceView:
     cutoff_hz: zero-phase fourth-order Butterworth low-pass on motion and torque alike (default a tenth of the sampling
     rate), then decimation by ``decimate``. slow, rest: samples below ``slow`` times the rms speed do not count (the direction of
     friction is unknown there), nor where the speed stays below ``rest`` times it for a fifth of a second (the axis stands).
+    early: lead of the input over its rows [s] (`diagnose.fit.timing`).
     """
 
     cutoff_hz: float | None = None
     decimate: int = 10
     slow: float = 0.005
     rest: float = 0.05
+    early: float = 0.0
     channel: str = "torque"
     # what is kept of an experiment, by its id, and the experiment, so that no other has that id
     _motions: dict[int, tuple[Experiment, tuple[np.ndarray, ...]]] = field(
@@ -271,47 +280,46 @@ class ForceView:
     _counted: dict[int, tuple[Experiment, np.ndarray]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def _filtered(self, experiment: Experiment) -> tuple[np.ndarray, ...]:
-        """Angle, velocity, acceleration (low-passed, by central differences) and the torque as commanded."""
-        from scipy.signal import sosfiltfilt
+        """Angle, velocity, acceleration (low-passed, by central differences) and the torque as commanded.
 
+        The second difference of the angle and the torque are means under the same triangle about a sample.
+        """
         if id(experiment) in self._motions:
             return self._motions[id(experiment)][1]
         r = experiment.recording
-        sos = self._sos(r.dt)
         if r.angle is not None:
-            q = sosfiltfilt(sos, r.angle)
-            v = np.gradient(q, r.dt)
+            q = self._low_passed(r.angle, r.dt)
+            v, a = np.gradient(q, r.dt), np.gradient(np.gradient(q, r.dt), r.dt)
+            a[1:-1] = np.diff(q, 2) / r.dt**2
         else:
-            v = sosfiltfilt(sos, measured_velocity(r))
+            v = self._low_passed(measured_velocity(r), r.dt)
             q = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1])) * r.dt])
-        # the command is held over each sample, so that it acts half a sample late on average
-        held = _shift(r.torque, -0.5 * r.dt, r.dt)
-        motion = q, v, np.gradient(v, r.dt), sosfiltfilt(sos, held)
+            a = np.gradient(v, r.dt)
+        motion = q, v, a, self._low_passed(delayed(at_samples(r.torque, r.hold), -self.early / r.dt), r.dt, 2)
         self._motions[id(experiment)] = experiment, motion
         return motion
 
-    def _sos(self, dt: float) -> np.ndarray:
-        from scipy.signal import butter
+    def _low_passed(self, x: np.ndarray, dt: float, times: int = 1) -> np.ndarray:
+        """A signal (N, ...) behind the filter: a motion once; a torque twice, as the one is that a filtered motion needs."""
+        from scipy.signal import butter, sosfiltfilt
 
-        cutoff = self.cutoff_hz or 0.1 / dt
-        return np.asarray(butter(4, min(2 * cutoff * dt, 0.9), output="sos"))
+        sos = butter(4, min(2 * self.band(dt) * dt, 0.9), output="sos")
+        for _ in range(times):
+            x = sosfiltfilt(sos, x, axis=0)
+        return np.asarray(x)
 
     def low_passed(self, torques: np.ndarray, experiment: Experiment) -> np.ndarray:
         """Torques (N, k) along the recording as they are judged: low-passed and decimated, (M, k)."""
-        from scipy.signal import sosfiltfilt
-
-        return np.asarray(sosfiltfilt(self._sos(experiment.recording.dt), torques, axis=0)[:: self.decimate])
+        return self._low_passed(torques, experiment.recording.dt, 2)[:: self.decimate]
 
     def signals(self, axis: Axis, experiment: Experiment, initial: np.ndarray | None) -> Signals | None:
         """Torque commanded (through the actuator effects) and torque needed, low-passed and decimated alike."""
-        from scipy.signal import sosfiltfilt
-
         r = experiment.recording
         q, v, a, commanded = self._filtered(experiment)
         try:
             s = assemble(axis)
             if s.output_delay > 0:
-                q, v, a = (_shift(x, s.output_delay, r.dt) for x in (q, v, a))
+                q, v, a = (delayed(x, -s.output_delay / r.dt) for x in (q, v, a))
             if s.output_lag > 0:  # what a lag of the sensor T shows is y with y + T y' = x
                 T = s.output_lag
                 q, v, a = q + T * v, v + T * a, a + T * np.gradient(a, r.dt)
@@ -320,16 +328,17 @@ class ForceView:
             needed = inverse(s, q, v - offset, a, r.dt)
         except (DivergedError, NotApplicableError, ValueError, np.linalg.LinAlgError):
             return None
-        sos = self._sos(r.dt)
         every = slice(None, None, self.decimate)
-        needed = sosfiltfilt(sos, needed)
+        needed = self._low_passed(needed, r.dt)
         shrinking = [m for m in s.input_maps if m.map in (StaticMap.CLIP, StaticMap.DROOP)]
         if not shrinking:
             return Signals(r.time[every], commanded[every], self._command(s, needed, r.dt)[every])
         # what these deliver does not tell the command: the command is taken through them
         u = apply_input(s, r.torque)
-        late = _shift(_lagged(u, s.input_lag, r.dt, u[0]), -0.5 * r.dt - s.input_delay, r.dt)
-        acting = sosfiltfilt(sos, late)[every]
+        late = at_samples(lagged(u, s.input_lag, r.dt, u[0]), r.hold)
+        if s.input_delay != self.early:
+            late = delayed(late, (s.input_delay - self.early) / r.dt)
+        acting = self._low_passed(late, r.dt, 2)[every]
         # an actuator that delivers next to nothing asks next to nothing of the model: the error is one of the command
         keep = self.counts(experiment)
         asked, delivered = (float(np.std(x[keep])) for x in (commanded[every], acting))
@@ -342,18 +351,16 @@ class ForceView:
 
         The recorded command is never changed: an error is part of it, and would go with it into whatever were made of it.
         """
-        from scipy.signal import sosfiltfilt
-
         command = needed
         if s.input_lag > 0:
             command = command + s.input_lag * np.gradient(command, dt)
         if s.input_delay > 0:
-            command = _shift(command, s.input_delay, dt)
+            command = delayed(command, -s.input_delay / dt)
         for m in reversed(s.input_maps):
             if m.map is StaticMap.ADD:
                 command = command - m.c
             elif m.map is StaticMap.DEAD:
-                command = command + sosfiltfilt(self._sos(dt), m.c * np.sign(command))
+                command = command + self._low_passed(m.c * np.sign(command), dt, 2)
         return command
 
     def counts(self, experiment: Experiment) -> np.ndarray:
@@ -371,7 +378,7 @@ class ForceView:
         # a sample at which the speed passes through zero, and a rest, during which the torque is whatever friction lets stand
         rest = maximum_filter1d(np.abs(v), 2 * max(1, round(0.1 / r.dt)) + 1) < self.rest * rms
         moving = (np.abs(v) > self.slow * rms) & ~rest
-        edge = math.ceil(2.0 / ((self.cutoff_hz or 0.1 / r.dt) * r.dt))
+        edge = math.ceil(2.0 / (self.band(r.dt) * r.dt))
         inside = np.zeros(len(r), bool)
         inside[edge : len(r) - edge] = True
         counted: np.ndarray = (experiment.counts & moving & inside)[:: self.decimate]
@@ -381,19 +388,6 @@ class ForceView:
         """Not known beforehand: what acts on the torque is no sensor noise."""
         return None
 
-
-def _lagged(u: np.ndarray, lag: float, dt: float, before: float) -> np.ndarray:
-    """What a first-order lag [s] makes of an input held over each sample, in its mean over the sample; settled at ``before``."""
-    if lag <= 0:
-        return u
-    decay = math.exp(-dt / lag)
-    ends = before + lfilter([0.0, 1.0 - decay], [1.0, -decay], u - before)  # at the beginning of each sample
-    return np.asarray(u + (ends - u) * (1.0 - decay) * lag / dt)
-
-
-def _shift(x: np.ndarray, lead: float, dt: float) -> np.ndarray:
-    """x(t + lead) by cubic interpolation, ends held."""
-    from scipy.interpolate import CubicSpline
-
-    t = dt * np.arange(len(x))
-    return np.asarray(CubicSpline(t, x)(np.clip(t + lead, t[0], t[-1])))
+    def band(self, dt: float) -> float:
+        """Highest frequency [Hz] below the low-pass."""
+        return self.cutoff_hz or 0.1 / dt

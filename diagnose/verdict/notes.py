@@ -98,6 +98,12 @@ def _of_the_numbers(outcome: Outcome) -> Iterator[str]:
             f"{name} stands at its bound: the recording asks for more than the model's value may be off. This is no finding: "
             "check unit, gear side and the model's value."
         )
+    early = getattr(outcome.search.fitter.view, "early", 0.0)
+    if early > 0:
+        yield (
+            f"The input acts {1e3 * early:.3g} ms before its rows, which no drive does: stamps do, or a simulator that takes "
+            "semi-implicit steps (half its timestep). It is taken so, and is no physics."
+        )
     experiments = (*outcome.search.fitter.experiments, *outcome.search.fitter.held_out)
     servo = outcome.search.fitter.nominal.chain.servo is not None
     yield from unused_channels((e.recording for e in experiments), servo=servo)

@@ -196,7 +196,7 @@ def _beyond_sensors(fitter: Fitter, held: HeldOut | None) -> bool:
     sensors = 0.0
     for e in fitter.held_out:
         u, dt = e.recording.torque, e.recording.dt
-        band = min(1.0, 2.0 * dt * (view.cutoff_hz or 0.1 / dt))
+        band = min(1.0, 2.0 * dt * view.band(dt))
         sensors = max(sensors, SENSOR_SHARE + band * white_noise_level(u) ** 2 / float(np.var(u)))
     return held.nrmse**2 > TWICE**2 * sensors
 

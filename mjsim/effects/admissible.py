@@ -12,7 +12,7 @@ from typing import final
 
 from mjsim.effects.scales import Scales
 
-__all__ = ["Range", "bristles", "mode", "wait", "wave"]
+__all__ = ["Range", "bristles", "mode", "ringing", "wait", "wave"]
 
 WHOLE = 0.03  # relative distance to a whole order of the motor's turn within which an order is that one
 BETWEEN = 0.25  # of a sample, within which the delay of an input is that of how it goes between samples: held, linear or a mean
@@ -54,10 +54,23 @@ def bristles(torque: float, stiffness: float, way: float) -> tuple[Range, ...]:
 
 
 def mode(inertia: float, stiffness: float, scales: Scales) -> tuple[Range, ...]:
-    """Of a spring before an inertia: a frequency [rad/s] that the recording is long enough and sampled often enough to show."""
+    """Of a spring before an inertia: a frequency [rad/s] that the recording is long enough to show, and in the band that is
+    compared."""
     frequency = math.sqrt(stiffness / inertia) if inertia > 0 else math.inf
-    low, high = 2.0 * math.pi / scales.duration, math.pi / scales.dt
-    return (Range("frequency in rad/s", frequency, low, high, "one period in the recording to two samples a period"),)
+    low, high = 2.0 * math.pi / scales.duration, min(math.pi / scales.dt, 2.0 * math.pi * scales.band)
+    why = "one period in the recording to two samples a period, or the end of the band that is compared"
+    return (Range("frequency in rad/s", frequency, low, high, why),)
+
+
+def ringing(inertia: float, stiffness: float, damping: float) -> tuple[Range, ...]:
+    """Of an inertia on a spring: damping below the critical, c < 2 sqrt(k m), beyond which it does not oscillate."""
+    critical = 2.0 * math.sqrt(max(stiffness * inertia, 0.0))
+    ratio = damping / critical if critical > 0 else math.inf
+    return (
+        Range(
+            "damping ratio", ratio, -math.inf, 1.0, "beyond which nothing oscillates, and friction that gives way does as much"
+        ),
+    )
 
 
 def wait(what: str, time: float, most: float, why: str, scales: Scales) -> tuple[Range, ...]:

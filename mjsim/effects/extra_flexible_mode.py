@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from mjsim.effects.admissible import Range, mode
+from mjsim.effects.admissible import Range, mode, ringing
 from mjsim.effects.base import Effect, Scales, need_body, parameter
 from mjsim.effects.native import Native, SplitBody
 from mjsim.effects.ports import Port, SplitInertia
@@ -62,7 +62,8 @@ class ExtraFlexibleMode(Effect):
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        return mode(self.inertia_kgm2, self.stiffness_Nm_rad, scales)
+        shown = mode(self.inertia_kgm2, self.stiffness_Nm_rad, scales)
+        return (*shown, *ringing(self.inertia_kgm2, self.stiffness_Nm_rad, self.damping_Nms_rad))
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

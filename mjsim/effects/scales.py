@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 __all__ = ["Scales"]
@@ -23,7 +24,7 @@ class Scales:
     and in three tenths of the time; move: mean time between reversals of the velocity [s],
     the duration where it does not reverse; stops: (side, angle [rad | m], time constant [s]) of each end of the travel at which the
     motion is turned back as at a stop, side -1 or +1; None where this was not looked for; hold_stated: whether it is known how
-    the input goes between samples.
+    the input goes between samples; band: highest frequency [Hz] that is compared.
     """
 
     torque: float
@@ -48,3 +49,4 @@ class Scales:
     move: float = 0.0
     stops: tuple[tuple[int, float, float], ...] | None = None
     hold_stated: bool = True
+    band: float = math.inf

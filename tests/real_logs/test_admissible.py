@@ -11,6 +11,7 @@ import pytest
 
 from diagnose.data.scales import reversals
 from diagnose.fit.least_squares import Status
+from diagnose.problem.view import MotionView
 from diagnose.verdict.determined import determined
 from mjsim.effects import Scales, effect_class, registered
 
@@ -98,6 +99,8 @@ class _Search:
     def __init__(self, ripple, rivals=()):
         self.fitter = SimpleNamespace(
             scales=dict.fromkeys(("motor",), SCALES),
+            view=MotionView(),
+            experiments=(SimpleNamespace(recording=SimpleNamespace(dt=SCALES.dt)),),
             scales_for=lambda cls, place: SCALES,
             refined=lambda f: f,
             noise=None,
