@@ -4,7 +4,8 @@ The residual of a torque is coloured: slow errors of the friction law hold most 
 long period. What is fixed to a turning part is a line: it stands far above the orders beside it. So the residual is whitened, an
 order must stand out of its neighbours (F-test, over all orders looked at), and every recorded sample is used, since at speed a
 short period passes faster than decimated samples follow. Orders of fewer than `few_periods` periods over the travel have no
-neighbours to stand out of: they have more to show (`diagnose.evidence.rivals.few_periods`).
+neighbours to stand out of, and of little more periods few: they are unsure, as is an order that stands out taken alone and not
+over all, and have more to show (`diagnose.evidence.rivals.few_periods`).
 
 With A the whitening filter and z = A' A d, the energy that sin(n q) and cos(n q) explain of A d is |sum z exp(i n q)|^2 over the
 energy that passes the filter, sum |A(n v)|^2 / 2, for orders whose frequency n v changes slowly against the filter's length.
@@ -29,7 +30,7 @@ __all__ = ["few_periods", "force_orders", "line_energy", "stands_out"]
 def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Orders n (of sin(n q), q the motor's angle) of the first experiment's residual, strongest first.
 
-    Those that stand out; and those that repeat too few times over the travel to stand out of anything.
+    Those that stand out; and the unsure ones, which repeat too few times over the travel or stand out taken alone only.
 
     They range from one and a half periods over the travel to a frequency of a quarter of the sampling rate.
     """
@@ -53,10 +54,13 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[f
     grid = np.linspace(low, top, count) if count < MOST_ORDERS else np.geomspace(low, top, count)
     found: list[tuple[float, float]] = []
     few: list[tuple[float, float]] = []
+    alone: list[tuple[float, float]] = []
     for weight in (np.ones(len(v)), np.sign(v)):
         power = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, grid, r.dt)
         peak = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
-        lines = [i for i in peak if stands_out(power, grid, int(i), 2 * np.pi / travel) < ALPHA / len(grid)]
+        chance = {int(i): stands_out(power, grid, int(i), 2 * np.pi / travel) for i in peak}
+        lines = [i for i in peak if chance[int(i)] < ALPHA / len(grid)]
+        alone += [(p, float(grid[i])) for i, p in chance.items() if ALPHA / len(grid) <= p < ALPHA]
         for i in sorted(lines, key=lambda i: -power[i])[:most]:
             near = np.linspace(grid[i - 1], grid[i + 1], 21)
             finer = line_energy(s.predicted - s.measured, r.angle, v, weight, keep, near, r.dt)
@@ -67,8 +71,9 @@ def force_orders(fitter: Fitter, fitted: Fitted, most: int = 5) -> tuple[tuple[f
     for _, n in found:
         if all(abs(n - m) > max(0.02 * m, 2 * np.pi / travel) for m in out):
             out.append(n)
-    unsure = dict.fromkeys(n for _, n in sorted(few, reverse=True))  # a line may be one of both weights
-    return tuple(out[:most]), tuple(unsure)[:LEADING]
+    slow = tuple(dict.fromkeys(n for _, n in sorted(few, reverse=True)))  # a line may be one of both weights
+    unsure = dict.fromkeys((*slow[:LEADING], *(n for _, n in sorted(alone)[:LEADING])))
+    return tuple(out[:most]), tuple(n for n in unsure if all(abs(n - m) > 2 * np.pi / travel for m in out[:most]))
 
 
 def few_periods() -> float:

@@ -71,9 +71,9 @@ class Fitter:
         """A fitter of a related problem on the same threads; see `Engine.related`."""
         return Fitter.of(problem, self.engine.related(remembers=remembers, counts_here=counts_here))
 
-    def with_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = ()) -> Fitter:
-        """On the same engine, with spatial orders as starts; ``swung``: those of a varying inertia."""
-        return Fitter.of(self.problem.with_orders(orders, swung), self.engine)
+    def with_orders(self, orders: tuple[float, ...], swung: tuple[float, ...] = (), unsure: tuple[float, ...] = ()) -> Fitter:
+        """On the same engine, with spatial orders as starts; ``swung``: of a varying inertia; ``unsure``: with more to show."""
+        return Fitter.of(self.problem.with_orders(orders, swung, unsure), self.engine)
 
     @property
     def nominal(self) -> Axis:

@@ -20,6 +20,7 @@ from diagnose.evidence.predictable import motion_error
 from diagnose.evidence.sensor_offset import excluded_by_angle
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
+from diagnose.fit.timing import taken_early
 from diagnose.fit.validation import pooled
 from diagnose.fit.whiten import (
     effective_share,
@@ -42,17 +43,17 @@ from mjsim.errors import InputError
 __all__ = ["searched"]
 
 
-def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Spatial orders of the residual of a fitted model on its first experiment: of torques, and of the arm's inertia."""
+def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Spatial orders of the residual of a fitted model on its first experiment: of torques, of the arm's inertia; unsure ones."""
     experiment = fitter.experiments[0]
     r = experiment.recording
     if fitter.view.channel == "torque":
-        orders, of_few_periods = force_orders(fitter, fitted)
-        return orders or of_few_periods, ()
+        orders, unsure = force_orders(fitter, fitted)
+        return (*orders, *unsure), (), unsure
     initial = fitted.hypothesis.initial(fitted.fit.x, 0)
     e = fitter.error(fitted.axis, experiment, initial)
     if e is None:
-        return (), ()
+        return (), (), ()
     find = partial(find_orders, e, dt=r.dt, keep=fitter.counted(experiment), run=fitter.map)
     angle = measured_angle(r)
     b, a = torque_to_velocity(fitted.axis, r.dt, about=middle(r), by_velocity=r.angle is None)
@@ -62,7 +63,7 @@ def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[fl
     arm = len(fitter.nominal.chain.bodies) - 1
     ratio = fitter.nominal.chain.total_ratio(arm)
     b, a = torque_to_velocity(fitted.axis, r.dt, arm, middle(r), by_velocity=r.angle is None)
-    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=LEADING, inertia=True)
+    return orders, find(angle + y.q[:, arm] / ratio - y.q[:, 0], y.v[:, arm] / ratio, b, a, most=LEADING, inertia=True), ()
 
 
 def _search(
@@ -198,6 +199,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress) -> tuple[Sear
     asked as it settles with its own filter, too. A structure found on whitened errors may have another filter, or none:
     then it is sought once more. A search that found nothing before its budget of time was used up is the only one.
     """
+    fitter = taken_early(fitter)
     known = fitter.noise.absolute
     alone = partial(_leaves_coloured_noise, missed=options.missed) if known else None
     search, best = _search(fitter, options, progress, alone)
@@ -228,7 +230,7 @@ def searched(fitter: Fitter, options: Options, progress: Progress) -> tuple[Sear
         fitter = search.fitter
         search.state.tested += before.tested
         if fitter.spent and not spent and set(best.key) < set(found.key):  # it could not look at what the search before has found
-            before.use(before.fitter.with_orders(fitter.orders, fitter.problem.swung))
+            before.use(before.fitter.with_orders(fitter.orders, fitter.problem.swung, fitter.problem.unsure))
             return before, found, len(before.fitter.whitening) > 1
     return search, best, len(search.fitter.whitening) > 1
 

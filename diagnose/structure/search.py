@@ -55,7 +55,7 @@ class Search:
     ) -> None:
         self.options, self.progress, self.leaves_noise_by = options, progress or Progress(), leaves_noise_by
         self.effective_of: Callable[[Fitter, Fitted], float] | None = None
-        self.orders_of: Callable[[Fitter, Fitted], tuple[tuple[float, ...], tuple[float, ...]]] | None = None
+        self.orders_of: Callable[[Fitter, Fitted], tuple[tuple[float, ...], ...]] | None = None
         self.context = Context(fitter, options.prices)
         self.state = State(self.context, options, self.progress)
         self.significance = Significance(self.state)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from diagnose.evidence.intervals import at_bounds, half_width
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
@@ -21,7 +23,8 @@ __all__ = ["decide", "equivalents", "estimates", "only_held_out_shows", "only_re
 def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> Verdict:
     """Unexplained when a material part of the held-out residual is left, or a parameter at its bound; else by what was found.
 
-    Without effects the refitted parameters must gain more than their price, by the criterion, to count as changed.
+    Without effects the refitted parameters must gain more than their price, by the criterion, to count as changed; and where the
+    noise is not known, predict the held-out recordings better.
     """
     if remaining.unexplained or (not best.effects and at_bounds(best)):
         return Verdict.UNEXPLAINED
@@ -29,14 +32,17 @@ def decide(search: Search, base: Fitted, best: Fitted, remaining: Remaining) -> 
         return Verdict.MISSING_PHYSICS
     fitter = search.fitter
     starts = {k: v for k, v in base.own.items() if is_of_start(k[0], k[1])}
-    as_is = fitter.residual(base.hypothesis)(fitter.hypothesis((), None, starts).start)
+    as_given = fitter.hypothesis((), None, starts).start
+    as_is = fitter.residual(base.hypothesis)(as_given)
     if as_is is None:
         return Verdict.PARAMETERS_ONLY
+    if not fitter.noise.absolute and not _predicts_better(search, base, as_given):
+        return Verdict.NO_MISMATCH
     count = base.hypothesis.size
     given = float(as_is @ as_is)
     if not given > base.chi2:  # also where nothing is left of either
         return Verdict.NO_MISMATCH
-    gain = base.n * math.log(given / base.chi2) if base.chi2 > 0 else math.inf
+    gain = search.context.effective * base.n * math.log(given / base.chi2) if base.chi2 > 0 else math.inf
     return Verdict.PARAMETERS_ONLY if gain > search.options.entry + search.options.price * count / 2 else Verdict.NO_MISMATCH
 
 
@@ -45,6 +51,13 @@ def only_held_out_shows(result: Diagnosis) -> bool:
     best = result.fit["corrected"]
     clean = best.rms**2 < UNEXPLAINED * result.noise_floor**2
     return result.verdict is Verdict.UNEXPLAINED and clean and best.held_out_rms**2 > LARGE * result.noise_floor**2
+
+
+def _predicts_better(search: Search, base: Fitted, as_given: np.ndarray) -> bool:
+    """Whether the refitted nominal model has a lower held-out error than the one as given; so where either has none."""
+    fitted = search.held_out(base)
+    given = search.fitter.validate(search.fitter.fit(base.hypothesis, as_given, iterations=0))
+    return fitted is None or given is None or fitted.rms < given.rms
 
 
 def only_repeated_rows(verdict: Verdict, rows: RepeatedRows, options: Options) -> bool:

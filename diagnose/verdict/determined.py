@@ -8,7 +8,7 @@ held-out error falls no more than it may by chance under the best of as many hyp
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 
@@ -29,14 +29,16 @@ __all__ = ["determined"]
 def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
     """The best structure without undetermined effects, and a sentence for each that was left out or replaced."""
     said: list[str] = []
-    for _ in range(len(best.effects) * 3):
+    refused: set[str] = set()
+    while True:  # each turn refuses an effect for good, and there are finitely many
         found: list[Open | Outside | Chance] = [*out_of_range(best, search.fitter)] if best.ok else []
         found += open_sizes(best, search.fitter.noise) if best.ok else ()
         found += () if found else _by_chance(search, best)
         if not found:
             break
         first = found[0]
-        poorer = _poorer(search, best, first)
+        refused.add(first.effect.key)
+        poorer = _poorer(search, best, first, refused)
         if poorer is None:
             break
         said.append(_sentence(best, poorer, first))
@@ -76,8 +78,8 @@ def _refuse(search: Search, poorer: Fitted, found: Chance) -> None:
             search.state.refusals.setdefault(key, Refusal(key, poorer.key, veto))
 
 
-def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance) -> Fitted | None:
-    """The structure of the least criterion without the effect; None where none can be fitted.
+def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance, refused: Collection[str]) -> Fitted | None:
+    """The structure of the least criterion without the effect, or any that was refused; None where none can be fitted.
 
     In place of one whose numbers the recording cannot show a rival of the search stands as well, if it is significant.
     """
@@ -87,25 +89,25 @@ def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance) -> Fit
         lambda: pruning.without(best, effect), *pruning.simplified(best, effect), *pruning.limits(best, effect)
     ]  # fmt: skip
     rivals = [fit() for fit in fits]
-    usable = [f for f in rivals if f.ok and effect.key not in f.key and search.state.admitted([e.id for e in f.effects])]
+    usable = [f for f in rivals if f.ok and not set(refused) & set(f.key) and search.state.admitted([e.id for e in f.effects])]
     least = min(usable, key=search.criterion, default=None)
     if least is None or not isinstance(found, Outside):
         return least
-    better = [f for f in _admissible(search, effect, least) if search.criterion(f) < search.criterion(least)]
+    better = [f for f in _admissible(search, refused, least) if search.criterion(f) < search.criterion(least)]
     for f in sorted(better, key=search.criterion):
         if search.significance.significant(search.nominal(), f):
             return f
     return least
 
 
-def _admissible(search: Search, effect: Effect, least: Fitted) -> list[Fitted]:
-    """Structures of the search without an effect, whose numbers the recording can show.
+def _admissible(search: Search, refused: Collection[str], least: Fitted) -> list[Fitted]:
+    """Structures of the search without the effects that were refused, whose numbers the recording can show.
 
     Those that may come to fit better than ``least`` are fitted to convergence: the search drops a rival that is behind after a
     few iterations, and these were behind the effect alone.
     """
     nominal, floor = search.nominal(), search.context.gain(search.nominal(), least)
-    others = [f for f in search.fits.values() if f.ok and f.effects and effect.key not in f.key]
+    others = [f for f in search.fits.values() if f.ok and f.effects and not set(refused) & set(f.key)]
     others = sorted((f for f in others if not out_of_range(f, search.fitter)), key=search.criterion)[: search.options.width]
     fits = [
         search.polish(f) if f.fit.status is Status.BUDGET and search.halving.may_gain(nominal, f, floor) else f for f in others

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from diagnose.evidence.held_out import Comparison
 from diagnose.evidence.intervals import half_width
 from diagnose.options import Options
-from diagnose.problem.noise_model import KnownNoise
+from diagnose.problem.noise_model import KnownNoise, ModelError
 from diagnose.result import Verdict
 from diagnose.structure.budget import SearchOptions
 from diagnose.verdict import decide as decide_module
@@ -46,8 +46,9 @@ def structure(*effects, chi2=1000.0, n=1000, numbers=0, criterion=0.0, rms=None)
     )  # fmt: skip
 
 
-def search(*structures, residual=None, held=0.5):
+def search(*structures, residual=None, held=0.5, given=None):
     fitter = SimpleNamespace(
+        fit=lambda hypothesis, x, iterations: "as given", validate=lambda fitted: given,
         residual=lambda hypothesis: lambda x: residual if x == "start" else None,
         hypothesis=lambda effects, linear, own: SimpleNamespace(start="start"),
         noise=KnownNoise(), nominal=SimpleNamespace(chain=SimpleNamespace(motion=Motion.HINGE)),
@@ -55,7 +56,9 @@ def search(*structures, residual=None, held=0.5):
     fits = {f.key: f for f in structures}
     return SimpleNamespace(
         fitter=fitter, options=SEARCH, fits=fits, criterion=lambda f: f.criterion, held_out=lambda f: f.held,
-        context=SimpleNamespace(ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, held)),
+        context=SimpleNamespace(
+            ahead=lambda best, f: f.criterion - best.criterion, compared=lambda *_: Comparison(0.1, held), effective=1.0
+        ),
     )  # fmt: skip
 
 
@@ -93,6 +96,19 @@ def test_refitted_parameters_must_gain_more_than_their_price(times, verdict):
     remaining = SimpleNamespace(unexplained=False)
     assert decide(search(residual=as_given), base, base, remaining) is verdict
     assert decide(search(residual=None), base, base, remaining) is Verdict.PARAMETERS_ONLY, "as given it cannot be run"
+
+
+@pytest.mark.parametrize(
+    ("given", "fitted", "verdict"),
+    [(1.0, 1.01, Verdict.NO_MISMATCH), (1.0, 0.99, Verdict.PARAMETERS_ONLY), (None, 1.0, Verdict.PARAMETERS_ONLY)],
+)
+def test_numbers_of_an_unknown_noise_must_predict_better_than_those_of_the_file(given, fitted, verdict):
+    base = structure(chi2=700.0, n=900, numbers=7, rms=fitted)
+    asked = search(residual=np.full(4, 1e3), given=None if given is None else SimpleNamespace(rms=given))
+    remaining = SimpleNamespace(unexplained=False)
+    assert decide(asked, base, base, remaining) is Verdict.PARAMETERS_ONLY, "of a known noise the criterion alone decides"
+    asked.fitter.noise = ModelError()
+    assert decide(asked, base, base, remaining) is verdict
 
 
 @pytest.mark.parametrize("verdict", Verdict)

@@ -13,7 +13,7 @@ import pytest
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
 from diagnose.result import Verdict
-from diagnose.thresholds import FAR, MOST
+from diagnose.thresholds import FAR, MATERIAL, MOST
 from mjsim.axis import Axis, Body, Chain
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
@@ -97,7 +97,16 @@ def motion(monkeypatch):
     """`by_motion_too` around made-up steps: ``motion(open, follows, second, given, seconds)`` and the options it passed on."""
     passed = []
 
-    def ask(is_open=True, follows=True, second=Verdict.MISSING_PHYSICS, given="given", seconds=math.inf, takes=0.0):
+    def ask(
+        is_open=True,
+        follows=True,
+        second=Verdict.MISSING_PHYSICS,
+        given="given",
+        seconds=math.inf,
+        takes=0.0,
+        named=True,
+        takes_most=None,
+    ):
         clock = iter([100.0, 100.0 + takes])
         monkeypatch.setattr(either_view.time, "monotonic", lambda: next(clock))
         monkeypatch.setattr(either_view, "_is_open", lambda *_: is_open)
@@ -108,15 +117,20 @@ def motion(monkeypatch):
             return given
 
         monkeypatch.setattr(either_view, "before_search", before)
-        found = dataclasses.replace(by, verdict=second)
+        left = SimpleNamespace(held_out_rms=0.0 if takes_most else 1.0)
+        fit = {"refitted": SimpleNamespace(held_out_rms=1.0), "corrected": left}
+        found = dataclasses.replace(by, verdict=second, findings=() if takes_most is None else ("one",), fit=fit)
         monkeypatch.setattr(either_view, "by_either_numerics", lambda *_: ("axis", "runs", found))
-        out = by_motion_too("m.xml", NOMINAL, by, ["log"], [], Options(seconds=seconds), lambda _: None)
+        first = by if named else dataclasses.replace(by, findings=())
+        out = by_motion_too("m.xml", NOMINAL, first, ["log"], [], Options(seconds=seconds), lambda _: None)
         return out, passed
 
     @dataclasses.dataclass(frozen=True)
     class Found:
         verdict: Verdict = Verdict.UNEXPLAINED
         notes: tuple[str, ...] = ("kept",)
+        findings: tuple[str, ...] = ("one",)
+        fit: object = None
 
     by = Found()
     return ask
@@ -155,12 +169,26 @@ def test_force_decides_where_motion_cannot(motion, what):
     assert first.verdict is Verdict.UNEXPLAINED
 
 
+@pytest.mark.parametrize(("takes_most", "decides"), [(True, True), (False, False), (None, False)])
+def test_motion_names_what_takes_most_where_force_names_nothing(motion, takes_most, decides):
+    """Though a free run of it does not follow, and much is left."""
+    (axis, _, _), _ = motion(named=False, follows=False, second=Verdict.UNEXPLAINED, takes_most=takes_most)
+    assert (axis == "axis") is decides
+    (axis, _, _), passed = motion(named=True, follows=False, second=Verdict.UNEXPLAINED, takes_most=True)
+    assert axis is NOMINAL
+    assert len(passed) == 1, "it is not asked where force names something that does not follow"
+
+
 PLAIN = Recording(DT * np.arange(9), np.arange(9.0), None, np.arange(9.0), DT)
 
 
-@pytest.mark.parametrize(("ok", "above", "follows"), [(True, False, True), (True, True, False), (False, False, False)])
-def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, follows):
-    """The fit is solved and not above `FAR`; the workers are released in any case, and a fit that is refused follows nothing."""
+@pytest.mark.parametrize(
+    ("ok", "above", "nrmse", "follows"),
+    [(True, False, None, True), (True, True, None, False), (False, False, 0.0, False),
+     (True, True, 0.99 * MATERIAL**0.5, True), (True, True, 1.01 * MATERIAL**0.5, False)],
+)  # fmt: skip
+def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, nrmse, follows):
+    """The fit is solved and not above `FAR`, or errs by little of the motion; the workers are released in any case."""
     closed, levels = [], []
 
     class Fitted:
@@ -176,6 +204,9 @@ def test_a_free_run_follows_up_to_a_level(monkeypatch, ok, above, follows):
         def above(self, fitted, level):
             levels.append(level)
             return above
+
+        def validate(self, fitted):
+            return None if nrmse is None else SimpleNamespace(nrmse=nrmse)
 
         def close(self):
             closed.append(True)

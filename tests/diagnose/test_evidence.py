@@ -32,13 +32,15 @@ def structure(*effects, chi2=1000.0):
     return SimpleNamespace(effects=effects, key=tuple(sorted(e.key for e in effects)), chi2=chi2, ok=math.isfinite(chi2))
 
 
-def context(noise=None, gain=0.0, unseen=0.0, held=(0.0, 1.0), blocks=None, law=0.0, travel=1.0):
+def context(noise=None, gain=0.0, unseen=0.0, held=(0.0, 1.0), blocks=None, law=0.0, travel=1.0, unsure=()):
     """Answers to what the tests ask."""
     noise = noise or KnownNoise()
     return SimpleNamespace(
         prices=noise.prices, gain=lambda *_: gain, unseen_gain=lambda *_: unseen, law_error=lambda _: law,
         compared=lambda *_: Comparison(*held), compared_in_blocks=lambda *_: blocks and Comparison(*blocks),
-        fitter=SimpleNamespace(noise=noise, scales={"motor": SimpleNamespace(travel=travel)}),
+        fitter=SimpleNamespace(
+            noise=noise, scales={"motor": SimpleNamespace(travel=travel)}, problem=SimpleNamespace(unsure=unsure)
+        ),
     )  # fmt: skip
 
 
@@ -101,6 +103,10 @@ def test_an_effect_of_an_open_size_is_an_answer_of_a_servo_too(monkeypatch, is_o
     assert asked == [{friction().key: friction().amplitudes}], "of what is added"
 
 
+def times_few(periods):
+    return periods * few_periods()
+
+
 @pytest.mark.parametrize("travel", [1.0, 2.0])
 @pytest.mark.parametrize(("periods", "share", "passes"), [
     (0.99, NEARLY_ALL - 0.01, False), (0.99, NEARLY_ALL + 0.01, True), (1.0, 0.0, True),
@@ -112,6 +118,9 @@ def test_a_few_periods_over_the_travel_must_take_most_of_the_error(periods, shar
 
     pair = Pair(structure(chi2=1000.0), structure(ripple(periods), friction(), chi2=1000.0 * (1.0 - share)))
     assert (no_slow_error(context(ModelError(), held=(0.95, 0.0), travel=travel), pair) is PASS) is passes
+    near = (times_few(periods) * 2 * math.pi + 0.9 * 2 * math.pi) / travel
+    asked = context(ModelError(), held=(share, 0.0), travel=travel, unsure=(near,))
+    assert (no_slow_error(asked, pair) is PASS) is (share >= NEARLY_ALL), "nor one that stands out taken alone only"
     assert no_slow_error(context(KnownNoise()), pair) is PASS
     pair = Pair(structure(chi2=1000.0), structure(ripple(periods), ripple(50.0), chi2=1000.0 * (1.0 - share)))
     assert (no_slow_error(context(ModelError(), held=(0.95, 0.0), travel=travel), pair) is PASS) is passes, "one of two"

@@ -165,12 +165,12 @@ SPRING = effect_class("joint_spring")(stiffness_Nm_rad=1.0, torque_at_zero_Nm=0.
 def test_an_undetermined_effect_gives_way_to_the_structure_of_the_least_criterion():
     best = structure("both", STRIBECK, SPRING)
     nothing, simpler = structure("spring", SPRING, cost=2.0), structure("simpler", COULOMB, SPRING, cost=1.0)
-    assert _poorer(search(nothing, simpler), best, OPEN) is simpler
-    assert _poorer(search(nothing, structure("simpler", COULOMB, cost=1.0, ok=False)), best, OPEN) is nothing
-    assert _poorer(search(nothing, structure("still", STRIBECK, cost=0.0)), best, OPEN) is nothing
+    assert _poorer(search(nothing, simpler), best, OPEN, {STRIBECK.key}) is simpler
+    assert _poorer(search(nothing, structure("simpler", COULOMB, cost=1.0, ok=False)), best, OPEN, {STRIBECK.key}) is nothing
+    assert _poorer(search(nothing, structure("still", STRIBECK, cost=0.0)), best, OPEN, {STRIBECK.key}) is nothing
     limit = structure("limit", COULOMB, cost=0.5)
-    assert _poorer(search(nothing, simpler, limits=[limit, best]), best, OPEN) is limit
-    assert _poorer(search(structure("spring", SPRING, ok=False)), best, OPEN) is None
+    assert _poorer(search(nothing, simpler, limits=[limit, best]), best, OPEN, {STRIBECK.key}) is limit
+    assert _poorer(search(structure("spring", SPRING, ok=False)), best, OPEN, {STRIBECK.key}) is None
 
 
 def test_a_rival_takes_the_place_of_what_the_recording_cannot_show(monkeypatch):
@@ -178,12 +178,14 @@ def test_a_rival_takes_the_place_of_what_the_recording_cannot_show(monkeypatch):
     monkeypatch.setattr(asked, "out_of_range", lambda f, fitter: ("too fast",) if f.name == "outside" else ())
     best, least = structure("stribeck", STRIBECK), structure("nothing", cost=2.0)
     rival = structure("rival", SPRING, cost=1.0)
-    assert _poorer(search(least, others=[rival]), best, outside) is rival
-    assert _poorer(search(least, others=[structure("same", SPRING, cost=2.0)]), best, outside) is least
-    assert _poorer(search(least, others=[rival], significant=lambda f: False), best, outside) is least
+    assert _poorer(search(least, others=[rival]), best, outside, {STRIBECK.key}) is rival
+    assert _poorer(search(least, others=[structure("same", SPRING, cost=2.0)]), best, outside, {STRIBECK.key}) is least
+    assert _poorer(search(least, others=[rival], significant=lambda f: False), best, outside, {STRIBECK.key}) is least
     second = structure("second", COULOMB, cost=1.5)
-    assert _poorer(search(least, others=[second, rival], significant=lambda f: f is second), best, outside) is second
-    assert _poorer(search(least, others=[rival]), best, OPEN) is least
+    assert (
+        _poorer(search(least, others=[second, rival], significant=lambda f: f is second), best, outside, {STRIBECK.key}) is second
+    )
+    assert _poorer(search(least, others=[rival]), best, OPEN, {STRIBECK.key}) is least
 
 
 def test_which_structures_of_the_search_are_asked_about(monkeypatch):
@@ -195,12 +197,12 @@ def test_which_structures_of_the_search_are_asked_about(monkeypatch):
         structure("it", STRIBECK),
         structure("outside", SPRING),
     ):
-        assert _admissible(search(least, others=[other, good]), STRIBECK, least) == [good]
+        assert _admissible(search(least, others=[other, good]), {STRIBECK.key}, least) == [good]
     begun, behind = (structure(n, SPRING, cost=0.5, status=Status.BUDGET) for n in ("begun", "behind"))
-    assert [f.name for f in _admissible(search(least, others=[good, begun]), STRIBECK, least)] == ["begun polished", "good"]
-    assert _admissible(search(least, others=[good, behind]), STRIBECK, least) == [behind, good]
+    assert [f.name for f in _admissible(search(least, others=[good, begun]), {STRIBECK.key}, least)] == ["begun polished", "good"]
+    assert _admissible(search(least, others=[good, behind]), {STRIBECK.key}, least) == [behind, good]
     three = [structure(str(i), SPRING, cost=float(i)) for i in (3, 1, 2)]
-    assert [f.name for f in _admissible(search(least, others=three), STRIBECK, least)] == ["1", "2"]
+    assert [f.name for f in _admissible(search(least, others=three), {STRIBECK.key}, least)] == ["1", "2"]
 
 
 def test_one_effect_after_the_other_is_left_out(monkeypatch):

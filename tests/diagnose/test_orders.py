@@ -56,5 +56,5 @@ def test_an_inertia_that_varies_is_sought_over_the_arms_own_motion(order):
     run = simulate(BENCH + varies, torque, dt)
     recording = Recording(run.time, torque, run.velocity + 0.05 * rng.standard_normal(n), run.angle, dt)
     fitter = Fitter(BENCH, MotionView(), (prepare(recording),), (prepare(recording),), 1)
-    _, swung = _orders(fitter, fitter.fit(fitter.hypothesis(())))
+    _, swung, _ = _orders(fitter, fitter.fit(fitter.hypothesis(())))
     assert swung[0] == pytest.approx(order, rel=0.01)
