@@ -189,7 +189,7 @@ def _verdict_right(truth: Mapping[str, Any], verdict: str) -> bool:
 
 def _as_log_fault(truth: Mapping[str, Any], result: Mapping[str, Any]) -> bool:
     """Whether all that is missing is a fault of the log which the answer names as such, with no physics in its place."""
-    faults = {p["problem"] for p in result.get("log", {}).get("problems", ())}
+    faults = {p["problem"] for p in (result.get("log") or {}).get("problems", ())}
     wanted = [LOG_FAULTS.get(e) for e in truth["effects"]]
     return bool(wanted) and all(w in faults for w in wanted) and not result.get("findings") and result.get("verdict") in WITHOUT
 

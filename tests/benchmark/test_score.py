@@ -93,6 +93,7 @@ ENDS = [
     (truth("out_of_library", "held_rows@sensor"), logged(said(PO), "clipped"), Outcome.MISSED),
     (truth("out_of_library", "held_rows@sensor"), logged(said(MP, finding(CF)), "duplicated_rows"), Outcome.WRONG_NAME),
     (truth("plain", CF), logged(said(PO), "duplicated_rows"), Outcome.MISSED),
+    (truth("out_of_library", "held_rows@sensor"), {**said(UN), "log": None}, Outcome.RIGHT),
     (truth("nothing"), said(NO), Outcome.RIGHT),
     (truth("nothing"), said(PO), Outcome.RIGHT),
     (truth("nothing"), said(MP, finding(CF)), Outcome.FALSE_ALARM),
