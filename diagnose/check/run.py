@@ -12,12 +12,12 @@ from threadpoolctl import threadpool_limits
 from diagnose.check import faults as _faults  # noqa: F401  (registers the checks)
 from diagnose.check.context import Context
 from diagnose.check.excitation import excitation
-from diagnose.check.faults.short import count_of
 from diagnose.check.machine import Machine
 from diagnose.check.registry import checks
 from diagnose.check.thresholds import Z95
 from diagnose.check.types import LogCheck, Severity, TorqueTrace
 from diagnose.check.understood import understood
+from diagnose.data.experiment import measured_count
 from mjsim.recording import Recording
 
 __all__ = ["check_log"]
@@ -30,7 +30,7 @@ def check_log(machine: Machine, recordings: Sequence[Recording]) -> LogCheck:
     """
     began = time.monotonic()
     with threadpool_limits(1, "blas"):
-        together = sum(map(count_of, recordings))
+        together = sum(map(measured_count, recordings))
         contexts = [Context(r, machine, together) for r in recordings]
         found = [
             dataclasses.replace(problem, recording=c.recording.source)

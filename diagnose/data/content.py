@@ -55,10 +55,8 @@ def decimated(recording: Recording, every: int, *, held: bool = False) -> Record
         x = getattr(recording, name)
         if x is not None:
             after = np.append(x[1:], x[-1])
-            x = {"held": x, "linear": 0.5 * (x + after), "mean": after}[
-                recording.hold
-            ]  # means of the intervals that begin with a row
-            means = x[: n * every].reshape(n, every).mean(axis=1)
+            ahead = {"held": x, "linear": 0.5 * (x + after), "mean": after}  # means of the intervals that begin with a row
+            means = ahead[recording.hold][: n * every].reshape(n, every).mean(axis=1)
             arrays[name] = means if held else np.concatenate([means[:1], means[:-1]])
     columns = {k: cut(v) for k, v in recording.columns.items()}
     if recording.missing is not None:

@@ -179,8 +179,9 @@ def held_rows(recording: Recording, slow: float = 0.05) -> np.ndarray:
 
 
 def measured_count(recording: Recording) -> int:
-    """Number of samples that were measured: those that lie in no gap of the stamps."""
-    return len(recording) - (0 if recording.missing is None else int(np.sum(recording.missing)))
+    """Number of samples that were measured: those in no gap of the stamps. A log that is not on a grid yet marks none."""
+    missing = getattr(recording, "missing", None)
+    return len(recording) - (0 if missing is None else int(np.sum(missing)))
 
 
 def fewest_of(recordings: Sequence[Recording]) -> int:

@@ -289,7 +289,8 @@ class ForceView:
         r = experiment.recording
         if r.angle is not None:
             q = self._low_passed(r.angle, r.dt)
-            v, a = np.gradient(q, r.dt), np.gradient(np.gradient(q, r.dt), r.dt)
+            v = np.gradient(q, r.dt)
+            a = np.gradient(v, r.dt)  # at the ends, where no second difference is
             a[1:-1] = np.diff(q, 2) / r.dt**2
         else:
             v = self._low_passed(measured_velocity(r), r.dt)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from diagnose.check.context import Context
 from diagnose.check.machine import Machine
 from diagnose.check.registry import check
 from diagnose.check.types import Problem, Severity
+from diagnose.data.experiment import measured_count
 from diagnose.thresholds import FEWEST, SHORTEST
 from mjsim.recording import Recording
 
-__all__ = ["count_of", "short", "too_short"]
+__all__ = ["short", "too_short"]
 
 
 @check("short", "short", question="Are there samples enough?")
@@ -20,18 +19,12 @@ def short(recording: Recording, machine: Machine, context: Context) -> list[Prob
     return too_short(recording, context.together)
 
 
-def count_of(recording: Recording) -> int:
-    """Number of samples that were measured, also of a recording that is not on a grid yet."""
-    missing = getattr(recording, "missing", None)
-    return len(recording) - (0 if missing is None else int(np.sum(missing)))
-
-
 def too_short(recording: Recording, together: int = 0) -> list[Problem]:
     """The one problem of a recording with fewer measured samples than a diagnosis takes; [] for any other.
 
     ``together``: measured samples of all recordings that are checked at once.
     """
-    count = count_of(recording)
+    count = measured_count(recording)
     if count >= (SHORTEST if together >= FEWEST else FEWEST):
         return []
     return [

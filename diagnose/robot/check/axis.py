@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.check.faults.short import count_of, too_short
+from diagnose.check.faults.short import too_short
 from diagnose.check.types import LogCheck, Problem
 from diagnose.check.unused import unused_channels
+from diagnose.data.experiment import measured_count
 from diagnose.data.servo import command_of
 from diagnose.robot.check.run import check_robot
 from mjsim.axis import Chain
@@ -44,7 +45,7 @@ def check_servo_axis(chain: Chain, robot: Robot, recordings: Sequence[Recording]
         told["channels not fitted"] = " ".join(unused)
     measured = {source: {"axis" if key == name else key: v for key, v in numbers.items()}
                 for source, numbers in found.measured.items()}  # fmt: skip
-    together = sum(map(count_of, recordings))
+    together = sum(map(measured_count, recordings))
     short = tuple(dataclasses.replace(p, recording=r.source) for r in recordings for p in too_short(r, together))
     problems = (*short, *(_renamed(p, name) for p in found.problems))
     return dataclasses.replace(found, understood=told, problems=problems, measured=measured)
