@@ -218,7 +218,7 @@ on the pose of the other five axes. Judged by force.
 
 Torque error on held-out data, nrmse: nominal {number(fit["nominal"].held_out_nrmse, 3)}, refitted {number(fit["refitted"].held_out_nrmse, 3)},
 corrected {number(fit["corrected"].held_out_nrmse, 3)}. {evidence}Richer friction laws (Stribeck, presliding, asymmetric) were fitted and did not lower the
-held-out error. The published values are from other trajectories of the same robot.
+held-out error significantly. The published values are from other trajectories of the same robot.
 
 ## The second encoder: a delay, not backlash
 
