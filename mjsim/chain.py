@@ -95,7 +95,8 @@ class Chain:
     ``gain`` is the actuator's gear: generalised torque on body 0 per unit of input, or of the force of a servo. Viscous friction
     is free at body 0 and wherever the model carries some. ``servo``: the law of a drive whose input is a command. ``held``: names
     of parameters (of effects as ``id@place.name``) that are known, or that a recording cannot tell from the others: they are not
-    free. ``driven``: False where there is no actuator, or it was off: the torque is zero.
+    free. ``driven``: False where there is no actuator, or it was off: the torque is zero. ``idle``: inputs of the drive beside
+    its command, which are zero.
     """
 
     bodies: tuple[Body, ...]
@@ -108,6 +109,7 @@ class Chain:
     servo: Servo | None = None
     held: tuple[str, ...] = ()
     driven: bool = True
+    idle: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.bodies or len(self.couplings) != len(self.bodies) - 1:

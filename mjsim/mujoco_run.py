@@ -18,6 +18,7 @@ from mujoco import rollout
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.mjcf import Model, load_model
 from mjsim.mjcf.compile import caught_warnings
+from mjsim.mjcf.drive_laws import begin
 from mjsim.ode import DivergedError, Trajectory, _sense, apply_input
 from mjsim.system import assemble
 
@@ -104,11 +105,8 @@ def _roll(
     data.qpos[:] = m.qpos0 + found.base() @ start[0]
     data.qvel[:] = found.base() @ start[1]
     drive = found.layout.drive.id
-    if drive >= 0 and m.actuator_actnum[drive] > 0:
-        data.act[m.actuator_actadr[drive]] = before
-    if drive >= 0 and m.actuator_history[drive, 0] > 0:
-        held = np.full((int(m.actuator_history[drive, 0]), 1), before)
-        mujoco.mj_initCtrlHistory(m, data, drive, None, held)
+    if drive >= 0:
+        begin(m, data, drive, before, float(torque[0]))
     for s in range(m.nsensor):
         own = {found.chain.velocity_sensor: start[1, 0], found.chain.angle_sensor: start[0, 0]}.get(m.sensor(s).name)
         if own is not None and m.sensor_history[s, 0] > 0:

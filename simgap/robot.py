@@ -44,7 +44,8 @@ __all__ = ["diagnose_robot_files", "diagnose_robot_recordings", "driven_joints",
 def driven_joints(compiled: mujoco.MjModel) -> set[int]:
     """Joints that an actuator of the model drives, by their index."""
     joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    return {int(compiled.actuator_trnid[a, 0]) for a in range(compiled.nu) if int(compiled.actuator_trntype[a]) in joint}
+    inputs = np.flatnonzero(compiled.actuator_ctrlnum)
+    return {int(compiled.actuator_trnid[a, 0]) for a in inputs if int(compiled.actuator_trntype[a]) in joint}
 
 
 def is_robot_model(model: Path) -> bool:

@@ -16,10 +16,12 @@ from mjsim.robot.drives import JointDrive
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.write import write_robot
-from mjsim.robot.write_servo import NewServo
+from mjsim.robot.write_servo import NewServo, can_slew
 from mjsim.servo import Servo, Target
 
 __all__ = ["write_corrected_servos"]
+
+AT_DRIVE = {"forcerange", "slewmax"}  # native values of laws that stand at the actuator, others at the joint
 
 
 def write_corrected_servos(
@@ -38,10 +40,16 @@ def write_corrected_servos(
         joints[s.problem.name], own = _joint_values(robot, s, p)
         carried += own
         d = s.problem.drive
-        servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, any("forcerange" in x.native for x in s.now.laws))))
+        at_drive = {key for x in s.now.laws for key in x.native} & AT_DRIVE
+        slew = float(p[SLOT["slew"]]) * abs(d.gear) if "slewmax" in at_drive and _slews(robot, d) else None
+        servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, "forcerange" in at_drive), slew))
     m = outcome.masses
     links = robot.nominal - robot.fixed + np.einsum("clk,c->lk", changes(robot, m.numbers), m.x)
     write_robot(model, robot, path, links, joints, carried, servos)
+
+
+def _slews(robot: Robot, d: JointDrive) -> bool:
+    return can_slew(robot.model, d.actuator, d.servo)
 
 
 def new_servo(drive: JointDrive, p: np.ndarray, limited: bool) -> Servo:
@@ -65,8 +73,8 @@ def _joint_values(robot: Robot, s: JointSearch, p: np.ndarray) -> tuple[dict[str
     named = dict(zip(SLOT, map(float, p), strict=True))
     for law in s.now.laws:
         sprung = "stiffness" in law.native and float(robot.stiffness[at]) != 0.0  # the file's own spring stays
-        if law.native and not sprung:
-            values |= {key: float(p[SLOT[slot]]) for key, slot in law.native.items() if key != "forcerange"}
+        if law.native and not sprung and not ("slewmax" in law.native and not _slews(robot, s.problem.drive)):
+            values |= {key: float(p[SLOT[slot]]) for key, slot in law.native.items() if key not in AT_DRIVE}
             if "stiffness" in law.native:
                 values["springref"] = 0.0
             continue

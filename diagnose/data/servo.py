@@ -37,6 +37,7 @@ NO_ANGLE = (
     "the axis stands (weight, springs, ripple, stops) show only as far as the velocity tells the angle."
 )
 DRIVE_OFF = "The drive is off: the input is zero, and the motion is that from the first sample on."
+IDLE = "Actuator {name!r} has the further input {inputs}, of which a log holds nothing: it is taken as zero."
 SCALE_BY_WEIGHT = (
     "The drive is off, so that the motion tells ratios of torques only. The weight is taken as the model has it "
     "({weight:.4g} N m): an error of it scales all inertias, frictions and stiffnesses alike. A payload that is weighed, or a "
@@ -78,6 +79,8 @@ def as_servo(
             raise InputError(r.source, "a command and no angle", "the angle of the joint", "record or bind it")
     chain, notes = _known(nominal.chain, recordings, held_out)
     chain, more = _held(nominal, chain, recordings)
+    if chain.idle:
+        more.append(IDLE.format(name=chain.actuator, inputs=" and ".join(chain.idle)))
     if every[0].angle is None:
         more.append(NO_ANGLE)
     fitted, kept = (

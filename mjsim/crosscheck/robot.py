@@ -148,7 +148,7 @@ def _servos(robot: Robot, e: Excitation) -> Iterator[Row]:
     for k in range(len(e.z)):
         data.qpos[:], data.qvel[:] = _full(robot, e.z)[k], e.dz[k] @ robot.tie.T
         for d in chosen:
-            data.ctrl[d.actuator] = control[d.joint][k]
+            data.ctrl[model.actuator_ctrladr[d.actuator]] = control[d.joint][k]
         mujoco.mj_forward(model, data)
         theirs[k] = data.qfrc_actuator @ robot.tie
     for d in chosen:

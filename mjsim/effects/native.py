@@ -13,6 +13,7 @@ from mjsim.chain import Limit
 __all__ = [
     "BodyBristle",
     "Cogging",
+    "CommandSlew",
     "CouplingBristle",
     "CubicSpring",
     "DriveDelay",
@@ -169,6 +170,13 @@ class DriveLimit:
 
 
 @dataclass(frozen=True)
+class CommandSlew:
+    """Largest speed of the target of a position servo [rad/s | m/s]."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
 class DriveLag:
     """First-order lag of the input [s]."""
 
@@ -201,6 +209,7 @@ Value = (
     | LooseLink
     | Weight
     | Cogging
+    | CommandSlew
     | GroundSpring
     | JointRange
     | DriveTorque

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_servo, parameter
+from mjsim.effects.native import CommandSlew as Slew
+from mjsim.effects.native import Native, Value
 from mjsim.effects.ports import CommandSlew, Port
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -40,6 +42,15 @@ class VelocityLimit(Effect):
         """Where the law acts."""
         need_servo(chain, position=True)
         return (CommandSlew(self.limit_rad_s),)
+
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        return Native((Slew(self.limit_rad_s),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        return cls(limit_rad_s=value.limit) if isinstance(value, Slew) else None
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""

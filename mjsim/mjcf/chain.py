@@ -113,7 +113,7 @@ def find_chain(layout: Layout, source: object, sensors: tuple[str, str]) -> Foun
     gaps = _gaps(layout, rows, couplings, on_coupling, source)
     gain = _clean(layout.drive.gain * _ratio(layout.drive.row @ base, rows[0] @ base))
     chain = Chain(bodies, couplings, motion_of(layout.model, joints[0]), gain, layout.drive.name, *sensors, layout.drive.servo,
-                  driven=layout.drive.id >= 0)  # fmt: skip
+                  driven=layout.drive.id >= 0, idle=layout.drive.law.inputs[1:])  # fmt: skip
     return Found(layout, chain, rows, masses, tuple(map(tuple, on_body)), tuple(map(tuple, on_coupling)), gaps)
 
 

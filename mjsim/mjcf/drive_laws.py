@@ -1,14 +1,100 @@
-"""Laws of actuators that no drive of a chain stands for, each with what works in its place.
+"""Laws of actuators: the force over the command, and laws that no drive of a chain stands for, each with what works in its place.
 
-A ``<dcmotor>`` without inductance gives (K / R) (u - K w): the torque of a ``<motor>`` of gear K / R beside a damping K^2 / R.
-Source: MuJoCo documentation, XML reference, ``actuator/dcmotor``; plugin ``mujoco.pid``.
+    force = gain u + constant + of_length l + of_speed l'        u: the first control, l: length of the transmission
+
+``<motor>``, ``<position>``, ``<velocity>``, ``<intvelocity>`` and ``<general>`` of fixed gain are this law as they stand.
+``<pid>`` is it by the inputs that it has, further ones being held at zero:
+
+    pos, pos vel    gain = kp, of_length = -kp, of_speed = -kv        the setpoint u slewed by slewmax
+    vel             gain = kv, of_speed = -kv                         of kp = 0
+    ff              gain = 1, of_speed = -kv                          of kp = 0
+
+Source: MuJoCo documentation, XML reference, ``actuator/general``, ``actuator/pid``, ``actuator/dcmotor``; plugin ``mujoco.pid``.
 """
 
 from __future__ import annotations
 
-import mujoco
+import math
+from dataclasses import dataclass
 
-__all__ = ["refused_law"]
+import mujoco
+import numpy as np
+
+__all__ = ["IMAX", "DriveLaw", "begin", "inputs_of", "law_of", "range_of", "refused_law"]
+
+INPUTS = mujoco.mjtCtrlInput
+POS, VEL, FF = int(INPUTS.mjINPUT_POS), int(INPUTS.mjINPUT_VEL), int(INPUTS.mjINPUT_FF)
+WORDS = {POS: "pos", VEL: "vel", FF: "ff"}
+IMAX, SLEW = 0, 1  # of dynprm of a pid
+PIDS = (POS, POS | VEL, VEL, FF)  # inputs of a pid that are a servo or a torque
+
+
+@dataclass(frozen=True)
+class DriveLaw:
+    """The law of an actuator, as in the module's text.
+
+    inputs: names of the controls of a ``<pid>``, the command first, empty of an actuator with one; slew: largest speed of the
+    setpoint [rad/s | m/s].
+    """
+
+    gain: float
+    constant: float = 0.0
+    of_length: float = 0.0
+    of_speed: float = 0.0
+    inputs: tuple[str, ...] = ()
+    slew: float = math.inf
+
+
+def law_of(model: mujoco.MjModel, a: int) -> DriveLaw:
+    """The law of actuator ``a``, which `refused_law` lets pass."""
+    constant, of_length, of_speed = (float(x) for x in model.actuator_biasprm[a, :3])
+    if _gain(model, a) == mujoco.mjtGain.mjGAIN_PID:
+        spec = int(model.actuator_ctrlspec[a])
+        gain = -of_length if spec & POS else -of_speed if spec & VEL else 1.0
+        slew = float(model.actuator_dynprm[a, SLEW])
+        return DriveLaw(gain, constant, of_length, of_speed, inputs_of(model, a), slew if slew > 0 else math.inf)
+    gain = float(model.actuator_gainprm[a, 0])
+    if int(model.actuator_biastype[a]) == mujoco.mjtBias.mjBIAS_NONE:
+        return DriveLaw(gain)
+    return DriveLaw(gain, constant, of_length, of_speed)
+
+
+def inputs_of(model: mujoco.MjModel, a: int) -> tuple[str, ...]:
+    """Names of the controls of a ``<pid>``, in the order of ctrl."""
+    return tuple(word for bit, word in WORDS.items() if int(model.actuator_ctrlspec[a]) & bit)
+
+
+def range_of(model: mujoco.MjModel, a: int) -> tuple[float, float]:
+    """Range to which MuJoCo clips the command of actuator ``a``, infinite where there is none."""
+    at = int(model.actuator_ctrladr[a])
+    if not model.actuator_ctrllimited[at]:
+        return -math.inf, math.inf
+    low, high = map(float, model.actuator_ctrlrange[at])
+    return low, high
+
+
+def begin(model: mujoco.MjModel, data: mujoco.MjData, a: int, before: float, first: float, total: float | None = None) -> None:
+    """Set what actuator ``a`` keeps of its command, which was ``before`` for long: delay, filter, integrator, slewed setpoint.
+
+    A slewed setpoint begins at the ``first`` command, unless that acts late. ``total``: state of an integrator, ``before`` where
+    None. Further inputs of the actuator are zero.
+    """
+    kind, at, kept = (
+        mujoco.mjtDyn(int(model.actuator_dyntype[a])),
+        int(model.actuator_actadr[a]),
+        int(model.actuator_history[a, 0]),
+    )
+    low, high = range_of(model, a)
+    if kind == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        data.act[at] = before if total is None else total
+    elif kind in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
+        data.act[at] = min(max(before, low), high)
+    elif kind == mujoco.mjtDyn.mjDYN_PID and math.isfinite(law_of(model, a).slew):
+        data.act[at] = min(max(before if kept else first, low), high)
+    if kept:
+        held = np.zeros((kept, int(model.actuator_ctrlnum[a])))
+        held[:, 0] = before
+        mujoco.mj_initCtrlHistory(model, data, a, None, held)
 
 
 def refused_law(model: mujoco.MjModel, a: int) -> tuple[str, str] | None:
@@ -18,10 +104,38 @@ def refused_law(model: mujoco.MjModel, a: int) -> tuple[str, str] | None:
             "takes its force from a plugin, which states no law",
             "where it is a PID without an integral part, use <position kp=... kv=...>; or record its torque and use <motor>",
         )
-    if mujoco.mjtGain(int(model.actuator_gaintype[a])) == mujoco.mjtGain.mjGAIN_DCMOTOR:
+    if _gain(model, a) == mujoco.mjtGain.mjGAIN_DCMOTOR:
         return _dcmotor(model, a)
-    if mujoco.mjtGain(int(model.actuator_gaintype[a])) != mujoco.mjtGain.mjGAIN_FIXED:
+    if _gain(model, a) == mujoco.mjtGain.mjGAIN_PID:
+        return _pid(model, a)
+    if _gain(model, a) != mujoco.mjtGain.mjGAIN_FIXED:
         return "has a gain that depends on the motion", "use <motor>, or gaintype fixed"
+    return None
+
+
+def _gain(model: mujoco.MjModel, a: int) -> mujoco.mjtGain:
+    return mujoco.mjtGain(int(model.actuator_gaintype[a]))
+
+
+def _pid(model: mujoco.MjModel, a: int) -> tuple[str, str] | None:
+    """Of inputs and gains that make no servo and no torque."""
+    spec = int(model.actuator_ctrlspec[a])
+    kp, ki = -float(model.actuator_biasprm[a, 1]), float(model.actuator_gainprm[a, 0])
+    if spec not in PIDS:
+        named = " ".join(inputs_of(model, a))
+        return (
+            f"is a <pid> with the inputs {named}, of which a log holds one",
+            'use input="pos" (or "pos vel", its velocity setpoint held at zero), "vel" or "ff"',
+        )
+    if ki != 0.0:
+        return f"is a <pid> with integral action, ki = {ki:g}", 'use ki="0", or record its torque and use <motor>'
+    if spec & POS and kp == 0.0:
+        return "is a <pid> with a position setpoint and kp = 0, which does nothing", 'give it kp, or use input="vel"'
+    if not spec & POS and kp != 0.0:
+        return (
+            f'is a <pid> of input="{WORDS[spec]}" whose kp = {kp:g} holds the joint at 0',
+            'write kp="0" (its default is 1), and give the joint that stiffness where there is such a spring',
+        )
     return None
 
 

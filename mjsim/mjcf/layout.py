@@ -14,14 +14,14 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError, nearest
-from mjsim.mjcf.drive_laws import refused_law
+from mjsim.mjcf.drive_laws import DriveLaw, law_of, refused_law
 from mjsim.mjcf.servo import read_servo
 from mjsim.quantity import Motion
 from mjsim.servo import Servo
 
 __all__ = ["Drive", "Layout", "Mass", "Passive", "lay_out", "outside", "parallel"]
 
-_TOL = 1e-9
+_TOL, TORQUE = 1e-9, DriveLaw(1.0)
 WORKS = "simgap render still works on it"
 
 
@@ -70,7 +70,7 @@ class Passive:
 
 @dataclass(frozen=True)
 class Drive:
-    """The bound actuator: its row (gear included), its gain (1 per unit of force of a servo) and its servo's law.
+    """The bound actuator: its row (gear included), its gain (1 per unit of force of a servo), its servo and its law.
 
     Of a model without actuators: ``id`` -1 and the row of its joint.
     """
@@ -80,6 +80,7 @@ class Drive:
     row: np.ndarray
     gain: float
     servo: Servo | None = None
+    law: DriveLaw = TORQUE
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,8 @@ def _drive(
     if refused is not None:
         raise outside(source, f"{where} {refused[0]}", refused[1])
     servo = read_servo(model, chosen, source, names[chosen])
-    return Drive(chosen, names[chosen], row, 1.0 if servo else float(model.actuator_gainprm[chosen, 0]), servo)
+    law = law_of(model, chosen)
+    return Drive(chosen, names[chosen], row, 1.0 if servo else law.gain, servo, law)
 
 
 def _undriven_row(model: mujoco.MjModel, source: object, tendons: list[np.ndarray | None], still: list[np.ndarray]) -> np.ndarray:

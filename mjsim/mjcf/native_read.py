@@ -15,6 +15,7 @@ import numpy as np
 from mjsim.effects import native as N  # noqa: N812
 from mjsim.errors import InputError
 from mjsim.mjcf.chain import Found
+from mjsim.mjcf.drive_laws import range_of
 from mjsim.mjcf.layout import outside
 from mjsim.quantity import Motion
 from mjsim.servo import Target
@@ -72,6 +73,9 @@ def _on_drive(found: Found, path: Path) -> Iterator[N.Value]:
     dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[a]))
     if dyntype in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
         yield N.DriveLag(float(model.actuator_dynprm[a, 0]))
+    elif dyntype == mujoco.mjtDyn.mjDYN_PID:
+        if math.isfinite(drive.law.slew):
+            yield N.CommandSlew(drive.law.slew)
     elif dyntype != mujoco.mjtDyn.mjDYN_NONE and not (drive.servo and drive.servo.target is Target.INTEGRATED):
         raise outside(path, f"actuator {drive.name!r} has dynamics other than a first-order filter", 'use dyntype="filter"')
 
@@ -83,8 +87,8 @@ def _limit(found: Found, path: Path) -> float | None:
     if drive.servo is not None:  # its limits are part of its law
         return None
     ranges = []
-    if model.actuator_ctrllimited[a]:
-        ranges.append(("ctrlrange", model.actuator_ctrlrange[a], 1.0))
+    if math.isfinite(range_of(model, a)[0]):
+        ranges.append(("ctrlrange", range_of(model, a), 1.0))
     if model.actuator_forcelimited[a]:
         ranges.append(("forcerange", model.actuator_forcerange[a], abs(drive.gain)))
     for name, (low, high), _ in ranges:
@@ -179,8 +183,8 @@ def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
     """Constant torque at the motor and the weight on the last body, from the actuator's bias and MuJoCo's gravity."""
     model, drive, n = found.layout.model, found.layout.drive, len(found.chain.bodies)
     bias = 0.0
-    if drive.id >= 0 and drive.servo is None and int(model.actuator_biastype[drive.id]) == mujoco.mjtBias.mjBIAS_AFFINE:
-        bias = float(model.actuator_biasprm[drive.id, 0]) * found.chain.gain / drive.gain
+    if drive.id >= 0 and drive.servo is None:
+        bias = drive.law.constant * found.chain.gain / drive.gain
     data = mujoco.MjData(model)
     to_q = found.base()
     samples = 16

@@ -16,6 +16,7 @@ from mjsim.mjcf.joint_limit import on_joint
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
 from mjsim.mjcf.servo import bias_of
+from mjsim.mjcf.servo_write import write_lag, write_slew
 from mjsim.mjcf.slack_write import IMPEDANCE, NOT_ONE_JOINT, limit_slack, loosen_link
 from mjsim.quantity import Motion
 
@@ -70,7 +71,7 @@ class NativeWriter:
             self._close_servo()
         if editor.chain.servo is not None or drive.id < 0:
             return
-        present = float(editor.model.actuator_biasprm[drive.id, 0])
+        present = drive.law.constant
         per_torque = drive.gain / editor.chain.gain
         pull = sum(v.torque for v in self.held if isinstance(v, N.DriveTorque)) - present / per_torque
         if editor.chain.motion is Motion.SLIDE:
@@ -353,15 +354,17 @@ class NativeWriter:
         return ""
 
     def _drive_limit(self, value: N.DriveLimit) -> str:
-        name, span = self.editor.found.layout.drive.name, row([-value.limit, value.limit])
+        drive, span = self.editor.found.layout.drive, row([-value.limit, value.limit])
         what = "ctrl" if self.editor.chain.servo is None else "force"
+        name = self.editor.general() if what == "ctrl" and drive.law.inputs else drive.name
         self.editor.set("actuator", name, **{f"{what}limited": "true", f"{what}range": span})
         return ""
 
     def _drive_lag(self, value: N.DriveLag) -> str:
-        if value.time_constant > 0:
-            self.editor.set("actuator", self.editor.general(), dyntype="filter", dynprm=number(value.time_constant))
-        return ""
+        return write_lag(self.editor, self.linear.target.servo, value.time_constant) if value.time_constant > 0 else ""
+
+    def _command_slew(self, value: N.CommandSlew) -> str:
+        return write_slew(self.editor, self.linear.target.servo, value.limit)
 
     def _drive_delay(self, value: N.DriveDelay) -> str:
         """In whole steps."""
@@ -392,5 +395,5 @@ _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
     N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
     N.JointRange: NativeWriter._joint_range, N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
     N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag, N.DriveDelay: NativeWriter._drive_delay,
-    N.SensorDelay: NativeWriter._sensor_delay,
+    N.CommandSlew: NativeWriter._command_slew, N.SensorDelay: NativeWriter._sensor_delay,
 }  # fmt: skip

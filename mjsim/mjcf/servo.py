@@ -1,7 +1,8 @@
-"""Servos of MJCF: ``position``, ``velocity``, ``intvelocity`` and ``general`` with an affine bias, read.
+"""Servos of MJCF: ``position``, ``velocity``, ``intvelocity``, ``pid`` and ``general`` with an affine bias, read.
 
-MuJoCo's actuator gives force = gain u + b0 + b1 l + b2 l', with l the length of its transmission. That is a servo
-(`mjsim.servo.Servo`) where b1 or b2 is below zero: kp = -b1, kv = -b2, scale = gain / kp, zero = -b0 / kp (by kv for a velocity).
+An actuator gives force = gain u + b0 + b1 l + b2 l', with l the length of its transmission (`mjsim.mjcf.drive_laws`). That is a
+servo (`mjsim.servo.Servo`) where b1 or b2 is below zero: kp = -b1, kv = -b2, scale = gain / kp, zero = -b0 / kp (by kv for a
+velocity).
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ import math
 import mujoco
 
 from mjsim.errors import InputError
+from mjsim.mjcf.drive_laws import law_of, range_of
 from mjsim.servo import Servo, Target
 
 __all__ = ["bias_of", "read_servo"]
 
-PREFERRED = "<position>, <velocity>, <intvelocity>, <general> with an affine bias, or <motor>"
+PREFERRED = "<position>, <velocity>, <intvelocity>, <pid>, <general> with an affine bias, or <motor>"
 
 
 def read_servo(model: mujoco.MjModel, a: int, source: object, name: str) -> Servo | None:
@@ -25,8 +27,8 @@ def read_servo(model: mujoco.MjModel, a: int, source: object, name: str) -> Serv
     where = f"{source}: actuator {name!r}"
     if mujoco.mjtBias(int(model.actuator_biastype[a])) != mujoco.mjtBias.mjBIAS_AFFINE:
         raise InputError(where, "its force depends on the motion by a law of its own", PREFERRED, "use one of these")
-    gain = float(model.actuator_gainprm[a, 0])
-    constant, of_length, of_speed = (float(x) for x in model.actuator_biasprm[a, :3])
+    law = law_of(model, a)
+    gain, constant, of_length, of_speed = law.gain, law.constant, law.of_length, law.of_speed
     if of_length == 0.0 and of_speed == 0.0:
         return None
     if of_length > 0.0 or of_speed > 0.0 or gain <= 0.0:
@@ -39,7 +41,7 @@ def read_servo(model: mujoco.MjModel, a: int, source: object, name: str) -> Serv
         raise InputError(where, "the integral of its command is a speed", PREFERRED, "use one of these")
     target = Target.VELOCITY if of_length == 0.0 else Target.INTEGRATED if integrated else Target.POSITION
     own = -of_speed if target is Target.VELOCITY else -of_length
-    low, high = _command_range(model, a)
+    low, high = range_of(model, a)
     return Servo(
         -of_length, -of_speed, target, _limit(model, a, where), -constant / own + 0.0, gain / own, low, high
     )  # fmt: skip
@@ -52,13 +54,6 @@ def _limit(model: mujoco.MjModel, a: int, where: str) -> float:
     if abs(low + high) > 1e-9 * abs(high - low):
         raise InputError(where, f"forcerange is {low:g} .. {high:g}", "a range symmetric about zero", "correct it")
     return high
-
-
-def _command_range(model: mujoco.MjModel, a: int) -> tuple[float, float]:
-    if not model.actuator_ctrllimited[a]:
-        return -math.inf, math.inf
-    low, high = map(float, model.actuator_ctrlrange[a])
-    return low, high
 
 
 def bias_of(servo: Servo, offset: float = 0.0) -> tuple[float, float, float]:

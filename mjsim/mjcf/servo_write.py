@@ -1,12 +1,18 @@
-"""Writes a servo into a copy of an MJCF, as the ``<general>`` that every servo stands for."""
+"""Writes the drive into a copy of an MJCF: a servo as the ``<general>`` that it stands for; a ``<pid>`` keeps its inputs."""
 
 from __future__ import annotations
 
-from mjsim.mjcf.editor import MjcfEditor, number
+import math
+
+from mjsim.mjcf.drive_laws import IMAX
+from mjsim.mjcf.editor import MjcfEditor, number, row
 from mjsim.mjcf.servo import bias_of
 from mjsim.servo import Servo, Target
 
-__all__ = ["write_servo"]
+__all__ = ["write_lag", "write_servo", "write_slew"]
+
+NO_FILTER = "a <pid> with several inputs or with slewmax has no filter of its command"
+NO_SLEW = "only a servo whose command is its position can be a <pid>, which has such a limit"
 
 
 def write_servo(editor: MjcfEditor, new: Servo | None) -> None:
@@ -15,8 +21,41 @@ def write_servo(editor: MjcfEditor, new: Servo | None) -> None:
     if new is None or old == new:
         return
     name = editor.general()
-    own = new.kv if new.target is Target.VELOCITY else new.kp
-    bias = " ".join(number(x) for x in bias_of(new))
-    editor.set("actuator", name, gaintype="fixed", gainprm=number(own * new.scale), biastype="affine", biasprm=bias)
+    editor.set("actuator", name, biastype="affine", biasprm=row(bias_of(new)))
+    if not _is_pid(editor, name):  # whose gain is that of its bias
+        editor.set("actuator", name, gaintype="fixed", gainprm=number(new.gain))
     if old is not None and new.limit != old.limit:
         editor.set("actuator", name, forcelimited="true", forcerange=f"{number(-new.limit)} {number(new.limit)}")
+
+
+def write_lag(editor: MjcfEditor, servo: Servo | None, time_constant: float) -> str:
+    """Write a filter [s] of the command, a ``<pid>`` of one setpoint as the same law of fixed gain; what MuJoCo lacks of it."""
+    drive = editor.found.layout.drive
+    if math.isfinite(drive.law.slew) or editor.node("actuator", drive.name).attributes.get("dyntype") == "pid":
+        return NO_FILTER
+    if len(drive.law.inputs) > 1:
+        return NO_FILTER
+    name = editor.general()
+    if _is_pid(editor, name) and servo is not None:
+        span = row([servo.low, servo.high]) if math.isfinite(servo.low) else None
+        editor.set("actuator", name, gaintype="fixed", gainprm=number(servo.gain), velrange=None, ctrlrange=span)
+    editor.set("actuator", name, dyntype="filter", dynprm=number(time_constant))
+    return ""
+
+
+def write_slew(editor: MjcfEditor, servo: Servo | None, limit: float) -> str:
+    """Write the largest speed [rad/s | m/s] of the setpoint, as slewmax of a ``<pid>``; what MuJoCo lacks of it."""
+    if servo is None or servo.target is not Target.POSITION or servo.scale != 1.0:
+        return NO_SLEW
+    drive, name = editor.found.layout.drive, editor.general()
+    if editor.node("actuator", name).attributes.get("dyntype") in ("filter", "filterexact"):
+        return NO_FILTER
+    imax = float(editor.model.actuator_dynprm[drive.id, IMAX]) if drive.law.inputs else 0.0
+    editor.set("actuator", name, dyntype="pid", dynprm=row([imax, limit]))
+    if not _is_pid(editor, name):
+        editor.set("actuator", name, gaintype="pid", gainprm="0", input="pos")
+    return ""
+
+
+def _is_pid(editor: MjcfEditor, name: str) -> bool:
+    return editor.node("actuator", name).attributes.get("gaintype") == "pid"

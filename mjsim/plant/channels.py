@@ -9,6 +9,7 @@ import mujoco
 
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
+from mjsim.mjcf.drive_laws import law_of, refused_law
 from mjsim.quantity import Motion
 from mjsim.toml import lies_at, toml_at
 
@@ -51,8 +52,8 @@ def find_channels(model: mujoco.MjModel, path: Path, actuator: str | None = None
     joint = _driven(model, path, a)
     velocity = _sensor(model, bound.get("velocity_sensor"), "velocity", joint)
     angle = _sensor(model, bound.get("angle_sensor"), "angle", joint)
-    affine = a >= 0 and int(model.actuator_biastype[a]) == mujoco.mjtBias.mjBIAS_AFFINE
-    servo = affine and bool(model.actuator_biasprm[a, 1:3].any())
+    law = law_of(model, a) if a >= 0 and refused_law(model, a) is None else None
+    servo = law is not None and bool(law.of_length or law.of_speed)
     slide = int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_SLIDE
     return Channels(
         joint=model.joint(joint).name, motion=Motion.SLIDE if slide else Motion.HINGE, role="command" if servo else "torque",

@@ -24,6 +24,7 @@ from mujoco import rollout
 from mjsim.errors import InputError
 from mjsim.mjcf import Model, load_model, write_corrected
 from mjsim.mjcf.compile import caught_warnings, compile_file
+from mjsim.mjcf.drive_laws import begin
 from mjsim.ode import DivergedError
 from mjsim.plant.base import Hold, Linear, Parameter, Signal, Start, as_input, mean_input, signals_of
 from mjsim.plant.channels import Channels, find_channels
@@ -178,7 +179,7 @@ class MujocoPlant:
         runs = len(held)
         spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
         size = mujoco.mj_stateSize(m, spec)
-        first = [self._data(s) for s in starts]
+        first = [self._data(s, float(u[0])) for s, u in zip(starts, held, strict=True)]
         state = np.empty((runs, size))
         warm: np.ndarray | None = np.array([d.qacc_warmstart for d in first])
         for r, d in enumerate(first):
@@ -201,8 +202,11 @@ class MujocoPlant:
             warm = np.array([data[0].qacc_warmstart]) if runs == 1 else None  # of more runs it is not known which was where
             yield out
 
-    def _data(self, start: Start) -> mujoco.MjData:
-        """A state to start from: the driven joint and the deflections as asked, delays and filters at the input before."""
+    def _data(self, start: Start, first: float | None = None) -> mujoco.MjData:
+        """A state to start from: the driven joint and the deflections as asked, delays and filters at the input before.
+
+        ``first``: the first input, that before it where None.
+        """
         m, c = self.model, self.channels
         data = mujoco.MjData(m)
         along = self._along
@@ -212,10 +216,8 @@ class MujocoPlant:
             k = min(len(values), self._behind.shape[1])
             to[:] += self._behind[:, :k] @ np.array(values[:k])
         a = c.actuator
-        if a >= 0 and m.actuator_actnum[a] > 0:
-            data.act[m.actuator_actadr[a]] = start.input
-        if a >= 0 and m.actuator_history[a, 0] > 0:
-            mujoco.mj_initCtrlHistory(m, data, a, None, np.full((int(m.actuator_history[a, 0]), 1), start.input))
+        if a >= 0:
+            begin(m, data, a, start.input, start.input if first is None else first)
         for sensor, value in ((c.velocity_id, start.velocity), (c.angle_id, start.angle)):
             if sensor is not None and m.sensor_history[sensor, 0] > 0:
                 held = np.full((int(m.sensor_history[sensor, 0]), 1), value)

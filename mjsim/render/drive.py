@@ -11,6 +11,7 @@ import numpy as np
 
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import caught_warnings, compile_file
+from mjsim.mjcf.drive_laws import law_of, range_of
 from mjsim.ode import DivergedError
 
 __all__ = ["demonstration", "held_still", "stepped"]
@@ -46,7 +47,7 @@ def stepped(
                     if on[j] is None:
                         data.qfrc_applied[model.jnt_dofadr[j]] = u[k]
                     else:
-                        data.ctrl[on[j]] = u[k]
+                        data.ctrl[model.actuator_ctrladr[on[j]]] = u[k]
                 for _ in range(steps):
                     mujoco.mj_step(model, data)
                 if said or not np.isfinite(data.qpos).all():
@@ -58,11 +59,11 @@ def stepped(
 
 
 def _actuator(model: mujoco.MjModel, joint: int) -> int | None:
-    """The first actuator that acts on a joint directly."""
+    """The first actuator with an input that acts on a joint directly."""
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    for a in range(model.nu):
+    for a in map(int, np.flatnonzero(model.actuator_ctrlnum)):
         if int(model.actuator_trntype[a]) in kinds and int(model.actuator_trnid[a, 0]) == joint:
-            return int(model.actuator_ctrladr[a])
+            return a
     return None
 
 
@@ -72,14 +73,12 @@ def held_still(path: Path, joint: int, qpos: np.ndarray) -> mujoco.MjModel:
     Raises InputError when the joint is driven by a servo, whose input is a command and no torque.
     """
     model = compile_file(path)
-    address = _actuator(model, joint)
-    if address is not None:
-        a = int(np.flatnonzero(np.asarray(model.actuator_ctrladr) == address)[0])
-        if model.actuator_biastype[a] != mujoco.mjtBias.mjBIAS_NONE:
-            raise InputError(
-                path, f"actuator {model.actuator(a).name!r} is a servo, whose input is a command", "a recording with the "
-                f"column {model.joint(joint).name}.command_rad", "add it, or give the simulated motion by --simulation",
-            )  # fmt: skip
+    a = _actuator(model, joint)
+    if a is not None and model.actuator_biastype[a] != mujoco.mjtBias.mjBIAS_NONE:
+        raise InputError(
+            path, f"actuator {model.actuator(a).name!r} is a servo, whose input is a command", "a recording with the "
+            f"column {model.joint(joint).name}.command_rad", "add it, or give the simulated motion by --simulation",
+        )  # fmt: skip
     free = {joint}
     for e in range(model.neq):
         pair = {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
@@ -115,18 +114,17 @@ def demonstration(
     mujoco.mj_fullM(model, data, inertia)
     inputs: dict[int, np.ndarray] = {}
     for j in range(model.njnt):
-        if _actuator(model, j) is None:
+        a = _actuator(model, j)
+        if a is None:
             continue
-        a = next(i for i in range(model.nu) if int(model.actuator_ctrladr[i]) == _actuator(model, j))
+        law = law_of(model, a)
         w = 2 * math.pi * (0.35 + 0.12 * len(inputs))
         swing = SWING[model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
-        gear, gain = float(model.actuator_gear[a, 0]) or 1.0, float(model.actuator_gainprm[a, 0]) or 1.0
-        if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
+        gear, gain = float(model.actuator_gear[a, 0]) or 1.0, law.gain or 1.0
+        if not (law.of_length or law.of_speed):
             dof = int(model.jnt_dofadr[j])
             swing *= float(inertia[dof, dof]) * w**2 / (gear * gain)
-        inputs[j] = float(data.ctrl[_actuator(model, j)]) + swing * np.sin(w * time)
-        if model.actuator_ctrllimited[a]:
-            inputs[j] = np.clip(inputs[j], *model.actuator_ctrlrange[a])
+        inputs[j] = np.clip(float(data.ctrl[model.actuator_ctrladr[a]]) + swing * np.sin(w * time), *range_of(model, a))
     said = "simulation, each actuator on a slow sine" if inputs else "simulation, no input"
     qpos, _ = stepped(path, model, inputs, count, dt, start, np.zeros(model.nv))
     simple = [j for j in range(model.njnt) if int(model.jnt_type[j]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]

@@ -19,12 +19,12 @@ import mujoco
 import numpy as np
 
 from mjsim.hold import between, delayed
+from mjsim.mjcf.drive_laws import begin, law_of
 from mjsim.robot.carried import act, slots_by_joint
 from mjsim.robot.drives import joint_drives
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
-from mjsim.servo import Target
 
 __all__ = ["ClosedLoop", "closed_loop", "motor_gain"]
 
@@ -138,6 +138,7 @@ class _Run:
         self.limits = bool(np.any(np.isfinite(slots[:, SLOT["limit"]]) | (slots[:, SLOT["stall"]] > 0)))
         self.columns = np.array([j for j, a in enumerate(robot.actuators) if a >= 0], int)
         self.actuators = np.array([a for a in robot.actuators if a >= 0], int)
+        self.addresses = np.asarray(model.actuator_ctrladr)[self.actuators]
         data.qpos[:] = robot.tie @ self.recorded[0] + robot.rest
         rate = np.gradient(_smooth(self.recorded, r.dt)[:3], r.dt, axis=0)[0]
         data.qvel[:] = robot.tie @ np.where(servo, 0.0, rate)  # joints that follow the recording begin as it does
@@ -154,7 +155,7 @@ class _Run:
         from mujoco import rollout
 
         control = np.zeros((1, len(self.t), self.model.nu))
-        control[0][:, self.actuators] = self.u[:, self.columns]
+        control[0][:, self.addresses] = self.u[:, self.columns]
         state = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         states, _ = rollout.rollout(self.model, self.data, state, control)
@@ -198,7 +199,7 @@ class _Run:
                 inputs = np.where(self.torque, inputs, out[:, 2] / self.factor)
                 if self.limits:
                     self._limit(out)
-            d.ctrl[self.actuators] = inputs[self.columns]
+            d.ctrl[self.addresses] = inputs[self.columns]
             d.qfrc_applied[lead] = applied
             if self.imposed.any():
                 d.qpos[lead[self.imposed]], d.qvel[lead[self.imposed]] = where[i][self.imposed], rate[i][self.imposed]
@@ -215,10 +216,9 @@ class _Run:
     def _activate(self) -> None:
         """Filtered and integrated commands start where the joint is, or at the first command."""
         for d in self.drives:
-            if d is not None and self.model.actuator_actadr[d.actuator] >= 0 and self.model.actuator_actnum[d.actuator] > 0:
-                at = int(self.model.actuator_actadr[d.actuator])
+            if d is not None:
                 start = (d.gear * self.recorded[0, d.joint] + d.length) / d.servo.scale
-                self.data.act[at] = start if d.servo.target is Target.INTEGRATED else self.u[0, d.joint]
+                begin(self.model, self.data, d.actuator, self.u[0, d.joint], self.u[0, d.joint], start)
 
     def _gains(self) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and damping (m,) of the tracking loop: M_jj w^2 and 2 M_jj w, critically damped."""
@@ -257,7 +257,7 @@ class _Run:
 def motor_gain(robot: Robot, joint: int) -> float:
     """Force of a joint's actuator for a unit of its control, where that is a torque; 1 for a joint without."""
     a = robot.actuators[joint]
-    gain = float(robot.model.actuator_gainprm[a, 0]) if a >= 0 else 1.0
+    gain = law_of(robot.model, a).gain if a >= 0 else 1.0
     return gain if gain != 0.0 else 1.0
 
 

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
-from mjsim.mjcf.servo import read_servo
+from mjsim.mjcf.drive_laws import law_of, refused_law
+from mjsim.mjcf.servo import PREFERRED, read_servo
 from mjsim.robot.joint_kernel import SLOT, empty
 from mjsim.robot.model import Robot
 from mjsim.servo import Servo, Target
@@ -23,7 +24,7 @@ class JointDrive:
 
     actuator: its index; servo: its law as the file has it; gear: joint torque over actuator force; slots (K,): the joint as
     the file has
-    it, at the joint; length: of the actuator where the joint is at 0, beyond which it acts.
+    it, at the joint; length: of the actuator where the joint is at 0, beyond which it acts; idle: its inputs beside the command.
     """
 
     joint: int
@@ -32,6 +33,7 @@ class JointDrive:
     gear: float
     slots: np.ndarray
     length: float = 0.0
+    idle: tuple[str, ...] = ()
 
     @property
     def velocity(self) -> bool:
@@ -58,6 +60,9 @@ def _servos(robot: Robot) -> list[tuple[int, Servo] | None]:
     for j, a in enumerate(robot.actuators):
         if a >= 0:
             name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a) or f"actuator {a}"
+            refused = refused_law(model, a)
+            if refused is not None:
+                raise InputError(f"{robot.source}: actuator {name!r}", refused[0], PREFERRED, refused[1])
             servo = read_servo(model, a, robot.source, name)
             found[j] = None if servo is None else (a, servo)
     return found
@@ -80,7 +85,10 @@ def joint_drives(robot: Robot) -> tuple[JointDrive | None, ...]:
         p[SLOT["delay"]] = _delay(robot.model, a)
         if robot.model.actuator_dyntype[a] in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)):
             p[SLOT["lag"]] = float(robot.model.actuator_dynprm[a, 0])
-        out.append(JointDrive(j, a, servo, g, p, length))
+        law = law_of(robot.model, a)
+        if math.isfinite(law.slew):
+            p[SLOT["slew"]] = law.slew / abs(g)
+        out.append(JointDrive(j, a, servo, g, p, length, law.inputs[1:]))
     return tuple(out)
 
 

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
+from mjsim.mjcf.drive_laws import law_of, range_of
 from mjsim.quantity import Motion
 from mjsim.robot.model import Robot
 from mjsim.robot.rows import link_rows, nominal_torque
@@ -228,7 +229,7 @@ def _torque_limits(robot: Robot) -> np.ndarray:
         gear = abs(float(robot.gear[j]))
         if model.actuator_forcelimited[a]:
             out[j] = min(out[j], gear * float(np.min(np.abs(model.actuator_forcerange[a]))))
-        if model.actuator_ctrllimited[a] and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
-            gain = abs(float(model.actuator_gainprm[a, 0]))
-            out[j] = min(out[j], gear * gain * float(np.min(np.abs(model.actuator_ctrlrange[a]))))
+        law, span = law_of(model, a), range_of(model, a)
+        if math.isfinite(span[0]) and not (law.of_length or law.of_speed):
+            out[j] = min(out[j], gear * abs(law.gain) * min(map(abs, span)))
     return out

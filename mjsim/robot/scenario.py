@@ -37,6 +37,7 @@ from pydantic import Field, ValidationError
 
 from mjsim.errors import InputError, nearest
 from mjsim.mjcf.assets import bring_assets
+from mjsim.mjcf.drive_laws import range_of
 from mjsim.mjcf.whole import is_whole, write_whole
 from mjsim.models import model_beside, model_path, shipped_models
 from mjsim.robot.binding import Payload
@@ -204,8 +205,8 @@ def _asked(robot: Robot, wanted: Excitation, time: np.ndarray, dt: float) -> Rob
         if d is not None:  # the command with which the servo rests at the trajectory, its offset and gear taken in
             command[:, j] = (wanted.dz if d.velocity else wanted.z)[:, j] * d.gear / d.servo.scale
             command[:, j] += 0.0 if d.velocity else (d.servo.zero + d.length) / d.servo.scale
-        elif robot.model.actuator_ctrllimited[robot.actuators[j]] and robot.driven[j]:
-            torque[:, j] = np.clip(torque[:, j], *(motor_gain(robot, j) * robot.model.actuator_ctrlrange[robot.actuators[j]]))
+        elif robot.driven[j]:
+            torque[:, j] = np.clip(torque[:, j], *(motor_gain(robot, j) * np.array(range_of(robot.model, robot.actuators[j]))))
     return RobotRecording(
         time, robot.joints, dt, wanted.z, torque=np.where(~servo & robot.driven, torque, np.nan),
         command=np.where(servo, command, np.nan),

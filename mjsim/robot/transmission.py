@@ -107,7 +107,7 @@ def transmission(
     """The actuator of each independent joint. Raises InputError for one that moves several of them, or none."""
     m = tie.shape[1]
     actuators, gear, length = [-1] * m, np.ones(m), np.zeros(m)
-    for a in range(model.nu):
+    for a in map(int, np.flatnonzero(model.actuator_ctrlnum)):
         name, arm = name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a), _arm(model, source, a)
         moved = np.flatnonzero(np.abs(arm @ tie) > 0.0)
         if len(moved) != 1:

@@ -9,28 +9,39 @@ from pathlib import Path
 import mujoco
 
 from mjsim.errors import InputError
-from mjsim.mjcf.general import SHORT
+from mjsim.mjcf.drive_laws import IMAX
+from mjsim.mjcf.general import spelled_out
 from mjsim.mjcf.servo import bias_of
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.servo import Servo, Target
 
-__all__ = ["NewServo", "write_servos"]
+__all__ = ["NewServo", "can_slew", "write_servos"]
 
 
 @dataclass(frozen=True)
 class NewServo:
-    """A servo to write: the actuator by its index, its law in the file and the new one."""
+    """A servo to write: the actuator by its index, its law in the file and the new one.
+
+    slew: largest speed of its setpoint [rad/s | m/s], None where the file's stays (`can_slew` says where one can be written).
+    """
 
     actuator: int
     old: Servo
     new: Servo
+    slew: float | None = None
 
 
 def write_servos(xml: XmlText, source: Path, model: mujoco.MjModel, servos: list[NewServo]) -> None:
     """Change the actuators of ``xml`` in place where their law differs. Raises InputError for one without a name in the file."""
     for s in servos:
-        if s.new != s.old:
+        if s.new != s.old or s.slew is not None:
             _write(xml, source, model, s)
+
+
+def can_slew(model: mujoco.MjModel, a: int, servo: Servo) -> bool:
+    """Whether a limit of the setpoint's speed can be written at a servo: it is a ``<pid>`` of a position, or can be one."""
+    lagged = int(model.actuator_dyntype[a]) not in (int(mujoco.mjtDyn.mjDYN_NONE), int(mujoco.mjtDyn.mjDYN_PID))
+    return servo.target is Target.POSITION and servo.scale == 1.0 and not lagged
 
 
 def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> None:
@@ -44,20 +55,17 @@ def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> No
             )
         return found
 
-    tag, attributes = node().tag, node().attributes
-    values: dict[str, str | None] = {key: None for key in SHORT if key in attributes}
-    if int(model.actuator_dyntype[s.actuator]) in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)):
-        values |= {"dyntype": "filterexact", "dynprm": _number(float(model.actuator_dynprm[s.actuator, 0]))}
-    elif tag == "intvelocity":
-        values["dyntype"] = "integrator"
-    if "inheritrange" in attributes:
-        low, high = map(float, model.actuator_ctrlrange[s.actuator])
-        values |= {"ctrllimited": "true", "ctrlrange": f"{_number(low)} {_number(high)}"}
-    own = s.new.kv if s.new.target is Target.VELOCITY else s.new.kp
-    values |= {
-        "gaintype": "fixed", "gainprm": _number(own * s.new.scale), "biastype": "affine",
-        "biasprm": " ".join(_number(x) for x in bias_of(s.new)),
-    }  # fmt: skip
+    tag = node().tag
+    values = spelled_out(model, s.actuator, node().attributes)
+    if values["dyntype"] == "filter":
+        values["dyntype"] = "filterexact"
+    values["biasprm"] = " ".join(_number(x) for x in bias_of(s.new))
+    if values["gaintype"] == "fixed":  # that of a <pid> is in its bias
+        values["gainprm"] = _number(s.new.gain)
+    if s.slew is not None:
+        imax = float(model.actuator_dynprm[s.actuator, IMAX]) if values["gaintype"] == "pid" else 0.0
+        values |= {"dyntype": "pid", "dynprm": f"{_number(imax)} {_number(s.slew)}"}
+        values |= {} if values["gaintype"] == "pid" else {"gaintype": "pid", "gainprm": "0", "input": "pos"}
     if math.isfinite(s.new.limit) and s.new.limit != s.old.limit:
         values |= {"forcelimited": "true", "forcerange": f"{_number(-s.new.limit)} {_number(s.new.limit)}"}
     for key, value in values.items():

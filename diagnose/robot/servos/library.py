@@ -248,7 +248,7 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
                  "The servo does not react to errors within its dead band."),
         ServoLaw("velocity_limit", "actuator", (Number("slew", upper=20 * s.fastest),), tuple({"slew": c * s.fastest} for c in (0.5, 0.9)),
                  lambda x: {"limit_rad_s": (x["slew"], Quantity.VELOCITY)}, "The servo follows its command no faster than a limit.",
-                 sane=lambda x: x["slew"] < 5 * s.fastest),
+                 native={"slewmax": "slew"}, sane=lambda x: x["slew"] < 5 * s.fastest),
     ]  # fmt: skip
 
 

@@ -41,6 +41,7 @@ from mjsim.robot.touching import Touching
 
 __all__ = ["ServoOutcome", "diagnose_servos"]
 
+IDLE = "The actuator of {name} has the further input {inputs}, of which a log holds nothing: it is taken as zero."
 FEWEST = 200  # samples of a joint in motion, fitted and held out each
 SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of one kind
 
@@ -269,6 +270,8 @@ def _told(
     lines = tuple(x for s in searches for x in changed(s, joints[s.problem.name], scales[s.problem.name]))
     lines = (*masses.lines, *lines)
     notes = list(dict.fromkeys(note for r in recordings for note in r.notes))
+    idle = {s.problem.name: " and ".join(s.problem.drive.idle) for s in searches}
+    notes += [IDLE.format(name=name, inputs=inputs) for name, inputs in idle.items() if inputs]
     notes += [f"Joint {name} is not in the log: it is held at {at:.4g}." for name, at in recordings[0].held_at]
     still = [n for n in recordings[0].joints if n not in joints]
     if still:
