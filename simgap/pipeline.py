@@ -30,6 +30,8 @@ from diagnose.fit.ledger import Ledger, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.result import Diagnosis
+from diagnose.robot.check.axis import check_servo_axis
+from diagnose.robot.check.faults import WRONG
 from diagnose.verdict.notes import DERIVED
 from diagnose.verdict.reference_stage import Nominal
 from mjsim.axis import Axis
@@ -44,6 +46,7 @@ from mjsim.mjcf.xmltext import decoded
 from mjsim.notices import quiet
 from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
+from mjsim.robot.model import load_robot
 from mjsim.system import UNROLLED
 from simgap.either_numerics import by_either_numerics
 from simgap.either_view import by_force_too, by_motion_too
@@ -90,8 +93,9 @@ def diagnose_files(
 ) -> Diagnosis:
     """Diagnose files and write the folder ``out``; nothing stands there under its final name before it is whole.
 
-    The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``; the
-    log of a servo is not checked. ``joint``: which one of a robot's log, by default the one that the model drives.
+    The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``; of a
+    servo's log such faults are a wrong sign, unit or gear. ``joint``: which one of a robot's log, by default the one that the
+    model drives.
 
     Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
     the same end. The file goes when the folder is written.
@@ -145,11 +149,11 @@ def diagnose_recordings(
     recordings, held_out, alike = with_common_channels(recordings, held_out)
     recordings, held_out, filled = with_input_in_gaps(recordings, held_out)
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
-    log = None
-    if nominal.chain.servo is None:
-        log, recordings, held_out = _checked(Machine.of(load_model(model)), recordings, held_out, accept_log)
-    if log is not None and log.verdict is LogVerdict.FIX and not accept_log:
+    log, recordings, held_out = _checked(model, nominal, recordings, held_out, accept_log)
+    if log is not None and _has_to_be_fixed(log, nominal) and not accept_log:
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
+    if nominal.chain.servo is not None and log is not None:
+        said += [f"The log, to be fixed: {p.sentence} {p.advice}." for p in log.to_fix()]
     recordings, held_out, derived = _measured_alone(nominal, recordings, held_out)
     recordings, held_out, slower = _at_content_rate(recordings, held_out, options)
     said += [*alike, *filled, *derived, *slower]
@@ -199,14 +203,26 @@ def _searched(
         ledger.close()
 
 
+def _has_to_be_fixed(log: LogCheck, nominal: Axis) -> bool:
+    """Whether a fault of the log makes every number wrong; a servo may be late or weak as the check of its log says."""
+    if nominal.chain.servo is None:
+        return log.verdict is LogVerdict.FIX
+    return any(p.problem in WRONG for p in log.to_fix())
+
+
 def _checked(
-    machine: Machine, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
-) -> tuple[LogCheck, Sequence[Recording], Sequence[Recording]]:
-    """The check of the log, and the recordings.
+    model: Path, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
+) -> tuple[LogCheck | None, Sequence[Recording], Sequence[Recording]]:
+    """The check of the log, and the recordings; no check of a servo that is switched off.
 
     With the hold that they all show where none is stated, and without a velocity that is late where the angle can take its place.
     """
-    log = check_log(machine, [*recordings, *held_out])
+    every = [*recordings, *held_out]
+    if nominal.chain.servo is not None:
+        log = check_servo_axis(nominal.chain, load_robot(model), every) if all(r.driven for r in every) else None
+        return log, recordings, held_out
+    machine = Machine.of(load_model(model))
+    log = check_log(machine, every)
     other = with_found_hold(log, machine, recordings, held_out)
     if other is not None:
         recordings, held_out = other

@@ -15,6 +15,7 @@ import numpy as np
 
 from diagnose.check.types import LogCheck, Severity
 from diagnose.result import FitFigures
+from diagnose.robot.check.faults import WRONG
 from diagnose.robot.check.run import check_robot
 from diagnose.robot.laws import FLEXIBLE
 from diagnose.robot.options import RobotOptions
@@ -71,9 +72,6 @@ def is_robot(recordings: Sequence[object], model: Path) -> bool:
     binding = find_robot_binding(first, model)
     bound = binding.joints if binding is not None else {}
     return len(bound or joints_named(first)) > 1
-
-
-WRONG = ("gear", "sign", "swapped", "unit")  # faults of a log with which every number of a diagnosis would be wrong
 
 
 LATE = (

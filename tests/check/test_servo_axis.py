@@ -105,3 +105,18 @@ def test_the_command_line_checks_a_servo(axis, tmp_path):
     assert "Do torque and motion" not in page
     assert "Command." in page
     assert "Angle." in page
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_diagnosis_begins_with_the_check(axis, tmp_path, sign):
+    path, log = axis
+    found = simgap.diagnose(
+        log | {"angle_rad": sign * log["angle_rad"]}, path, out=tmp_path / "d", jobs=1, effects=["servo_deadband"], effort=0.02
+    )
+    said = json.loads((tmp_path / "d" / "diagnosis.json").read_text())
+    assert said["log"]["verdict"] == ("ready" if sign > 0 else "fix")
+    if sign < 0:
+        assert [(p["channel"], p["problem"]) for p in said["log"]["problems"]] == [("angle", "sign")]
+        assert (found.verdict.value, said["findings"]) == ("unexplained", [])
+        assert "opposite sign" in said["summary"]
+        assert "reverse the sign of angle" in said["next_experiment"]

@@ -8,8 +8,9 @@ from diagnose.check.thresholds import ACTUATOR_DELAY, FOLLOWED, MODE_RATE, PARAM
 from diagnose.check.types import Problem, Severity
 from diagnose.robot.check.relations import Relation
 
-__all__ = ["geared", "late_or_early", "out_of_range", "scaled", "slow", "still", "swapped"]
+__all__ = ["WRONG", "geared", "late_or_early", "out_of_range", "scaled", "slow", "still", "swapped"]
 
+WRONG = ("gear", "sign", "swapped", "unit")  # faults of a log with which every number of a diagnosis would be wrong
 ANGLES = {180 / math.pi: "degrees", 1 / (2 * math.pi): "turns"}
 GEARED = 1.25  # factor about a gear within which it explains a ratio: friction and masses of the file bend the ratio as well
 RATES = {180 / math.pi: "degrees per second", 30 / math.pi: "rpm", 1 / (2 * math.pi): "turns per second"}

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import correlate
 
 __all__ = ["Relation", "correlations", "relate"]
 
@@ -44,14 +45,15 @@ def relate(x: np.ndarray, y: np.ndarray, dt: float, beside: np.ndarray | None = 
     Q = np.linalg.qr(other[inner])[0]
     left = target - Q @ (Q.T @ target)
 
-    def at(shift: int) -> tuple[float, float]:
-        moved = x[most - shift : n - most - shift]
-        moved = moved - Q @ (Q.T @ moved)
-        size = float(moved @ moved)
-        slope = float(moved @ left) / size if size > 1e-24 * n else 0.0
-        return float(left @ left) - slope * slope * size, slope
-
-    errors, slopes = np.array([at(k) for k in range(-most, most + 1)]).T
+    moved = x - np.mean(x)
+    # of x at each delay, without what the other columns explain: its square, and its product with what y leaves
+    total_of = np.concatenate([[0.0], np.cumsum(moved**2)])
+    size = total_of[n - 2 * most :] - total_of[: 2 * most + 1]
+    for column in Q.T:
+        size = size - correlate(moved, column, "valid") ** 2
+    product = correlate(moved, left, "valid")
+    slopes = np.where(size > 1e-12 * np.max(np.abs(size)), product / np.where(size > 0.0, size, 1.0), 0.0)[::-1]
+    errors = float(left @ left) - slopes * product[::-1]
     best = int(np.argmin(errors))
     other_sign = errors[slopes * slopes[best] < 0.0]
     offset = 0.0
