@@ -10,12 +10,12 @@ import numpy as np
 
 from diagnose.check.context import Context
 from diagnose.check.machine import Machine
-from diagnose.check.relation import TOP
+from diagnose.check.relation import TOP, Signals
 from diagnose.check.spectrum import Spectrum, clear_band
 from diagnose.check.thresholds import MODE_RATE
 from diagnose.check.types import Excitation
 
-__all__ = ["Motion", "excitation", "motion_of"]
+__all__ = ["Motion", "excitation", "families", "motion_from", "motion_of"]
 
 _REVERSALS = 4  # two there and back: a constant torque, an offset and their difference by direction are three numbers
 _PERIODS = 3  # of a position-locked effect: amplitude, phase and one more to test them
@@ -38,11 +38,16 @@ class Motion:
 def motion_of(context: Context) -> Motion | None:
     """The motion of one recording, under its chosen scale; None without a response."""
     s = context.mended or context.signals
-    if s is None:
-        return None
+    return None if s is None else motion_from(s, context.noise[context.response] * _scale_of(context))
+
+
+def motion_from(s: Signals, noise: float) -> Motion:
+    """The motion of signals whose response, the velocity where there is one, has a noise of this rms.
+
+    ``s.torque``: the torque of the drive, or what is proportional to it, whose changes of sign are counted.
+    """
     motion = s.velocity if s.velocity is not None else s.angle
     assert motion is not None
-    noise = context.noise[context.response] * _scale_of(context)
     limit = min(TOP * MODE_RATE, 0.45 / s.dt)
     spectrum = Spectrum.of(motion, s.dt, limit)
     band = clear_band(spectrum, noise, s.dt)
@@ -73,6 +78,11 @@ def excitation(contexts: Sequence[Context], machine: Machine) -> list[Excitation
     motions = [m for c in contexts if (m := motion_of(c)) is not None]
     if not motions:
         return []
+    return families(motions, min(1 / c.signals.dt for c in contexts if c.signals is not None), machine)
+
+
+def families(motions: Sequence[Motion], rate: float, machine: Machine) -> list[Excitation]:
+    """One line a family, of motions that were sampled at ``rate`` [1/s] and faster."""
     band = max(m.bandwidth for m in motions)
     reversals = sum(m.reversals for m in motions)
     changes = sum(m.load_changes for m in motions)
@@ -88,7 +98,7 @@ def excitation(contexts: Sequence[Context], machine: Machine) -> list[Excitation
     ]  # fmt: skip
     if len(machine.chain.bodies) > 1 or machine.gears:
         out.append(Excitation("gap of the gear", changes >= _REVERSALS, f"{changes} changes of load sign ({_REVERSALS} needed)"))
-    reach = min(min(1 / c.signals.dt for c in contexts if c.signals is not None) / MODE_RATE, band)
+    reach = min(rate / MODE_RATE, band)
     for mode in machine.modes:
         word = "reached" if mode < reach else "not reached"
         out.append(

@@ -97,7 +97,7 @@ def test_the_command_line_checks_a_servo(axis, tmp_path):
         words = [str(tmp_path / f"{name}.csv"), "--model", str(path), "--out", str(tmp_path / name)]
         ended = CliRunner().invoke(check_command, words)
         assert ended.exit_code == code, ended.output
-        assert "Excitation" not in ended.output
+        assert ("Excitation" in ended.output) == (code == 0)
         written = json.loads((tmp_path / name / "check.json").read_text())
         assert written["verdict"] == ("fix" if code else "ready")
     page = (tmp_path / "good" / "check.html").read_text()
@@ -120,3 +120,17 @@ def test_a_diagnosis_begins_with_the_check(axis, tmp_path, sign):
         assert (found.verdict.value, said["findings"]) == ("unexplained", [])
         assert "opposite sign" in said["summary"]
         assert "reverse the sign of angle" in said["next_experiment"]
+
+
+def test_what_the_motion_of_a_servo_can_show(axis):
+    path, log = axis
+    can = {e.family.split(" at ")[0]: e.identifiable for e in simgap.check(log, path).excitation}
+    assert can["servo"]
+    assert can["friction"]
+    assert not can["position-locked effects"]
+    gear = round(np.ptp(log["command_rad"]) / np.ptp(log["angle_rad"]))
+    ramp = {"time_s": log["time_s"], "command_rad": 0.02 * gear * log["time_s"], "angle_rad": 0.02 * log["time_s"] - 1e-4}
+    ramp["angle_rad"] = ramp["angle_rad"] + 1e-5 * np.random.default_rng(0).standard_normal(len(log["time_s"]))
+    one_way = {e.family.split(" at ")[0]: e for e in simgap.check(ramp, path).excitation}
+    assert not one_way["friction"].identifiable
+    assert "one way" in one_way["friction"].sentence

@@ -7,17 +7,23 @@ the motion, do not apply; those of a robot's joint compare the position with the
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from diagnose.check.excitation import families, motion_from
 from diagnose.check.faults.short import too_short
-from diagnose.check.types import LogCheck, Problem
+from diagnose.check.machine import Machine
+from diagnose.check.relation import Signals
+from diagnose.check.spectrum import noise_level
+from diagnose.check.thresholds import MODE_RATE
+from diagnose.check.types import Excitation, LogCheck, Problem, Severity
 from diagnose.check.unused import unused_channels
 from diagnose.data.experiment import measured_count
 from diagnose.data.servo import command_of
 from diagnose.robot.check.run import check_robot
-from mjsim.axis import Chain
+from mjsim.axis import Axis, Chain
 from mjsim.errors import InputError
 from mjsim.quantity import Motion
 from mjsim.recording import Recording
@@ -48,7 +54,45 @@ def check_servo_axis(chain: Chain, robot: Robot, recordings: Sequence[Recording]
     together = sum(map(measured_count, recordings))
     short = tuple(dataclasses.replace(p, recording=r.source) for r in recordings for p in too_short(r, together))
     problems = (*short, *(_renamed(p, name) for p in found.problems))
-    return dataclasses.replace(found, understood=told, problems=problems, measured=measured)
+    can = tuple(_excitation(chain, recordings)) if not any(p.severity is Severity.FIX for p in problems) else ()
+    return dataclasses.replace(found, understood=told, problems=problems, measured=measured, excitation=can)
+
+
+def _excitation(chain: Chain, recordings: Sequence[Recording]) -> list[Excitation]:
+    """What the motion can show, the servo's own frequency first; where nothing of the log has to be fixed."""
+    machine, servo, motions = Machine.of(Axis(chain)), chain.servo, []
+    assert servo is not None
+    for r in recordings:
+        response = r.angle if r.angle is not None else r.velocity
+        assert response is not None
+        velocity = r.velocity if r.angle is None else None
+        error = _error(chain, r)
+        if np.ptp(response) > 0.0 and np.ptp(error) > 0.0:
+            motions.append(motion_from(Signals(r.dt, error, velocity, r.angle), noise_level(response)))
+    if not motions:
+        return []
+    rate, band = min(1.0 / r.dt for r in recordings), max(m.bandwidth for m in motions)
+    stiffness = chain.gain**2 * servo.kp / machine.inertia
+    own = (math.sqrt(stiffness) if stiffness > 0.0 else chain.gain**2 * servo.kv / machine.inertia) / (2 * math.pi)
+    reached = own < min(rate / MODE_RATE, band)
+    word = "reached" if reached else "not reached, so that its gains show as a lag"
+    above = f"the motion stands above its noise up to {band:.3g} Hz, at {rate:.4g} samples/s"
+    gains = Excitation(f"servo at {own:.3g} Hz", reached, f"{word}: {above}")
+    return [gains, *families(motions, rate, machine)]
+
+
+def _error(chain: Chain, r: Recording) -> np.ndarray:
+    """Target of the servo less its position, or velocity (N,), which goes with the torque of the drive."""
+    servo = chain.servo
+    assert servo is not None
+    target = servo.scale * np.clip(command_of(chain, r), servo.low, servo.high)
+    if servo.target is Target.INTEGRATED:
+        target = np.cumsum(target) * r.dt
+    if servo.target is Target.VELOCITY:
+        moved = r.velocity if r.velocity is not None else np.gradient(np.asarray(r.angle), r.dt)
+    else:
+        moved = np.asarray(r.angle)
+    return np.asarray(target - chain.gain * moved)
 
 
 def _driven(robot: Robot) -> str:
