@@ -26,11 +26,11 @@ from diagnose.data.gap_input import with_input_in_gaps
 from diagnose.data.servo import as_servo
 from diagnose.data.split import split
 from diagnose.data.stretches import Stretches
+from diagnose.fit.command_hold import WORDS, with_hold
 from diagnose.fit.ledger import Ledger, fingerprint
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.result import Diagnosis
-from diagnose.robot.check.axis import check_servo_axis
 from diagnose.robot.check.faults import WRONG
 from diagnose.verdict.notes import DERIVED
 from diagnose.verdict.reference_stage import Nominal
@@ -46,7 +46,6 @@ from mjsim.mjcf.xmltext import decoded
 from mjsim.notices import quiet
 from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
-from mjsim.robot.model import load_robot
 from mjsim.system import UNROLLED
 from simgap.either_numerics import by_either_numerics
 from simgap.either_view import by_force_too, by_motion_too
@@ -54,6 +53,7 @@ from simgap.following import following
 from simgap.found import corrected_axis
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all, told, trend_sentences
+from simgap.servo_log import checked_servo, hold_beside, with_taken
 
 __all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
@@ -160,6 +160,11 @@ def diagnose_recordings(
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     with following(progress, ledger.recalled) as say:
         nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)
+        hold = hold_beside(result, nominal, recordings, held_out, options.since(began).seconds)
+        if hold != "held":
+            say(Step("search", f"again, since the command {WORDS[hold]}"))
+            recordings, held_out, log = with_hold(recordings, hold), with_hold(held_out, hold), with_taken(log, hold, recordings)
+            nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, None)
         result = dataclasses.replace(
             result,
             log=log,
@@ -174,7 +179,7 @@ def diagnose_recordings(
 
 def _searched(
     model: Path, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
-    say: Callable[[Step], None], ledger: Ledger,
+    say: Callable[[Step], None], ledger: Ledger | None,
 ) -> tuple[Axis, Nominal | None, Diagnosis]:  # fmt: skip
     """The nominal axis and its file in plain MuJoCo, both as the search compared with them, and what it found.
 
@@ -194,13 +199,16 @@ def _searched(
             result = diagnose(nominal, recordings, held_out, options.since(began), say, ledger)
             return by_motion_too(model, nominal, result, recordings, held_out, options.since(began), say)
     except InputError:
-        ledger.discard()
+        if ledger is not None:
+            ledger.discard()
         raise
     except DivergedError as error:  # of the model as given: one that is tried and diverges is rejected where it is tried
-        ledger.discard()
+        if ledger is not None:
+            ledger.discard()
         raise InputError(model, f"its simulation diverges: {error}", "finite numbers", "check inertias and stiffnesses") from None
     finally:
-        ledger.close()
+        if ledger is not None:
+            ledger.close()
 
 
 def _has_to_be_fixed(log: LogCheck, nominal: Axis) -> bool:
@@ -217,10 +225,9 @@ def _checked(
 
     With the hold that they all show where none is stated, and without a velocity that is late where the angle can take its place.
     """
-    every = [*recordings, *held_out]
     if nominal.chain.servo is not None:
-        log = check_servo_axis(nominal.chain, load_robot(model), every) if all(r.driven for r in every) else None
-        return log, recordings, held_out
+        return checked_servo(model, nominal, recordings, held_out)
+    every = [*recordings, *held_out]
     machine = Machine.of(load_model(model))
     log = check_log(machine, every)
     other = with_found_hold(log, machine, recordings, held_out)

@@ -1,0 +1,123 @@
+"""How the command of a servo goes between samples, where nobody stated it and the recordings show it.
+
+A controller that interpolates its setpoints acts half a sample earlier than one that holds them; where a row is the mean over
+the interval before it, a whole sample earlier. No drive is early, so that an error which falls where the command acts earlier is
+the hold's, as long as it grows again for what is earlier still: a lead without end is a law's, such as a velocity feedforward.
+The numbers of the model are refitted under each hold, and once more beside dry friction, which most joints have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.check.types import Problem, Severity
+from diagnose.data.derived import without_derived_velocity
+from diagnose.data.servo import as_servo
+from diagnose.data.split import split
+from diagnose.fit.fitter import Fitter
+from diagnose.fit.whiten import effective_share
+from diagnose.problem.choose_view import choose_view, with_samples
+from diagnose.problem.noise_model import ModelError
+from diagnose.thresholds import TWICE
+from mjsim.axis import Axis
+from mjsim.effects import Effect, registered
+from mjsim.effects.native import DryFriction
+from mjsim.hold import HOLDS
+from mjsim.recording import Recording
+
+__all__ = ["is_assumed", "shown_hold", "taken_hold", "with_hold"]
+
+WORDS = {"linear": "goes in straight lines between samples", "mean": "is logged as the mean over the interval before a row"}
+
+
+def is_assumed(recordings: Sequence[Recording]) -> bool:
+    """Whether all recordings have a command that is taken to be held, and none states so."""
+    return all(r.command is not None and r.hold == "held" and not r.hold_stated for r in recordings)
+
+
+def with_hold(recordings: Sequence[Recording], hold: str) -> list[Recording]:
+    """The recordings with another hold of the command."""
+    return [dataclasses.replace(r, hold=hold) for r in recordings]
+
+
+def shown_hold(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], seconds: float) -> str:
+    """The hold that leaves at most half the squared error of a held command where the numbers of ``axis`` are refitted.
+
+    "held" where none does, or where a command that is earlier by another sample leaves less. ``seconds``: the most that it takes.
+    """
+    until = time.monotonic() + seconds
+    left = {hold: _refitted(axis, with_hold(recordings, hold), with_hold(held_out, hold), until) for hold in HOLDS}
+    for k in range(2):  # without dry friction and with it
+        own = {hold: x[k] for hold, x in left.items() if len(x) > k}
+        best = min(own, key=lambda hold: own[hold].cost, default="held")
+        if "held" not in own or best == "held" or not own["held"].is_improved_by(own[best]):
+            continue
+        if best == "mean":
+            earlier = _refitted(axis, [_earlier(r) for r in recordings], [_earlier(r) for r in held_out], until)
+            if len(earlier) <= k or earlier[k].cost < own[best].cost:
+                continue
+        return best
+    return "held"
+
+
+def taken_hold(hold: str, rate: float) -> Problem:
+    """What a check of the log says where a hold other than the assumed one is taken; ``rate``: samples/s."""
+    shift = {"linear": -0.5, "mean": -1.0}[hold]
+    return Problem(
+        "command", "hold", shift, "samples",
+        f"The command {WORDS[hold]}, and is not held as assumed: the joint answers it {-1e3 * shift / rate:.3g} ms earlier.",
+        f'the diagnosis takes it so; state [recording] hold = "{hold}" to confirm it', Severity.LIMITS,
+    )  # fmt: skip
+
+
+def _earlier(r: Recording) -> Recording:
+    """A recording whose command acts two samples earlier: a sample before the mean over the interval before a row."""
+    assert r.command is not None
+    return dataclasses.replace(r, command=np.concatenate([r.command[2:], np.repeat(r.command[-1:], min(2, len(r)))])[: len(r)])
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What a refit leaves: the weighted sum of squares, and how many of its samples are independent."""
+
+    cost: float
+    independent: float
+
+    def is_improved_by(self, other: _Left) -> bool:
+        """Whether another refit leaves at most half of it, by more than chance."""
+        gain = other.independent * math.log(self.cost / other.cost)
+        return self.cost > TWICE * other.cost and gain > ModelError.prices.entry
+
+
+def _refitted(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], until: float) -> list[_Left]:
+    """What the axis leaves with its numbers refitted, and what it leaves with dry friction beside them where it has none."""
+    nominal, fitted, held, _ = as_servo(axis, recordings, held_out)
+    fitted, held = ([without_derived_velocity(r) for r in group] for group in (fitted, held))
+    view, experiments = choose_view(fitted, None, nominal), split(fitted, held)
+    view = with_samples(view, (*experiments[0], *experiments[1]), nominal, None)
+    fitter = Fitter(nominal, view, *experiments, jobs=1)
+    try:
+        fitter.allow(math.inf, until)
+        found = [fitter.fit(fitter.hypothesis(()))]
+        if found[0].ok:
+            fits = [fitter.fit(fitter.hypothesis((e,), found[0].linear, found[0].own)) for e in _dry_friction(fitter)]
+            found += [min(fits, key=lambda f: f.chi2)] if fits else []
+        return [_Left(f.chi2, f.n * effective_share(fitter, f)) for f in found if f.ok and f.chi2 > 0.0]
+    finally:
+        fitter.close()
+
+
+def _dry_friction(fitter: Fitter) -> list[Effect]:
+    """What MJCF's dry friction stands for on the driven body, at each start of a fit; none where the nominal axis has it."""
+    chain = fitter.nominal.chain
+    found = next((e for cls in registered().values() if (e := cls.read(DryFriction(0, 1.0), chain)) is not None), None)
+    if found is None or any(e.key == found.key for e in fitter.nominal.effects):
+        return []
+    cls = type(found)
+    return [cls(place=found.place, **start) for start in cls.starts(fitter.scales_for(cls, found.place))]

@@ -1,0 +1,59 @@
+"""How the command of a servo goes between samples, where nobody stated it: plain MuJoCo at a tenth of the sample time."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from diagnose.fit.command_hold import is_assumed, shown_hold
+from mjsim.hold import within
+from mjsim.mjcf import load_axis
+from mjsim.recording import Recording
+from tests.mjsim.servo_logs import PENDULUM, command, model, write
+
+DT, FINER, SECONDS = 0.02, 20, 16.0
+LEAD = 0.05  # [s] by which a velocity feedforward lets the joint act ahead
+
+
+def log(hold: str, seed: int, *, friction: float = 0.0, lead: float = 0.0) -> Recording:
+    """A log at 50 Hz of a servo whose setpoints go between samples as ``hold`` says; ``lead``: of a velocity feedforward [s]."""
+    m = mujoco.MjModel.from_xml_string(model(PENDULUM, friction=friction, kp=10.0, timestep=DT / FINER))
+    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
+    u = command(SECONDS, DT, seed)
+    fine = within(u, DT, hold, FINER)
+    fine = fine + lead * np.gradient(fine, DT / FINER)
+    angle = np.empty(len(u))
+    d.qpos[0] = u[0]
+    for k, target in enumerate(fine):
+        if k % FINER == 0:
+            angle[k // FINER] = d.qpos[0]
+        d.ctrl[0] = target
+        mujoco.mj_step(m, d)
+    angle += 2e-4 * rng.standard_normal(len(u))
+    time = np.arange(len(u)) * DT
+    return Recording(time, np.full(len(u), np.nan), None, angle, DT, command=u)
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory):
+    return load_axis(write(tmp_path_factory.mktemp("hold") / "servo.xml", PENDULUM))
+
+
+@pytest.mark.parametrize(("hold", "friction"), [("held", 0.0), ("linear", 0.0), ("mean", 0.0), ("held", 0.05), ("linear", 0.05)])
+def test_the_hold_is_found_with_and_without_dry_friction(axis, hold, friction):
+    assert shown_hold(axis, [log(hold, 1, friction=friction)], [log(hold, 2, friction=friction)], math.inf) == hold
+
+
+def test_a_velocity_feedforward_is_no_hold(axis):
+    assert shown_hold(axis, [log("linear", 1, lead=LEAD)], [log("linear", 2, lead=LEAD)], math.inf) == "held"
+
+
+def test_a_stated_hold_stays():
+    given = log("linear", 1)
+    assert is_assumed([given])
+    assert not is_assumed([given, dataclasses.replace(given, hold_stated=True)])
+    assert not is_assumed([dataclasses.replace(given, hold="linear")])
