@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from diagnose.check.types import LogCheck, Severity
+from diagnose.fit.command_hold import taken_hold
 from diagnose.result import FitFigures
 from diagnose.robot.check.faults import WRONG
 from diagnose.robot.check.run import check_robot
@@ -158,8 +159,15 @@ def diagnose_robot_recordings(
     log = checked(robot, [*recordings, *held_out], accept_log)
     corrected = out / "corrected.xml"
     if servos:
+        from diagnose.robot.servos.hold import is_assumed, shown_hold, with_hold
         from diagnose.robot.servos.pipeline import diagnose_servos
 
+        hold = shown_hold(robot, recordings) if is_assumed([*recordings, *held_out]) else "held"
+        if hold != "held":
+            recordings, held_out = with_hold(recordings, hold), with_hold(held_out, hold)
+            taken = dataclasses.replace(taken_hold(hold, 1.0 / recordings[0].dt), recording=recordings[0].source)
+            log = dataclasses.replace(log, problems=(*log.problems, taken))
+            say(f"commands: {taken.sentence}")
         found = diagnose_servos(robot, recordings, held_out, options, say)
         late = options.late
         out.mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import effective_share
 from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.problem.noise_model import ModelError
-from diagnose.thresholds import TWICE
+from diagnose.thresholds import FAIR
 from mjsim.axis import Axis
 from mjsim.effects import Effect, registered
 from mjsim.effects.native import DryFriction
@@ -47,7 +47,7 @@ def with_hold(recordings: Sequence[Recording], hold: str) -> list[Recording]:
 
 
 def shown_hold(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], seconds: float) -> str:
-    """The hold that leaves at most half the squared error of a held command where the numbers of ``axis`` are refitted.
+    """The hold that takes a quarter off the squared error of a held command where the numbers of ``axis`` are refitted.
 
     "held" where none does, or where a command that is earlier by another sample leaves less. ``seconds``: the most that it takes.
     """
@@ -90,9 +90,9 @@ class _Left:
     independent: float
 
     def is_improved_by(self, other: _Left) -> bool:
-        """Whether another refit leaves at most half of it, by more than chance."""
+        """Whether another refit takes a quarter off it, by more than chance."""
         gain = other.independent * math.log(self.cost / other.cost)
-        return self.cost > TWICE * other.cost and gain > ModelError.prices.entry
+        return other.cost < (1.0 - FAIR) * self.cost and gain > ModelError.prices.entry
 
 
 def _refitted(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], until: float) -> list[_Left]:

@@ -43,7 +43,7 @@ class RobotBinding:
     """joints: by joint and channel (column, factor to SI, row of a matrix or None); time: (column, factor), or dt [s].
 
     jitter: stamps may be off by this part of the sample time, and are resampled uniformly.
-    unused: keys of ``[experiment]`` that a robot's diagnosis does not use.
+    unused: keys of ``[experiment]`` that a robot's diagnosis does not use; hold_stated: whether the file states the hold.
     """
 
     joints: dict[str, dict[str, tuple[str, float, int | None]]]
@@ -54,6 +54,7 @@ class RobotBinding:
     source: str
     jitter: float = 0.0
     unused: tuple[str, ...] = ()
+    hold_stated: bool = False
 
     @classmethod
     def from_toml(cls, path: Path) -> RobotBinding | None:
@@ -102,7 +103,7 @@ class RobotBinding:
         if not (isinstance(jitter, int | float) and not isinstance(jitter, bool) and 0 <= jitter < math.inf):
             raise InputError(f"{path}: [recording] jitter", f"{jitter!r}", "a part of the sample time, above zero", "correct it")
         unused = tuple(key for key in experiment if key != "payload")
-        return cls(joints, time, dt, hold, payload, str(path), float(jitter), unused)
+        return cls(joints, time, dt, hold, payload, str(path), float(jitter), unused, "hold" in recording)
 
 
 def _bound(value: Any, measures: str, where: str) -> tuple[str, float, int | None]:

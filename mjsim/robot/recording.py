@@ -42,7 +42,7 @@ class RobotRecording:
     torque (N, J) as the actuator gives it, before its gear [N m | N], velocity (N, J) [rad/s | m/s], current (N, J) [A]: None
     where no joint has the channel, a column of NaN where one joint lacks it. hold: how the input goes between samples (held,
     linear, mean); payload: a known point mass; held_at: joints of the model that are not in the log, with their position;
-    notes: what reading guessed or changed.
+    notes: what reading guessed or changed; hold_stated: whether a binding states the hold.
 
     >>> import numpy as np
     >>> t = np.arange(4) * 0.01
@@ -66,6 +66,7 @@ class RobotRecording:
     payload: Payload | None = None
     held_at: tuple[tuple[str, float], ...] = ()
     notes: tuple[str, ...] = ()
+    hold_stated: bool = False
 
     def __post_init__(self) -> None:
         n, j = len(self.time), len(self.joints)
@@ -161,7 +162,7 @@ def robot_from_table(
         time, names, dt, source=path.name,
         sha256=sha256,
         hold=binding.hold if binding else "held", payload=binding.payload if binding else None, held_at=held, notes=tuple(notes),
-        **matrices,
+        hold_stated=binding is not None and binding.hold_stated, **matrices,
     )  # fmt: skip
     if checked:
         _within_limits(path, recording, robot)

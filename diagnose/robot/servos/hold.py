@@ -1,0 +1,117 @@
+"""How the commands of a robot go between samples, where nobody stated it: one controller sends them all.
+
+The rule is that of one joint (`diagnose.fit.command_hold`): no servo is early, so that an error which falls where the commands
+act earlier, and grows again for what is earlier still, is the hold's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from diagnose.problem.noise_model import ModelError
+from diagnose.robot.servos.fit import Fit, Number, block_weights, fit, independent
+from diagnose.robot.servos.motion import JointProblem, Motion, joint_problem, moving, prepare
+from diagnose.robot.servos.starts import THIN, own_numbers, start_fit
+from diagnose.robot.servos.state import QUICK
+from diagnose.thresholds import FAIR
+from mjsim.hold import HOLDS
+from mjsim.robot.joint_kernel import SLOT
+from mjsim.robot.model import Robot
+from mjsim.robot.recording import RobotRecording
+from mjsim.servo import Target
+
+__all__ = ["is_assumed", "shown_hold", "with_hold"]
+
+Change = Callable[[RobotRecording], RobotRecording]
+
+
+def is_assumed(recordings: Sequence[RobotRecording]) -> bool:
+    """Whether all recordings have commands that are taken to be held, and none states so."""
+    return all(r.command is not None and r.hold == "held" and not r.hold_stated for r in recordings)
+
+
+def with_hold(recordings: Sequence[RobotRecording], hold: str) -> list[RobotRecording]:
+    """The recordings with another hold of the commands."""
+    return [dataclasses.replace(r, hold=hold) for r in recordings]
+
+
+def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
+    """The hold that takes a quarter off the squared error of held commands, in the mean over the joints; "held" where none does.
+
+    The numbers of the file are refitted under each hold, dry friction beside them. Raises InputError.
+    """
+    motions = [prepare(robot, r, False, {}) for r in recordings]
+    held = [p for n in moving(robot, recordings) if (p := _part(robot, motions, n)) is not None]
+    fits = [_Joint.of(p) for p in held]
+    if not fits:
+        return "held"
+
+    def left(change: Change) -> tuple[float, float]:
+        """Mean over the joints of log(error held / error changed), and the gain over all independent samples."""
+        moved = [dataclasses.replace(m, recording=change(m.recording)) for m in motions]
+        logs, gain = [], 0.0
+        for joint in fits:
+            problem = _part(robot, moved, joint.problem.name)
+            assert problem is not None
+            ratio, count = joint.compared(problem)
+            logs.append(ratio)
+            gain += count * ratio
+        return float(np.mean(logs)), gain
+
+    found = {hold: left(partial(dataclasses.replace, hold=hold)) for hold in HOLDS if hold != "held"}
+    best = max(found, key=lambda hold: found[hold][0])
+    ratio, gain = found[best]
+    if ratio < -math.log1p(-FAIR) or gain < ModelError.prices.entry:
+        return "held"
+    return "held" if best == "mean" and left(_earlier)[0] > ratio else best
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Joint:
+    """One joint under held commands, its fit beside dry friction, and the weights (N,) of its samples."""
+
+    problem: JointProblem
+    numbers: tuple[Number, ...]
+    fit: Fit
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, problem: JointProblem) -> _Joint:
+        """Fitted from the file's numbers, then with dry friction from a small part of the drive's torque."""
+        numbers = own_numbers(problem)
+        first = start_fit(problem, numbers)
+        if "friction" in {n.slot for n in numbers}:
+            return cls(problem, numbers, first, block_weights(problem, first.error))
+        slots = first.slots.copy()
+        drive = slots[SLOT["kv" if problem.drive.velocity else "kp"]] * float(np.std(problem.first - problem.angle))
+        slots[SLOT["friction"]] = 0.1 * drive
+        numbers = (*numbers, Number("friction"))
+        found = fit(problem, numbers, slots, block_weights(problem, first.error), QUICK)
+        return cls(problem, numbers, found, block_weights(problem, found.error))
+
+    def compared(self, problem: JointProblem) -> tuple[float, float]:
+        """log(error held / error) of the same joint with its command changed, refitted, and the number of independent samples."""
+        other = fit(problem, self.numbers, self.fit.slots, self.weights, QUICK)
+        mask, w2 = problem.fitted, self.weights[problem.fitted] ** 2
+        a, b = self.fit.error[mask], other.error[mask]
+        least = float(np.sum(w2)) * problem.noise**2
+        ratio = math.log(max(float(w2 @ a**2), least) / max(float(w2 @ b**2), least))
+        return ratio, independent(b, problem.dt, a - b) * len(a)
+
+
+def _part(robot: Robot, motions: Sequence[Motion], name: str) -> JointProblem | None:
+    """Windows of the problem of one joint; None where its command is integrated, which has no hold, or nothing is fitted."""
+    problem = joint_problem(robot, motions, name, False).windows(THIN)
+    return None if problem.drive.servo.target is Target.INTEGRATED or not problem.fitted.any() else problem
+
+
+def _earlier(r: RobotRecording) -> RobotRecording:
+    """A recording whose commands act two samples earlier: a sample before the mean over the interval before a row."""
+    assert r.command is not None
+    end = np.repeat(r.command[-1:], min(2, len(r)), axis=0)
+    return dataclasses.replace(r, command=np.concatenate([r.command[2:], end])[: len(r)])
