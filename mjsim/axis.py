@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mjsim.chain import Body, Chain, Coupling, LinearParameter
@@ -41,6 +41,17 @@ class Axis:
     def kept_beside(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
         """Its effects that none of some others refines at its place: one that refines an effect takes its place."""
         return tuple(e for e in self.effects if not any(e.place == f.place and e.id in type(f).refines for f in effects))
+
+    @property
+    def start_states(self) -> dict[str, float]:
+        """Numbers of its effects that are states at the first sample, by ``id@place.name`` (`Effect.start_parameter`)."""
+        own = [(e, type(e).start_parameter) for e in self.effects]
+        return {f"{e.key}.{name}": e.values[name] for e, name in own if name}
+
+    def started(self, states: Iterable[tuple[str, float]]) -> Axis:
+        """The axis with these numbers of `start_states`; those of effects that it does not have are left out."""
+        own = {name: value for name, value in states if name in self.start_states}
+        return self.with_values(own) if own else self
 
     def at(self, site: Site) -> tuple[Effect, ...]:
         """Its effects at a site of the chain."""

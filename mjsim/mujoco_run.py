@@ -106,7 +106,7 @@ def _roll(
     data.qvel[:] = found.base() @ start[1]
     drive = found.layout.drive.id
     if drive >= 0:
-        begin(m, data, drive, before, float(torque[0]))
+        begin(m, data, drive, before, float(torque[0]), integral=source.integral_force())
     for s in range(m.nsensor):
         own = {found.chain.velocity_sensor: start[1, 0], found.chain.angle_sensor: start[0, 0]}.get(m.sensor(s).name)
         if own is not None and m.sensor_history[s, 0] > 0:

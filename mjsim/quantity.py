@@ -24,6 +24,7 @@ class Quantity(enum.Enum):
     TORQUE_PER_COMMAND = ("N m/ctrl", "N/ctrl")
     STIFFNESS = ("N m/rad", "N/m")
     DAMPING = ("N m s/rad", "N s/m")
+    INTEGRAL_GAIN = ("N m/(rad s)", "N/(m s)")
     QUADRATIC_DAMPING = ("N m s^2/rad^2", "N s^2/m^2")
     CUBIC_STIFFNESS = ("N m/rad^3", "N/m^3")
     PER_TORQUE_SQUARED = ("1/(N m)^2", "1/N^2")

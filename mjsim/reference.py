@@ -18,8 +18,9 @@ from mjsim import affine
 from mjsim.axis import Axis
 from mjsim.effects import ports as P  # noqa: N812
 from mjsim.effects.base import need_torque_input
+from mjsim.law_probes import constant
 from mjsim.ode import DivergedError, Trajectory, apply_input
-from mjsim.system import System, assemble, constant, state_matrix
+from mjsim.system import System, assemble, state_matrix
 
 __all__ = ["NotAffineError", "not_affine", "simulate"]
 

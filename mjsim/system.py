@@ -12,7 +12,8 @@ import numpy as np
 from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.chain import Limit
 from mjsim.effects import ports as P  # noqa: N812
-from mjsim.effects.law import ANGLE, DIRECTION, N_LOCAL, RATE, STATE, Law
+from mjsim.effects.law import ANGLE, RATE, STATE
+from mjsim.law_probes import constant, follows_rate, levels, slope, yields
 from mjsim.servo import Target
 
 __all__ = ["LIMIT", "MOST_STEPS", "SLIDES", "STEP", "TURNS", "UNROLLED", "System", "assemble", "restoring", "split_chain"]
@@ -152,33 +153,14 @@ def _on_far_body(port: P.Port, body: int, far: int) -> P.Port:
     return port
 
 
-def _slope(law: Law, p: tuple[float, ...], local: int, step: float, about: float = 0.0) -> float:
-    """How fast a law's torque falls as one local quantity grows, all others at zero: the spring, or damper, that it is there."""
-    torque = []
-    for x in (-step, step):
-        z, out = [0.0] * N_LOCAL, [0.0] * 3
-        z[local] = about + x
-        law(z, p, out)
-        torque.append(out[0])
-    return (torque[0] - torque[1]) / (2.0 * step)
-
-
 def restoring(axis: Axis, about: float = 0.0) -> np.ndarray:
     """Stiffness (n,) [N m/rad | N/m] by which gravity and springs hold each body where body 0 stands at ``about`` [rad | m]."""
     k = np.zeros(len(axis.chain.bodies))
     for effect in axis.effects:
         for port in effect.ports(axis.chain):
             if isinstance(port, P.BodyTorque) and port.body < len(k) and not (port.spatial or port.state or port.timed):
-                k[port.body] += _slope(port.law, port.p, ANGLE, 1e-3, about * axis.chain.total_ratio(port.body))
+                k[port.body] += slope(port.law, port.p, ANGLE, 1e-3, about * axis.chain.total_ratio(port.body))
     return k
-
-
-def _yields(law: Law, p: tuple[float, ...]) -> float:
-    """How far a bristle goes along before it slides, at high speed; infinite where it never does."""
-    z, out = [0.0] * N_LOCAL, [0.0] * 3
-    z[RATE] = 1e3
-    law(z, p, out)
-    return z[RATE] / out[2] if out[2] > 0.0 else math.inf
 
 
 @dataclass
@@ -212,28 +194,28 @@ class _Elements:
             self.n_states += 1
             self._stiffen(port, site, ratios)
         elif isinstance(port, P.BodyTorque):
-            self.damping[site] += max(_slope(port.law, port.p, RATE, 1e-6), 0.0)
+            self.damping[site] += max(slope(port.law, port.p, RATE, 1e-6), 0.0)
         if isinstance(port, P.Twist | P.BodyTorque):
             self.spatial = max(self.spatial, port.spatial)
-        levels = None
+        fixed = None
         if isinstance(port, P.Friction):
-            levels = _levels(port)
-            if self._soften(site, levels):
+            fixed = levels(port)
+            if self._soften(site, fixed):
                 return
             self.friction[site] = True
         own_angle = isinstance(port, P.BodyTorque) and port.spatial == 0
-        self.rows.append((_KIND[type(port)], site, 0 if levels else port.law.address, len(self.values), state, own_angle))
-        self.values.extend(levels or port.p)
+        self.rows.append((_KIND[type(port)], site, 0 if fixed else port.law.address, len(self.values), state, own_angle))
+        self.values.extend(fixed or port.p)
 
-    def _soften(self, site: int, levels: tuple[float, float, float, float] | None) -> bool:
+    def _soften(self, site: int, fixed: tuple[float, float, float, float] | None) -> bool:
         """Take up friction of constant levels on a body whose friction is soft; False where it is none."""
         body = self.bodies[site]
-        if body.softness is None or levels is None or levels[:2] != levels[2:]:
+        if body.softness is None or fixed is None or fixed[:2] != fixed[2:]:
             return False
         soft = body.softness
         self.damping[site] += soft.impedance * soft.rate * body.inertia
         self.rows.append((_SOFT, site, 0, len(self.values), -1, False))
-        self.values.extend((soft.impedance, soft.rate, *levels[:2]))
+        self.values.extend((soft.impedance, soft.rate, *fixed[:2]))
         return True
 
     def bound(self, limit: Limit) -> None:
@@ -245,11 +227,15 @@ class _Elements:
         self.values.extend((limit.lower, limit.upper, limit.stiffness, limit.damping, *limit.impedance))
 
     def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:
-        """Add the stiffness of a law with a state, before it yields, to the bodies that see it."""
-        k = abs(_slope(port.law, port.p, STATE, 1.0))
+        """Add the stiffness of a law with a state, before it yields, to the bodies that see it; a state that does not follow the
+        motion is none of a bristle.
+        """
+        if not follows_rate(port.law, port.p):
+            return
+        k = abs(slope(port.law, port.p, STATE, 1.0))
         if isinstance(port, P.BodyTorque):
             self.bristles[site] += k
-            self.yields = max(self.yields, _yields(port.law, port.p))
+            self.yields = max(self.yields, yields(port.law, port.p))
         else:
             self.stiff[site] += k * ratios[site] ** 2
             self.stiff[site + 1] += k
@@ -329,35 +315,11 @@ def _drive(chain: Chain, ports: list[P.Port]) -> tuple[float, np.ndarray]:
     return g * per_unit, out
 
 
-def _levels(port: P.Friction) -> tuple[float, float, float, float] | None:
-    """Sliding level forward, backward, breakaway level forward, backward; None where they are not constant."""
-    forward, backward = constant(port.law, port.p, 1.0), constant(port.law, port.p, -1.0)
-    return None if forward is None or backward is None else (forward[0], backward[0], forward[1], backward[1])
-
-
-@lru_cache(256)  # fits change one number of many at a time
-def constant(law: Law, p: tuple[float, ...], direction: float) -> tuple[float, float] | None:
-    """What the law writes when it is the same for all local quantities but the direction of slip, else None."""
-    seen = None
-    for values in _PROBES:
-        z, out = [*values], [0.0, 0.0, 0.0]
-        z[DIRECTION] = direction
-        law(z, p, out)
-        if seen is not None and seen != (out[0], out[1]):
-            return None
-        seen = (out[0], out[1])
-    return seen
-
-
-# Times, angles, rates, loads and states at which a law is tried: five decades of each, no two in step
-_PROBES = tuple(tuple(10.0 ** (k - 3 + 0.3 * i) * (-1) ** (k * i) for i in range(N_LOCAL)) for k in range(6))
-
-
 def _affine(ports: list[P.Port], gap_law: P.BacklashLaw) -> bool:
     """Whether the equations are affine in every mode of friction and gap."""
     for port in ports:
         if isinstance(port, P.Friction):
-            if _levels(port) is None:
+            if levels(port) is None:
                 return False
         elif isinstance(port, P.BodyTorque):
             if port.state or port.timed or constant(port.law, port.p, 1.0) is None:

@@ -84,9 +84,11 @@ def _refit(
     """
     if form.lacks or any(run is None for run in runs) or work_of(MujocoPlant.load(bench.out), cases) > MOST_WORK / OWN_SLOPES:
         return None
-    now, origins = free_numbers(axis, unshown_numbers(cases)), [c.start() for c in cases]
+    now = free_numbers(axis, unshown_numbers(cases))
+    found = [run.start for run in runs if run is not None]
+    origins = [dataclasses.replace(c.start(), states=start.states) for c, start in zip(cases, found, strict=True)]
     moves = [(i, *m) for i, c in enumerate(cases) for m in zip(("angle", "velocity"), c.spread(), strict=True) if m[1] > 0.0]
-    width, at = len(now), [(getattr(runs[i].start, name) - getattr(origins[i], name)) / size for i, name, size in moves]  # type: ignore[union-attr]
+    width, at = len(now), [(getattr(found[i], name) - getattr(origins[i], name)) / size for i, name, size in moves]
 
     with tempfile.TemporaryDirectory() as work:
         path = Path(work) / bench.out.name

@@ -8,11 +8,12 @@ from diagnose.check.stops import stops_of
 from diagnose.data.experiment import Experiment, measured_angle, measured_velocity, smooth_velocity
 from diagnose.data.runs import free_run
 from diagnose.thresholds import LINE, TURNS
-from mjsim.axis import Axis
+from mjsim.axis import Axis, Chain
 from mjsim.effects import Scales
 from mjsim.ode import DivergedError, Trajectory
 from mjsim.quantity import Motion
 from mjsim.recording import Recording
+from mjsim.servo import Target
 from mjsim.signals import plain_step, whole_step
 from mjsim.system import assemble
 
@@ -49,6 +50,13 @@ def _drive(axis: Axis, r: Recording, run: Trajectory | None) -> np.ndarray:
     return np.asarray(
         s.gain * (chain.servo.scale * r.input - chain.servo.zero) - s.servo[0] * run.q[:, 0] - s.servo[1] * run.v[:, 0]
     )
+
+
+def _following(chain: Chain, r: Recording, q: np.ndarray) -> float:
+    """Rms error of a position servo, of its actuator [rad | m], along the angle q (N,) of body 0; 0 where there is none."""
+    if r.command is None or chain.servo is None or chain.servo.target is not Target.POSITION:
+        return 0.0
+    return _rms(chain.servo.scale * r.command - chain.servo.zero - chain.gain * q)
 
 
 def value_steps(values: np.ndarray, noise: float) -> tuple[float, ...]:
@@ -140,7 +148,7 @@ def scales_by_place(
             travel=ratio * float(np.ptp(q)), input=_rms(r.input), max_input=float(np.max(np.abs(r.input))), output=_rms(v),
             dt=r.dt, duration=r.duration, orders=tuple(o / ratio for o in orders) if at else orders,
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
-            following=0.0 if r.command is None else _rms(r.command - q), asked=asked,
+            following=_following(chain, r, q), asked=asked,
             move=r.duration / (1 + reversals(v)), stops=stops if at == 0 else (),
             hold_stated=r.hold_stated,
         )  # fmt: skip

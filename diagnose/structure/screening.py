@@ -100,7 +100,7 @@ class Screening:
 
         Starts are ranked by their cost less what the linear parameters take up. Beside the fitted linear parameters the nominal
         ones are tried: for a coupling or a further body, whose response is not linear in the amplitude, and where the residual is
-        ``far`` from the noise.
+        ``far`` from the noise. An effect that closes a loop is fitted to the end.
         """
         cls = effect_class(s.candidate.id)
         if cls.rough and self.full is not None:  # its minima depend on the times of single events
@@ -120,9 +120,14 @@ class Screening:
             order.append(min(range(fitted, len(guesses)), key=lambda i: cost[i]))
         fresh = (s.candidate.key,) if multimodal else ()  # the columns that change most
         lent = self.at_nominal if fitted < len(guesses) and not (cls.rough or self.base.rough) else None
+        order = [i for i in order if math.isfinite(cost[i])]
+        if cls.closes_loop:  # updates by secants stall where all numbers move
+            fits = self.fitter.map([partial(self.fitter.fit, guesses[i]) for i in order])
+            best = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
+            return None if best is None else self._in_full(best)
         begin = partial(self.fitter.fit, iterations=3, tolerance=1e-4, secant=True, fresh=fresh)
         fits = self.fitter.map([
-            partial(begin, guesses[i], neighbour=self.base if i < fitted else lent) for i in order if math.isfinite(cost[i])
+            partial(begin, guesses[i], neighbour=self.base if i < fitted else lent) for i in order
         ])  # fmt: skip
         first = min((f for f in fits if f.ok), key=lambda f: f.chi2, default=None)
         if first is None:

@@ -73,7 +73,7 @@ class Case:
         if not self.moving or not self.servo:
             angle, _ = (first_angle if self.moving else resting_angle)(r)
         if self.servo:
-            return Start(angle, 0.0, float(r.input[0]))
+            return Start(angle, float(smooth_velocity(r)[0]) if self.moving else 0.0, float(r.input[0]))
         before = float(r.input[0]) if self.moving or r.command is not None else 0.0
         if not self.moving:
             return Start(angle, 0.0, before)
@@ -87,13 +87,16 @@ class Case:
         """Standard deviations of the starting angle and velocity; 0 of one that is known.
 
         A measured velocity is late by its filter, so that the first one is known to the noise and to a small part of the speed.
+        That by the angle alone, of a servo, is known to be one of the motion, which has its rms.
         """
         q = self.recording.angle
         angle = 0.0 if q is None else max(channel_noise(self.recording, "angle"), plain_step(q) / math.sqrt(12.0))
         if not self.moving or not self.servo:
             _, angle = (first_angle if self.moving else resting_angle)(self.recording)
+        if self.servo:
+            return angle, float(np.sqrt(np.mean(smooth_velocity(self.recording) ** 2))) if self.moving else 0.0
         speed = SMALL * float(np.sqrt(np.mean(self.measured**2)))
-        return angle, math.hypot(self.sigma, speed) if self.moving and not self.servo else 0.0
+        return angle, math.hypot(self.sigma, speed) if self.moving else 0.0
 
     def first(self, n: int) -> Case:
         """The first n samples."""

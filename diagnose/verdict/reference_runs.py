@@ -62,7 +62,7 @@ def run_file(plant: MujocoPlant, case: Case, start: Start | None = None) -> Run 
             break
         columns = []
         for k in range(len(at)):
-            other = _run(plant, case, shift.start(case.start(), at + OWN_STEP * (np.arange(len(at)) == k)))
+            other = _run(plant, case, shift.start(at + OWN_STEP * (np.arange(len(at)) == k)))
             if other is None:
                 return best
             columns.append((before - errors_of(case, other)) / OWN_STEP)
@@ -80,7 +80,7 @@ def _tried(plant: MujocoPlant, case: Case, first: Run, shift: Shift, parts: Sequ
         return first, shift
     for part in parts:
         moved = np.clip(shift.moved + part * change, -SIGMAS, SIGMAS)
-        second = _run(plant, case, shift.start(case.start(), moved))
+        second = _run(plant, case, shift.start(moved))
         rest = None if second is None else errors_of(case, second)
         if second is not None and rest is not None and rest @ rest + moved @ moved < e @ e + shift.moved @ shift.moved:
             return second, dataclasses.replace(shift, moved=moved)

@@ -28,8 +28,9 @@ Errors = Callable[[Case, Run], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """How far a start is moved, in standard deviations (s,), by name, and what a standard deviation does (n, s) to the errors."""
+    """How far a start is moved from an origin, in standard deviations (s,), by name; what one does (n, s) to the errors."""
 
+    origin: Start
     names: tuple[str, ...]
     sizes: tuple[float, ...]
     responses: np.ndarray
@@ -47,19 +48,24 @@ class Shift:
         most = SIGMAS**2 * float(np.sum(self.responses**2))
         return most >= float(e @ e) - len(e)
 
-    def start(self, origin: Start, moved: np.ndarray) -> Start:
-        """The start that is so far from the original one."""
-        return _moved(origin, {name: size * float(m) for name, size, m in zip(self.names, self.sizes, moved, strict=True)})
+    def start(self, moved: np.ndarray) -> Start:
+        """The start that is so far from the origin."""
+        return _moved(self.origin, {name: size * float(m) for name, size, m in zip(self.names, self.sizes, moved, strict=True)})
 
 
 def _moved(origin: Start, by: Mapping[str, float]) -> Start:
-    """A start with some of its numbers moved, by name; those of couplings are `deflection` and `rate` with their place."""
-    deflections, rates = dict(enumerate(origin.deflections)), dict(enumerate(origin.rates))
+    """A start with some of its numbers moved, by name.
+
+    Those of couplings are `deflection` and `rate` with their place, those of effects `state` with their name.
+    """
+    deflections, rates, states = dict(enumerate(origin.deflections)), dict(enumerate(origin.rates)), dict(origin.states)
     own = {"angle": origin.angle, "velocity": origin.velocity}
     for name, value in by.items():
         kind, _, at = name.partition(":")
         if kind in own:
             own[kind] += value
+        elif kind == "state":
+            states[at] += value
         else:
             which = deflections if kind == "deflection" else rates
             which[int(at)] = which.get(int(at), 0.0) + value
@@ -67,7 +73,7 @@ def _moved(origin: Start, by: Mapping[str, float]) -> Start:
     def row(of: Mapping[int, float]) -> tuple[float, ...]:
         return tuple(of.get(j, 0.0) for j in range(max(of, default=-1) + 1))
 
-    return dataclasses.replace(origin, **own, deflections=row(deflections), rates=row(rates))
+    return dataclasses.replace(origin, **own, deflections=row(deflections), rates=row(rates), states=tuple(states.items()))
 
 
 def run_surrogate(
@@ -81,7 +87,7 @@ def run_surrogate(
     r = case.recording
     try:
         angle = (r.angle if along is None else along) if locked and not case.servo else None
-        system = assemble(axis)
+        system = assemble(axis.started(start.states))
         y = simulate(
             system if along is None else system.tied(),
             r.input,
@@ -122,6 +128,7 @@ def _moves(axis: Axis, case: Case) -> list[tuple[str, float]]:
     A coupling's rate is known to the rms speed s of the body behind it, its deflection to s over the frequency of what is there.
     """
     moves = [(name, size) for name, size in zip(("angle", "velocity"), case.spread(), strict=True) if size > 0]
+    moves += [(f"state:{name}", max(_asked(axis, case), abs(value))) for name, value in axis.start_states.items()]
     if not case.moving or case.servo:
         return moves
     try:
@@ -139,6 +146,15 @@ def _moves(axis: Axis, case: Case) -> list[tuple[str, float]]:
     return [*moves, *found]
 
 
+def _asked(axis: Axis, case: Case) -> float:
+    """Rms force of the actuator that a servo asks for along a recording, without damping and limit [N m | N]."""
+    s, servo, r = assemble(axis), axis.chain.servo, case.recording
+    if servo is None or r.angle is None:
+        return 0.0
+    force = servo.kp * (servo.scale * r.input - servo.zero) - s.servo[0] / axis.chain.gain * r.angle
+    return float(np.sqrt(np.mean(force**2)))
+
+
 def suited(axis: Axis | None, case: Case, *, errors: Errors | None = None, locked: bool = False) -> tuple[Start, Shift | None]:
     """Where a run of the engine starts that suits the recording best, each number as its noise allows: Gauss-Newton steps.
 
@@ -148,6 +164,7 @@ def suited(axis: Axis | None, case: Case, *, errors: Errors | None = None, locke
     origin, trial = case.start(), _Trial(case, errors or errors_of, locked)
     if axis is None:
         return origin, None
+    origin = dataclasses.replace(origin, states=tuple(axis.start_states.items()))
     moves = _moves(axis, case)
     e, shift = trial(axis, origin) if moves else None, None
     if e is None:
@@ -166,7 +183,7 @@ def suited(axis: Axis | None, case: Case, *, errors: Errors | None = None, locke
         if better is None:
             break
         shift, e = better
-    return (origin, None) if shift is None else (shift.start(origin, shift.moved), shift)
+    return (origin, None) if shift is None else (shift.start(shift.moved), shift)
 
 
 def _slopes(
@@ -175,7 +192,7 @@ def _slopes(
     """The shift so far with the engine's slopes there, of the numbers that show; None where none does."""
     if last is not None:
         moves = list(zip(last.names, last.sizes, strict=True))
-    start = origin if last is None else last.start(origin, last.moved)
+    start = origin if last is None else last.start(last.moved)
     found = []
     for k, (name, size) in enumerate(moves):
         other = trial(axis, _moved(start, {name: OWN_STEP * size}))
@@ -185,7 +202,7 @@ def _slopes(
     if not found:
         return None
     names, sizes, responses, moved = zip(*found, strict=True)
-    return Shift(names, sizes, np.column_stack(responses), np.array(moved))
+    return Shift(origin, names, sizes, np.column_stack(responses), np.array(moved))
 
 
 def _moved_on(
@@ -193,7 +210,7 @@ def _moved_on(
 ) -> tuple[Shift, np.ndarray] | None:
     """The shift moved on, and the errors there; None where the cost does not fall."""
     moved = np.clip(shift.moved + change, -SIGMAS, SIGMAS)
-    rest = trial(axis, shift.start(origin, moved))
+    rest = trial(axis, shift.start(moved))
     if rest is None or not rest @ rest + moved @ moved < e @ e + shift.moved @ shift.moved:
         return None
     return dataclasses.replace(shift, moved=moved), rest

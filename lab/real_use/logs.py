@@ -13,7 +13,7 @@ from lab.real_use.design import Case
 from lab.real_use.machines import JOINT, Extent, Numbers
 from mjsim.mjcf.compile import caught_warnings
 
-__all__ = ["Log", "extent", "follow", "make"]
+__all__ = ["Log", "extent", "follow", "make", "wave_of"]
 
 SECONDS = {100.0: 12.0, 250.0: 10.0}
 SHORT = 6.0  # [s] of logs at higher rates
@@ -44,7 +44,7 @@ class Log:
         np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.9g")
 
 
-def _wave(rng: np.random.Generator, t: np.ndarray, top: float) -> np.ndarray:
+def wave_of(rng: np.random.Generator, t: np.ndarray, top: float) -> np.ndarray:
     """Unit rms: tones between .2 Hz and ``top``, faded in."""
     f = np.exp(rng.uniform(math.log(0.2), math.log(top), TONES))
     x = np.sin(2 * np.pi * (f[:, None] * t + rng.uniform(0, 1, TONES)[:, None])).sum(axis=0)
@@ -53,7 +53,7 @@ def _wave(rng: np.random.Generator, t: np.ndarray, top: float) -> np.ndarray:
 
 def _reference(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     """Target of a position loop, unit rms: slow tones and steps, each half of the time in turn."""
-    wave = _wave(rng, t, 2.0)
+    wave = wave_of(rng, t, 2.0)
     steps = rng.uniform(-1.7, 1.7, math.ceil(t[-1] / 0.5) + 1)[(t / 0.5).astype(int)]
     return np.where((t / 2.0).astype(int) % 2 == 0, wave, steps)
 
@@ -62,7 +62,7 @@ def _drive(case: Case, given: Numbers, rng: np.random.Generator) -> tuple[np.nda
     """Time, and the torque at the joint in open loop, else the target of the position loop."""
     t = np.arange(round(SECONDS.get(case.rate, SHORT) * case.rate)) / case.rate
     if case.loop == "open":
-        return t, given.torque * _wave(rng, t, min(10.0, case.rate / 10))
+        return t, given.torque * wave_of(rng, t, min(10.0, case.rate / 10))
     return t, given.swing * _reference(rng, t)
 
 

@@ -36,8 +36,8 @@ class Numbers:
 
     torque: rms of the input in open loop; swing: of the target of a position loop; inertia: balanced part, beside a mass at a
     lever; load, stiffness, shaft_damping, cubic, slack: of a two-mass axis; kp, kv: of a servo or of the controller, at the
-    joint; part, resonance [Hz]: a further inertia, relative to the total, on a spring; spring, ref: of the joint; stop: half
-    range of the joint; cam: torque of a weight on a shaft that turns three times as fast.
+    joint; ki: of a servo; part, resonance [Hz]: a further inertia, relative to the total, on a spring; spring, ref: of the joint;
+    stop: half range of the joint; cam: torque of a weight on a shaft that turns three times as fast.
     """
 
     torque: float
@@ -49,6 +49,7 @@ class Numbers:
     friction: float
     kp: float
     kv: float
+    ki: float = 0.0
     gear: float = 1.0
     gain: float = 1.0
     armature: float = 0.0
@@ -274,6 +275,8 @@ def _actuator(case: Case, n: Numbers) -> str:
         more += f' timeconst="{n.lag!r}"' if n.lag else ""
         more += f' forcelimited="true" forcerange="{-limit!r} {limit!r}"' if math.isfinite(limit) else ""
         gains = f'kp="{n.gain * n.kp / n.gear**2!r}" kv="{n.kv / n.gear**2!r}"'
+        if n.ki:
+            return f'<pid name="drive" joint="{JOINT}" gear="{n.gear!r}" {gains} ki="{n.ki / n.gear**2!r}" input="pos"{more}/>'
         return f'<position name="drive" joint="{JOINT}" gear="{n.gear!r}" {gains}{more}/>'
     more += f' dyntype="filterexact" dynprm="{n.lag!r}"' if n.lag else ""
     more += f' ctrllimited="true" ctrlrange="{-limit!r} {limit!r}"' if math.isfinite(limit) else ""

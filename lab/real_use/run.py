@@ -22,7 +22,7 @@ from lab.real_use.machines import Numbers, nominal, text, true_numbers
 from mjsim.errors import InputError
 from simgap.pipeline import diagnose_files
 
-__all__ = ["read", "run_case", "run_missing", "write_files"]
+__all__ = ["measured", "read", "run_case", "run_missing", "said", "write_files"]
 
 Record = dict[str, Any]
 
@@ -55,7 +55,7 @@ def run_case(case: Case, folder: Path, jobs: int) -> Record:
         "given_error": follow(folder / "nominal.xml", case.rate, held),
         "true_error": follow(folder / "true.xml", case.rate, held),
     }  # fmt: skip
-    with _measured(out):
+    with measured(out):
         try:
             files = [folder / f"{name}.csv" for name in ("estimation", "held_out")]
             diagnose = partial(
@@ -71,12 +71,12 @@ def run_case(case: Case, folder: Path, jobs: int) -> Record:
         except Exception:
             out |= {"exit": 1, "error": traceback.format_exc()}
     if out["exit"] == 0:
-        out |= _said(json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8")))
+        out |= said(json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8")))
         out["own_error"] = follow(folder / "out" / "corrected.xml", case.rate, held)
     return out
 
 
-def _said(d: dict[str, Any]) -> Record:
+def said(d: dict[str, Any]) -> Record:
     """What a diagnosis says; errors are held-out rms in the unit of what is compared."""
     physics = [f for f in d["findings"] if f["effect"] not in IDS]
     fit = d["fit"]
@@ -91,7 +91,7 @@ def _said(d: dict[str, Any]) -> Record:
 
 
 @contextmanager
-def _measured(out: Record) -> Iterator[None]:
+def measured(out: Record) -> Iterator[None]:
     """Add CPU seconds (of this process and its children) and wall seconds."""
     began, cpu = time.monotonic(), _cpu()
     yield

@@ -18,10 +18,11 @@ from mjsim.effects import BacklashLaw
 from mjsim.effects.backlash import Backlash
 from mjsim.effects.coulomb_friction import CoulombFriction
 from mjsim.effects.ports import Friction
+from mjsim.law_probes import constant
 from mjsim.mjcf import load_model, write_corrected
 from mjsim.mujoco_run import run_signals
 from mjsim.ode import Trajectory
-from mjsim.system import assemble, constant
+from mjsim.system import assemble
 
 __all__ = ["energy_error", "energy_rows", "scaling_row"]
 

@@ -151,7 +151,9 @@ class Effect(abc.ABC):
     only), ``shown_by_angle`` (whether a measured velocity contradicts the measured angle by it), ``taken_for`` (identifiers of
     such effects that make the same change of a velocity: where the angle shows one, this effect explains nothing without it), ``by_load``
     (whether it grows with the transmitted torque), ``linear`` (whether its torque is linear in each of its numbers, so that a fit moves none
-    of them by its logarithm).
+    of them by its logarithm), ``start_parameter`` (the nuisance parameter that is a state of it at the first sample, which every run
+    has of its own), ``closes_loop`` (whether it is a further feedback, beside which all numbers of the servo are others: a fit of it
+    starts with sensitivities computed anew in every iteration).
     """
 
     id: ClassVar[str]
@@ -175,6 +177,8 @@ class Effect(abc.ABC):
     taken_for: ClassVar[tuple[str, ...]] = ()
     by_load: ClassVar[bool] = False
     linear: ClassVar[bool] = False
+    start_parameter: ClassVar[str] = ""
+    closes_loop: ClassVar[bool] = False
 
     place: str = ""
 

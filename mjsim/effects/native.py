@@ -26,6 +26,7 @@ __all__ = [
     "LooseLink",
     "Native",
     "SensorDelay",
+    "ServoIntegral",
     "Slack",
     "SplitBody",
     "SquareDrag",
@@ -197,6 +198,14 @@ class SensorDelay:
     delay: float
 
 
+@dataclass(frozen=True)
+class ServoIntegral:
+    """Integral action of a position servo: gain of the actuator's force [N m/(rad s) | N/(m s)], force at the start [N m | N]."""
+
+    gain: float
+    start: float = 0.0
+
+
 Value = (
     DryFriction
     | ViscousDamping
@@ -217,6 +226,7 @@ Value = (
     | DriveLag
     | DriveDelay
     | SensorDelay
+    | ServoIntegral
 )
 
 

@@ -19,7 +19,7 @@ class Scales:
     frequencies of the residual over the body's angle [1/rev | rad/m]; swung: those at which an inertia that varies over the
     angle would leave it; turns: whole orders of the motor's turn that its travel can
     show, which what is fixed to the motor is likely to have; steps: those in which the measured output comes, where
-    its values show any; following: rms error of a servo between command and angle [rad | m]; asked: levels of the force that
+    its values show any; following: rms error of a position servo, of its actuator [rad | m]; asked: levels of the force that
     the input, or a servo's law without its limit, asks of the actuator [N m | N]: the largest, and those exceeded in a tenth
     and in three tenths of the time; move: mean time between reversals of the velocity [s],
     the duration where it does not reverse; stops: (side, angle [rad | m], time constant [s]) of each end of the travel at which the

@@ -3,7 +3,8 @@
     force = gain u + constant + of_length l + of_speed l'        u: the first control, l: length of the transmission
 
 ``<motor>``, ``<position>``, ``<velocity>``, ``<intvelocity>`` and ``<general>`` of fixed gain are this law as they stand.
-``<pid>`` is it by the inputs that it has, further ones being held at zero:
+``<pid>`` is it by the inputs that it has, further ones being held at zero; with a setpoint ``pos`` there may be a force
+ki act beside it, act' = u - l:
 
     pos, pos vel    gain = kp, of_length = -kp, of_speed = -kv        the setpoint u slewed by slewmax
     vel             gain = kv, of_speed = -kv                         of kp = 0
@@ -34,7 +35,7 @@ class DriveLaw:
     """The law of an actuator, as in the module's text.
 
     inputs: names of the controls of a ``<pid>``, the command first, empty of an actuator with one; slew: largest speed of the
-    setpoint [rad/s | m/s].
+    setpoint [rad/s | m/s]; integral: its ki [N m/(rad s) | N/(m s)].
     """
 
     gain: float
@@ -43,6 +44,7 @@ class DriveLaw:
     of_speed: float = 0.0
     inputs: tuple[str, ...] = ()
     slew: float = math.inf
+    integral: float = 0.0
 
 
 def law_of(model: mujoco.MjModel, a: int) -> DriveLaw:
@@ -52,7 +54,8 @@ def law_of(model: mujoco.MjModel, a: int) -> DriveLaw:
         spec = int(model.actuator_ctrlspec[a])
         gain = -of_length if spec & POS else -of_speed if spec & VEL else 1.0
         slew = float(model.actuator_dynprm[a, SLEW])
-        return DriveLaw(gain, constant, of_length, of_speed, inputs_of(model, a), slew if slew > 0 else math.inf)
+        ki = float(model.actuator_gainprm[a, 0]) if spec & POS else 0.0
+        return DriveLaw(gain, constant, of_length, of_speed, inputs_of(model, a), slew if slew > 0 else math.inf, ki)
     gain = float(model.actuator_gainprm[a, 0])
     if int(model.actuator_biastype[a]) == mujoco.mjtBias.mjBIAS_NONE:
         return DriveLaw(gain)
@@ -73,11 +76,20 @@ def range_of(model: mujoco.MjModel, a: int) -> tuple[float, float]:
     return low, high
 
 
-def begin(model: mujoco.MjModel, data: mujoco.MjData, a: int, before: float, first: float, total: float | None = None) -> None:
+def begin(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    a: int,
+    before: float,
+    first: float,
+    total: float | None = None,
+    integral: float | None = None,
+) -> None:
     """Set what actuator ``a`` keeps of its command, which was ``before`` for long: delay, filter, integrator, slewed setpoint.
 
     A slewed setpoint begins at the ``first`` command, unless that acts late. ``total``: state of an integrator, ``before`` where
-    None. Further inputs of the actuator are zero.
+    None. ``integral``: constant force of the actuator and that of its integral action together [N m | N]; the latter is zero
+    where None. Further inputs of the actuator are zero.
     """
     kind, at, kept = (
         mujoco.mjtDyn(int(model.actuator_dyntype[a])),
@@ -91,6 +103,9 @@ def begin(model: mujoco.MjModel, data: mujoco.MjData, a: int, before: float, fir
         data.act[at] = min(max(before, low), high)
     elif kind == mujoco.mjtDyn.mjDYN_PID and math.isfinite(law_of(model, a).slew):
         data.act[at] = min(max(before if kept else first, low), high)
+    law = law_of(model, a)
+    if law.integral and integral is not None:
+        data.act[at + math.isfinite(law.slew)] = (integral - law.constant) / law.integral
     if kept:
         held = np.zeros((kept, int(model.actuator_ctrlnum[a])))
         held[:, 0] = before
@@ -127,8 +142,11 @@ def _pid(model: mujoco.MjModel, a: int) -> tuple[str, str] | None:
             f"is a <pid> with the inputs {named}, of which a log holds one",
             'use input="pos" (or "pos vel", its velocity setpoint held at zero), "vel" or "ff"',
         )
-    if ki != 0.0:
-        return f"is a <pid> with integral action, ki = {ki:g}", 'use ki="0", or record its torque and use <motor>'
+    imax = float(model.actuator_dynprm[a, IMAX])
+    if ki < 0.0:
+        return f"is a <pid> with ki = {ki:g}, which pushes away from the command", "give it ki at or above zero"
+    if ki and imax:
+        return f"is a <pid> that stops its integral at imax = {imax:g}", 'use imax="0", where the integral stays within it'
     if spec & POS and kp == 0.0:
         return "is a <pid> with a position setpoint and kp = 0, which does nothing", 'give it kp, or use input="vel"'
     if not spec & POS and kp != 0.0:

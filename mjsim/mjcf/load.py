@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy as np
 from mjsim.axis import Axis
 from mjsim.chain import Chain
 from mjsim.effects import BacklashLaw, Effect, PlaceError, registered
-from mjsim.effects.native import Value
+from mjsim.effects.native import ServoIntegral, Value
 from mjsim.errors import InputError, nearest
 from mjsim.mjcf import custom
 from mjsim.mjcf.chain import Found, find_chain
@@ -39,6 +39,16 @@ class Model:
     def mjmodel(self) -> mujoco.MjModel:
         """The compiled model."""
         return self.found.layout.model
+
+    def integral_force(self, states: Iterable[tuple[str, float]] = ()) -> float | None:
+        """Force of the actuator at the first sample by integral action, with that of the servo's zero, which a ``<pid>`` lacks.
+
+        [N m | N]; ``states``: as of `Axis.started`. None of a servo without integral action.
+        """
+        axis = self.axis.started(states)
+        servo, values = axis.chain.servo, (v for e in axis.effects for v in e.native(axis.chain).values)
+        found = next((v for v in values if isinstance(v, ServoIntegral)), None)
+        return None if found is None or servo is None else found.start - servo.kp * servo.zero
 
 
 def load_axis(path: str | Path, *, actuator: str | None = None) -> Axis:

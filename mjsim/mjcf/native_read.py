@@ -76,6 +76,8 @@ def _on_drive(found: Found, path: Path) -> Iterator[N.Value]:
     elif dyntype == mujoco.mjtDyn.mjDYN_PID:
         if math.isfinite(drive.law.slew):
             yield N.CommandSlew(drive.law.slew)
+        if drive.law.integral:
+            yield N.ServoIntegral(drive.law.integral, drive.law.constant)
     elif dyntype != mujoco.mjtDyn.mjDYN_NONE and not (drive.servo and drive.servo.target is Target.INTEGRATED):
         raise outside(path, f"actuator {drive.name!r} has dynamics other than a first-order filter", 'use dyntype="filter"')
 

@@ -15,8 +15,7 @@ from mjsim.mjcf.editor import MjcfEditor, element, number, row
 from mjsim.mjcf.joint_limit import on_joint
 from mjsim.mjcf.linear import LinearWriter
 from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
-from mjsim.mjcf.servo import bias_of
-from mjsim.mjcf.servo_write import write_lag, write_slew
+from mjsim.mjcf.servo_write import write_force, write_integral, write_lag, write_slew
 from mjsim.mjcf.slack_write import IMPEDANCE, NOT_ONE_JOINT, limit_slack, loosen_link
 from mjsim.quantity import Motion
 
@@ -68,7 +67,8 @@ class NativeWriter:
         """Write the constant torque of the drive, whose parts add up: what a weight along a slide gives is taken off."""
         editor, drive = self.editor, self.editor.found.layout.drive
         if editor.chain.servo is not None:
-            self._close_servo()
+            extra = self._torque - sum(v.torque for v in self.held if isinstance(v, N.DriveTorque))
+            write_force(editor, self.linear.target.servo, extra / editor.chain.gain)
         if editor.chain.servo is not None or drive.id < 0:
             return
         present = drive.law.constant
@@ -79,14 +79,6 @@ class NativeWriter:
         bias = (self._torque - pull) * per_torque
         if abs(bias - present) > 1e-12 * max(abs(bias), abs(present), abs(pull * per_torque)):
             editor.set("actuator", editor.general(), biastype="affine", biasprm=f"{number(bias)} 0 0")
-
-    def _close_servo(self) -> None:
-        """Write the constant torque beside the servo's law; that of a weight along a slide is gravity's own."""
-        editor, servo = self.editor, self.linear.target.servo
-        extra = self._torque - sum(v.torque for v in self.held if isinstance(v, N.DriveTorque))
-        if servo is not None and extra:
-            bias = bias_of(servo, extra / editor.chain.gain)
-            editor.set("actuator", editor.general(), biastype="affine", biasprm=row(list(bias)))
 
     # ---- bodies -----------------------------------------------------------------------------------------------------------
 
@@ -366,6 +358,9 @@ class NativeWriter:
     def _command_slew(self, value: N.CommandSlew) -> str:
         return write_slew(self.editor, self.linear.target.servo, value.limit)
 
+    def _servo_integral(self, value: N.ServoIntegral) -> str:
+        return write_integral(self.editor, self.linear.target.servo, value.gain)
+
     def _drive_delay(self, value: N.DriveDelay) -> str:
         """In whole steps."""
         if value.delay > 0:
@@ -396,4 +391,5 @@ _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
     N.JointRange: NativeWriter._joint_range, N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
     N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag, N.DriveDelay: NativeWriter._drive_delay,
     N.CommandSlew: NativeWriter._command_slew, N.SensorDelay: NativeWriter._sensor_delay,
+    N.ServoIntegral: NativeWriter._servo_integral,
 }  # fmt: skip

@@ -42,9 +42,8 @@ def read_servo(model: mujoco.MjModel, a: int, source: object, name: str) -> Serv
     target = Target.VELOCITY if of_length == 0.0 else Target.INTEGRATED if integrated else Target.POSITION
     own = -of_speed if target is Target.VELOCITY else -of_length
     low, high = range_of(model, a)
-    return Servo(
-        -of_length, -of_speed, target, _limit(model, a, where), -constant / own + 0.0, gain / own, low, high
-    )  # fmt: skip
+    zero = 0.0 if law.integral else -constant / own + 0.0  # beside integral action a constant force is a part of its start
+    return Servo(-of_length, -of_speed, target, _limit(model, a, where), zero, gain / own, low, high)
 
 
 def _limit(model: mujoco.MjModel, a: int, where: str) -> float:

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import tempfile
 import textwrap
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, registered
+from mjsim.effects.native import ServoIntegral
 from mjsim.errors import InputError
 from mjsim.mjcf import custom
 from mjsim.mjcf.compile import save_compiled
@@ -68,13 +69,21 @@ def write_corrected(
             ),
             tuple(editor.added), tuple(editor.undo),
             beside.read_text(encoding="utf-8") if beside.is_file() else binding,
-            lacks,
+            lacks, _zero_of(axis, lacks),
         )  # fmt: skip
         lines = _head(editor, axis, [line for _, line in lacks], comment)
         editor.xml.append(editor.xml.root, ["<custom>", *(f"  {x}" for x in lines), *(f"  {x}" for x in custom.element(carried)),
                                             "</custom>"])  # fmt: skip
         save_compiled(editor.xml.raw, out)
     return Written(out, tuple(line for _, line in lacks))
+
+
+def _zero_of(axis: Axis, lacks: Sequence[tuple[str, str]]) -> tuple[tuple[str, float], ...]:
+    """The zero of a servo with integral action, which a ``<pid>`` lacks; nothing where it is 0 or no ki is written."""
+    without = {key for key, _ in lacks}
+    written = any(isinstance(v, ServoIntegral) for e in axis.effects if e.key not in without for v in e.native(axis.chain).values)
+    servo = axis.chain.servo
+    return (("zero", servo.zero),) if written and servo is not None and servo.zero else ()
 
 
 def check_writable(model_path: str | Path, axis: Axis | None = None) -> None:

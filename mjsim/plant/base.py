@@ -79,7 +79,8 @@ class Start:
     """State at the first sample: angle [rad | m] and velocity [rad/s | m/s] of the driven body.
 
     input: input that acts ahead of the first sample, which a delay or lag still delivers. deflections, rates: of the couplings
-    behind the driven body, in their order, d_j = r_j q_j - q_{j+1}; zero of those that are not given.
+    behind the driven body, in their order, d_j = r_j q_j - q_{j+1}; zero of those that are not given. states: numbers of effects
+    that each run has of its own (`Effect.start_parameter`), by ``id@place.name``; those of the model where they are not given.
     """
 
     angle: float = 0.0
@@ -87,6 +88,7 @@ class Start:
     input: float = 0.0
     deflections: tuple[float, ...] = ()
     rates: tuple[float, ...] = ()
+    states: tuple[tuple[str, float], ...] = ()
 
     def of_bodies(self, ratios: Sequence[float]) -> np.ndarray:
         """Angles and velocities (2, n) of the bodies of a chain, by the ratios (n - 1) of its couplings."""

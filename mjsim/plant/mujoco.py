@@ -24,7 +24,7 @@ from mujoco import rollout
 from mjsim.errors import InputError
 from mjsim.mjcf import Model, load_model, write_corrected
 from mjsim.mjcf.compile import caught_warnings, compile_file
-from mjsim.mjcf.drive_laws import begin
+from mjsim.mjcf.drive_laws import begin, law_of
 from mjsim.ode import DivergedError
 from mjsim.plant.base import Hold, Linear, Parameter, Signal, Start, as_input, mean_input, signals_of
 from mjsim.plant.channels import Channels, find_channels
@@ -217,7 +217,8 @@ class MujocoPlant:
             to[:] += self._behind[:, :k] @ np.array(values[:k])
         a = c.actuator
         if a >= 0:
-            begin(m, data, a, start.input, start.input if first is None else first)
+            integral = self.source.integral_force(start.states) if law_of(m, a).integral and self.source else None
+            begin(m, data, a, start.input, start.input if first is None else first, integral=integral)
         for sensor, value in ((c.velocity_id, start.velocity), (c.angle_id, start.angle)):
             if sensor is not None and m.sensor_history[sensor, 0] > 0:
                 held = np.full((int(m.sensor_history[sensor, 0]), 1), value)
