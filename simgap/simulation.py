@@ -72,8 +72,8 @@ def _with_known(axis: Axis, record: Recording) -> Axis:
     return axis if record.known_torque is None else axis + KnownTorque.of(record.known_torque, record.dt)
 
 
-def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = False) -> Trajectory:
-    """One run under the model's own servo on the recorded command, from the angle that was measured first.
+def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = False, start: Start | None = None) -> Trajectory:
+    """One run under the model's own servo on the recorded command, from a start, else at rest at the angle measured first.
 
     ``rest``: from rest at angle 0, of a command that no motion was recorded with.
     """
@@ -92,26 +92,35 @@ def run_servo(source: Model, record: Recording, engine: str, *, rest: bool = Fal
     if engine == "literal":
         from mjsim.servo_run import literal_servo_run
 
-        return literal_servo_run(source, driven)
-    return free_run(axis, prepare(driven, minimum=2))
+        return literal_servo_run(source, driven, start)
+    experiment = prepare(driven, minimum=2)
+    if start is None:
+        return free_run(axis, experiment)
+    chain = axis.chain
+    initial = start.of_bodies([c.ratio for c in chain.couplings])
+    initial[0] -= [experiment.angle * chain.total_ratio(i) for i in range(len(chain.bodies))]
+    return free_run(axis.started(start.states), experiment, initial)
 
 
 def fitted_start(source: Model, record: Recording) -> Start | None:
-    """The start that suits a recording which starts in motion best: angle by its noise, speed, and deflections of the chain.
+    """The start that suits a recording best: angle by its noise, speed, deflections of the chain, states of effects.
 
-    By the signal that is compared: the velocity, or the angle where it was not recorded. None for a recording that starts at
-    rest, is too short, or does not move.
+    By the signal that is compared: the velocity, or the angle where it was not recorded, and that of a servo. None for a
+    recording that is too short or does not move, and for one from rest where no effect of the model has a state at the start.
     """
+    from diagnose.data.servo import as_servo
     from diagnose.verdict.reference import cases_of
     from diagnose.verdict.reference_start import suited
 
     if record.velocity is None and record.angle is None:
         return None
     try:
+        if source.axis.chain.servo is not None:
+            _, (record,), _, _ = as_servo(source.axis, [record], [])
         (case,) = cases_of([record], [])
     except InputError:
         return None
-    if not case.moving or case.servo:
+    if not case.moving and not source.axis.start_states:
         return None
     noise = case.spread()[0]
 
@@ -119,7 +128,10 @@ def fitted_start(source: Model, record: Recording) -> Start | None:
         return np.asarray((record.column("angle") - run.angle) / noise)
 
     start, shift = suited(
-        _with_known(source.axis, record), case, errors=of_angle if record.velocity is None and noise > 0 else None, locked=True
+        _with_known(source.axis, record),
+        case,
+        errors=of_angle if record.velocity is None and noise > 0 and not case.servo else None,
+        locked=True,
     )
     return None if shift is None else start
 

@@ -127,6 +127,7 @@ def test_a_circle_is_found():
 NAMES_AN_EFFECT = {
     "diagnose/check/faults/joint_stop.py": "a fault of the log that has the name of the physics behind it",
     "lab/real_use/design.py": "makes logs of models that lack known effects",
+    "lab/real_use/pid.py": "makes logs of models that lack integral action and what it may be taken for",
     "diagnose/robot/laws.py": "the laws of a force regression, under the identifiers of the contract",
     "diagnose/robot/servos/library.py": "the laws of a servo joint, under the identifiers of the contract",
     "mjsim/robot/carried.py": "the slots of the effects that a robot's file carries",

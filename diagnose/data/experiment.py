@@ -326,9 +326,13 @@ def _starts_in_motion(recording: Recording, v: np.ndarray, noise: float, spread:
 
     By a parabola through the first samples, the most that it fits to their noise, the speed there exceeds its noise and is not
     negligible; or the axis gains speed against the torque, as an elastic deflection or gravity makes it. Without a drive a motion
-    does not start from rest, except by chance.
+    does not start from rest, except by chance; nor does that of a servo whose command moves from the first row on, whose angle
+    alone tells slow speeds too coarsely.
     """
     if not recording.driven:
+        return True
+    command = recording.command
+    if command is not None and recording.velocity is None and len(command) > 1 and command[1] != command[0]:
         return True
     count = min(10, len(v) // 4)  # short: an excitation of 40 Hz turns within 20 samples at 2 kHz
     while True:

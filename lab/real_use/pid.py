@@ -88,7 +88,11 @@ def draw(count: int, seed: int) -> list[PidCase]:
     )  # fmt: skip
     order = [levels[i] for i in rng.permutation(len(levels))]
     kinds = itertools.cycle(BLOCK)
-    return [PidCase(i, *order[i % len(order)], next(kinds), int(rng.integers(2**31))) for i in range(count)]  # type: ignore[arg-type]
+    out = []
+    for i in range(count):
+        machine, rate, command, sensor, begin, dry = order[i % len(order)]
+        out.append(PidCase(i, machine, rate, command, sensor, begin, dry, next(kinds), int(rng.integers(2**31))))
+    return out
 
 
 def true_numbers(case: PidCase, given: Numbers) -> Numbers:
@@ -99,7 +103,7 @@ def true_numbers(case: PidCase, given: Numbers) -> Numbers:
         case "integral":
             return dataclasses.replace(given, ki=given.kp * math.exp(rng.uniform(math.log(1 / 3), math.log(5.0))))
         case "gains":
-            kp, kv = (1.3 ** rng.choice([-1.0, 1.0]) for _ in range(2))
+            kp, kv = (1.3 ** float(rng.choice([-1.0, 1.0])) for _ in range(2))
             return dataclasses.replace(given, kp=given.kp * kp, kv=given.kv * kv)
         case "friction":
             return dataclasses.replace(given, friction=0.3 * rng.uniform(0.7, 1.4) * torque)

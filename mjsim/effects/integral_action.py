@@ -1,9 +1,9 @@
-"""Integral action of a position servo: beside kp and kv it has a force in proportion to the integral of its error (PID, P-PI).
+"""Integral action of a position servo: beside kp and kv it has a force in proportion to the integral of its error (PID).
 
 force = kp e - kv l' + T0 + ki (integral of e dt since the first sample),    e: the error of the servo (`mjsim.servo`)
 
 T0 is the force that the integral has at the first sample. A cascade of a position loop K and a velocity loop with gain D and
-integral gain I is the same law, with kp = D K + I, kv = D and ki = I K.
+integral gain I has kp = D K + I, kv = D and ki = I K, but its command acts through D K alone: the law is its own for I << D K.
 """
 
 from __future__ import annotations

@@ -143,8 +143,6 @@ def _pid(model: mujoco.MjModel, a: int) -> tuple[str, str] | None:
             'use input="pos" (or "pos vel", its velocity setpoint held at zero), "vel" or "ff"',
         )
     imax = float(model.actuator_dynprm[a, IMAX])
-    if ki < 0.0:
-        return f"is a <pid> with ki = {ki:g}, which pushes away from the command", "give it ki at or above zero"
     if ki and imax:
         return f"is a <pid> that stops its integral at imax = {imax:g}", 'use imax="0", where the integral stays within it'
     if spec & POS and kp == 0.0:

@@ -32,7 +32,7 @@ def write_servo(editor: MjcfEditor, new: Servo | None) -> None:
 
 
 def write_force(editor: MjcfEditor, servo: Servo | None, force: float) -> None:
-    """Write a constant force of the actuator beside the servo's law [N m | N]; beside integral action it is a part of its start."""
+    """Write a constant force of the actuator beside a servo's law [N m | N]; of integral action it is a part of its start."""
     if servo is None or not force:
         return
     name = editor.general()

@@ -63,6 +63,11 @@ def _servos(robot: Robot) -> list[tuple[int, Servo] | None]:
             refused = refused_law(model, a)
             if refused is not None:
                 raise InputError(f"{robot.source}: actuator {name!r}", refused[0], PREFERRED, refused[1])
+            ki = law_of(model, a).integral
+            if ki:
+                raise InputError(
+                    f"{robot.source}: actuator {name!r}", f"a <pid> with integral action, ki = {ki:g}", 'ki="0"', "leave ki out"
+                )
             servo = read_servo(model, a, robot.source, name)
             found[j] = None if servo is None else (a, servo)
     return found

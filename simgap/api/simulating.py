@@ -76,11 +76,12 @@ def simulate(
     servo = given.axis.chain.servo is not None
     record = _input(source, dt, subject, servo=servo, joint=joint)
     try:
+        if start == "auto" and record.source != INPUT:
+            start = fitted_start(given, record) or start
         if servo:
-            run = run_servo(given, record, engine, rest=record.source == INPUT)
+            begin = None if isinstance(start, str) else start
+            run = run_servo(given, record, engine, rest=record.source == INPUT, start=begin)
         else:
-            if start == "auto":
-                start = fitted_start(given, record) or start
             initial = at_first_sample(given, record, start) if record.velocity is not None or record.angle is not None else None
             run = run_torque(given, record.torque, record, engine, initial)
     except DivergedError as error:

@@ -239,8 +239,8 @@ def _demonstrated(path: Path, low: float, high: float) -> tuple[str, Trajectory]
 def _amplitude(axis: Axis, w: float) -> float:
     """Input that swings a model by about 0.3 rad or 0.2 m at w [rad/s], friction overcome twice over [N m | N]."""
     from mjsim.effects import ports
+    from mjsim.law_probes import constant
     from mjsim.quantity import Motion
-    from mjsim.system import constant
 
     chain = axis.chain
     inertia = sum(b.inertia * chain.total_ratio(i) ** 2 for i, b in enumerate(chain.bodies))

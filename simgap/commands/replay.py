@@ -93,7 +93,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     noted = len(record.notes)
     record = as_moved(record)
     servo = source.axis.chain.servo is not None
-    fitted = fitted_start(source, record) if start == "auto" and not servo else None
+    fitted = fitted_start(source, record) if start == "auto" else None
     run = simulate(subject, record, engine=engine, start=start if fitted is None else fitted)
     channel = "velocity" if record.velocity is not None and (not servo or record.angle is None) else "angle"
     measured, predicted = record.column(channel), getattr(run, channel)
@@ -166,7 +166,9 @@ def _told(start: Start | None, source: Model) -> list[str]:
         return told
     parts = [f"angle {start.angle:.4g} {angle}", f"velocity {start.velocity:.4g} {speed}"]
     parts += [f"deflection {d:.3g}" for d in start.deflections] + [f"its rate {v:.3g}" for v in start.rates]
-    return [f"starts in motion, in the state fitted to the recording: {', '.join(parts)}", *told]
+    parts += [f"{name} {value:.4g}" for name, value in start.states]
+    moving = " in motion," if start.velocity else ""
+    return [f"starts{moving} in the state fitted to the recording: {', '.join(parts)}", *told]
 
 
 def _robot(model: Path, recording: Path, out: Path, *, as_json: bool) -> None:

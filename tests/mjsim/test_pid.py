@@ -114,7 +114,7 @@ def test_a_setpoint_begins_at_the_first_command_and_a_delay_at_that_before(tmp_p
 @pytest.mark.parametrize(
     ("actuator", "said"),
     [
-        (pid('ki="3"'), "integral action, ki = 3"),
+        (pid('ki="3" imax=".2"'), "stops its integral at imax = 0.2"),
         (pid('input="pos ff"'), "inputs pos ff, of which a log holds one.*use input="),
         (pid('input="pos vel ff"'), "inputs pos vel ff"),
         (pid('input="vel"'), 'input="vel" whose kp = 8 holds the joint at 0.*write kp="0"'),
