@@ -202,16 +202,19 @@ def _servos_by_mujoco(
 ) -> RobotDiagnosis:  # fmt: skip
     """Write the corrected file with numbers that suit MuJoCo's timestep, and judge it; recordings: fitted, held out."""
     from simgap.robot_polish import polish_servos
-    from simgap.robot_servos import judge_servos
+    from simgap.robot_servos import given_runs, judge_servos, with_file_at_noise
     from simgap.robot_written import write_corrected_servos
 
     say("all joints together in MuJoCo")
+    every = (*recordings[0], *recordings[1])
+    given = given_runs(robot, every)
+    found = with_file_at_noise(found, robot, given, every)
     polish = polish_servos(model, robot, found, recordings[0])
     write_corrected_servos(model, robot, found, corrected, polish.slots)
     with tempfile.TemporaryDirectory() as work:
         by_motion = Path(work) / "by_motion.xml"
         write_corrected_servos(model, robot, found, by_motion)
-        result = judge_servos(found, robot, corrected, *recordings, by_motion)
+        result = judge_servos(found, robot, corrected, *recordings, by_motion, given)
     return dataclasses.replace(result, notes=(*result.notes, *polish.notes))
 
 

@@ -20,7 +20,7 @@ from mjsim.robot.closed_loop import closed_loop
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import load_robot
 from mjsim.robot.recording import load_robot_recording
-from simgap.robot_servos import judge_servos
+from simgap.robot_servos import given_runs, judge_servos, with_file_at_noise
 from simgap.robot_written import write_corrected_servos
 
 NOMINAL = ServoRobot(three_axes(), (ServoJoint(60.0, 6.0), ServoJoint(90.0, 8.0), ServoJoint(50.0, 4.0)))
@@ -113,3 +113,19 @@ def test_a_run_that_diverges_has_an_error_whose_square_is_a_number(rubbing):
     e = p.error(slots)
     assert np.max(np.abs(e)) <= DIVERGED * np.ptp(p.angle)
     assert math.isfinite(float(e @ e) ** 2)
+
+
+def test_numbers_stay_where_the_file_as_given_leaves_noise(rubbing):
+    outcome, robot, logs, _ = rubbing
+    numbers = {n: dataclasses.replace(r, verdict=Verdict.PARAMETERS_ONLY) for n, r in outcome.diagnosis.joints.items()}
+    lines = ("kp of joint1: 60 -> 61 N m/rad [60.5, 61.5]", "kp of joint2: 90 -> 99 N m/rad [98, 100]")
+    d = dataclasses.replace(outcome.diagnosis, joints=numbers, changed=lines)
+    runs, rng, quiet = given_runs(robot, logs), np.random.default_rng(0), []
+    for r, run in zip(logs, runs, strict=True):  # joints 1 and 3 as the file has them
+        angle = run.z + 1e-4 * rng.standard_normal(run.z.shape)
+        angle[:, 1] = r.angle[:, 1]
+        quiet.append(dataclasses.replace(r, angle=angle))
+    kept = with_file_at_noise(dataclasses.replace(outcome, diagnosis=d), robot, runs, quiet).diagnosis
+    assert kept.joints["joint1"].verdict is Verdict.NO_MISMATCH
+    assert kept.joints["joint2"].verdict is Verdict.PARAMETERS_ONLY  # the dry friction that the file lacks
+    assert kept.changed == lines[1:]

@@ -18,7 +18,7 @@ from diagnose.robot.servos.fit import Fit, Number, block_weights, fit, independe
 from diagnose.robot.servos.motion import JointProblem, Motion, joint_problem, moving, prepare
 from diagnose.robot.servos.starts import THIN, own_numbers, start_fit
 from diagnose.robot.servos.state import QUICK
-from diagnose.thresholds import FAIR
+from diagnose.thresholds import MATERIAL
 from mjsim.hold import HOLDS
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
@@ -41,7 +41,8 @@ def with_hold(recordings: Sequence[RobotRecording], hold: str) -> list[RobotReco
 
 
 def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
-    """The hold that takes a quarter off the squared error of held commands, in the mean over the joints; "held" where none does.
+    """The hold that lowers the squared error of held commands in the mean over the joints and raises it at none, by a material
+    part each; "held" where none does.
 
     The numbers of the file are refitted under each hold, dry friction beside them. Raises InputError.
     """
@@ -51,8 +52,8 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
     if not fits:
         return "held"
 
-    def left(change: Change) -> tuple[float, float]:
-        """Mean over the joints of log(error held / error changed), and the gain over all independent samples."""
+    def left(change: Change) -> tuple[float, float, float]:
+        """Mean and least over the joints of log(error held / error changed), and the gain over all independent samples."""
         moved = [dataclasses.replace(m, recording=change(m.recording)) for m in motions]
         logs, gain = [], 0.0
         for joint in fits:
@@ -61,12 +62,12 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
             ratio, count = joint.compared(problem)
             logs.append(ratio)
             gain += count * ratio
-        return float(np.mean(logs)), gain
+        return float(np.mean(logs)), min(logs), gain
 
     found = {hold: left(partial(dataclasses.replace, hold=hold)) for hold in HOLDS if hold != "held"}
     best = max(found, key=lambda hold: found[hold][0])
-    ratio, gain = found[best]
-    if ratio < -math.log1p(-FAIR) or gain < ModelError.prices.entry:
+    ratio, least, gain = found[best]
+    if ratio < MATERIAL or least < -MATERIAL or gain < ModelError.prices.entry:
         return "held"
     return "held" if best == "mean" and left(_earlier)[0] > ratio else best
 

@@ -18,7 +18,7 @@ from diagnose.robot.servos.fit import Fit
 from diagnose.robot.servos.remains import black_box, tells
 from diagnose.robot.servos.state import JointSearch
 
-__all__ = ["is_explained", "judged", "lowered", "predictable"]
+__all__ = ["is_explained", "judged", "leaves_noise", "lowered", "predictable"]
 
 LEVEL = 0.05  # of the one-sided test that a black-box model predicts the error
 
@@ -35,11 +35,18 @@ def is_explained(s: JointSearch, error: np.ndarray, remains: tuple[float, float]
     """Whether a closed-loop error (N,) is at the noise of the position, or at the error of a black-box model of the same data."""
     if not np.isfinite(error).all():
         return False
-    p = s.problem
-    rms = [float(np.sqrt(np.mean(error[mask] ** 2))) if mask.any() else 0.0 for mask in (p.fitted, p.held)]
-    if max(rms) < AT_NOISE * p.noise or remains[0] <= s.options.remains:
+    if leaves_noise(s, error) or remains[0] <= s.options.remains:
         return True
-    return remains[1] >= LEVEL and tells(p, error, s.now.fit.weights)
+    return remains[1] >= LEVEL and tells(s.problem, error, s.now.fit.weights)
+
+
+def leaves_noise(s: JointSearch, error: np.ndarray) -> bool:
+    """Whether a closed-loop error (N,) is at the noise of the position, on fitted and held-out samples."""
+    p = s.problem
+    return bool(
+        np.isfinite(error).all()
+        and all(float(np.sqrt(np.mean(error[mask] ** 2))) < AT_NOISE * p.noise for mask in (p.fitted, p.held) if mask.any())
+    )
 
 
 def lowered(nominal: FitFigures, corrected: FitFigures) -> bool:
