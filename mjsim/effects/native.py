@@ -28,6 +28,7 @@ __all__ = [
     "SensorDelay",
     "ServoIntegral",
     "Slack",
+    "SpeedLine",
     "SplitBody",
     "SquareDrag",
     "Value",
@@ -178,6 +179,14 @@ class CommandSlew:
 
 
 @dataclass(frozen=True)
+class SpeedLine:
+    """Limit of the force of a servo by its speed: at rest ``stall`` [N m | N], none at ``no_load`` [rad/s | m/s]."""
+
+    stall: float
+    no_load: float
+
+
+@dataclass(frozen=True)
 class DriveLag:
     """First-order lag of the input [s]."""
 
@@ -219,6 +228,7 @@ Value = (
     | Weight
     | Cogging
     | CommandSlew
+    | SpeedLine
     | GroundSpring
     | JointRange
     | DriveTorque

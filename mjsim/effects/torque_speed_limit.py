@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from mjsim.effects.base import Effect, Scales, need_servo, parameter
+from mjsim.effects.native import Native, SpeedLine, Value
 from mjsim.effects.ports import Port, TorqueSpeedLine
 from mjsim.effects.registry import register
 from mjsim.quantity import Quantity
@@ -42,6 +43,16 @@ class TorqueSpeedLimit(Effect):
         """Where the law acts."""
         need_servo(chain)
         return (TorqueSpeedLine(self.stall_torque_Nm, self.no_load_speed_rad_s),)
+
+    def native(self, chain: Chain) -> Native:
+        """Values of MJCF's own elements that stand for it."""
+        need_servo(chain)
+        return Native((SpeedLine(self.stall_torque_Nm, self.no_load_speed_rad_s),))
+
+    @classmethod
+    def read(cls, value: Value, chain: Chain) -> Self | None:
+        """The effect that a native value of a file stands for, or None."""
+        return cls(stall_torque_Nm=value.stall, no_load_speed_rad_s=value.no_load) if isinstance(value, SpeedLine) else None
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

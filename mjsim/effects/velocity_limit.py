@@ -45,6 +45,7 @@ class VelocityLimit(Effect):
 
     def native(self, chain: Chain) -> Native:
         """Values of MJCF's own elements that stand for it."""
+        need_servo(chain, position=True)
         return Native((Slew(self.limit_rad_s),))
 
     @classmethod

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjsim.chain import Body, Chain, Coupling
+from mjsim.mjcf.drive_laws import Form
 from mjsim.mjcf.layout import Layout, Mass, Passive, motion_of, outside, parallel
 
 __all__ = ["Found", "Part", "find_chain"]
@@ -112,8 +113,10 @@ def find_chain(layout: Layout, source: object, sensors: tuple[str, str]) -> Foun
     )
     gaps = _gaps(layout, rows, couplings, on_coupling, source)
     gain = _clean(layout.drive.gain * _ratio(layout.drive.row @ base, rows[0] @ base))
+    law = layout.drive.law
+    held = ("zero",) if layout.drive.servo is not None and law.form is Form.DCMOTOR else ()  # which a <dcmotor> has none of
     chain = Chain(bodies, couplings, motion_of(layout.model, joints[0]), gain, layout.drive.name, *sensors, layout.drive.servo,
-                  driven=layout.drive.id >= 0, idle=layout.drive.law.inputs[1:])  # fmt: skip
+                  driven=layout.drive.id >= 0, idle=law.inputs[1:], held=held)  # fmt: skip
     return Found(layout, chain, rows, masses, tuple(map(tuple, on_body)), tuple(map(tuple, on_coupling)), gaps)
 
 

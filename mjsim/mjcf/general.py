@@ -10,18 +10,20 @@ from collections.abc import Mapping
 
 import mujoco
 
-from mjsim.mjcf.drive_laws import inputs_of, law_of, range_of
+from mjsim.mjcf.drive_laws import IMAX, Form, law_of, range_of
 
 __all__ = ["SHORT", "spelled_out"]
 
-SHORT = ("kp", "kv", "dampratio", "timeconst", "inheritrange", "area", "diameter", "bias", "ki", "imax", "slewmax", "posrange")
-"""Attributes of <position>, <velocity>, <intvelocity>, <damper>, <cylinder> and <pid> that <general> does not have."""
+SHORT = (
+    "kp", "kv", "dampratio", "timeconst", "inheritrange", "area", "diameter", "bias", "ki", "imax", "slewmax", "posrange",
+    "resistance", "motorconst", "nominal", "inductance", "thermal", "saturation", "cogging", "lugre", "controller",
+)  # fmt: skip
+"""Attributes of the short forms of an actuator that <general> does not have."""
 DYNAMICS = {
     mujoco.mjtDyn.mjDYN_NONE: "none",
     mujoco.mjtDyn.mjDYN_INTEGRATOR: "integrator",
     mujoco.mjtDyn.mjDYN_FILTER: "filter",
     mujoco.mjtDyn.mjDYN_FILTEREXACT: "filterexact",
-    mujoco.mjtDyn.mjDYN_PID: "pid",
 }
 
 
@@ -31,21 +33,23 @@ def spelled_out(model: mujoco.MjModel, a: int, given: Mapping[str, str]) -> dict
     span = range_of(model, a)
     if ("inheritrange" in given or "posrange" in given) and math.isfinite(span[0]):
         out["ctrlrange"] = _row(span)
-    inputs = inputs_of(model, a)
-    pid = int(model.actuator_gaintype[a]) == mujoco.mjtGain.mjGAIN_PID and inputs != ("ff",)
-    if pid:
-        out["input"] = " ".join(inputs)
-    elif inputs == ("ff",):  # a torque, as of <motor>
-        out |= {"input": None, "ffrange": None, "ctrlrange": _row(span) if math.isfinite(span[0]) else None}
-    out |= {
-        "dyntype": DYNAMICS[mujoco.mjtDyn(int(model.actuator_dyntype[a]))],
-        "dynprm": _row(model.actuator_dynprm[a, : 2 if pid else 1]),
-        "gaintype": "pid" if pid else "fixed",
-        "gainprm": _row(model.actuator_gainprm[a, :1] if pid else (law_of(model, a).gain,)),
-        "biastype": "affine",
-        "biasprm": _row(model.actuator_biasprm[a, :3]),
-    }
-    return out
+    law = law_of(model, a)
+    states = math.isfinite(law.slew) or law.integral != 0.0
+    if states or len(law.inputs) > 1 or (law.form is Form.PID and law.inputs != ("ff",)):
+        imax = float(model.actuator_dynprm[a, IMAX]) if law.form is Form.PID else 0.0
+        numbers = _row((imax, law.slew if math.isfinite(law.slew) else 0.0))
+        out |= {"input": " ".join(law.inputs), "dyntype": "pid" if states else "none", "dynprm": numbers}
+        out |= {"gaintype": "pid", "gainprm": _row((law.integral,))}
+    else:
+        kind = mujoco.mjtDyn(int(model.actuator_dyntype[a]))
+        dynamics, numbers = DYNAMICS.get(kind, "none"), _row(model.actuator_dynprm[a, :1])
+        out |= {"dyntype": dynamics, "dynprm": numbers, "gaintype": "fixed", "gainprm": _row((law.gain,))}
+    if out["gaintype"] == "fixed" and law.form is not Form.GENERAL:  # of one input, whose range is that of any actuator
+        out |= {key: None for key in ("input", "velrange", "ffrange") if key in given}
+        out["ctrlrange"] = _row(span) if math.isfinite(span[0]) else None
+    if "saturation" in given and model.actuator_forcelimited[a]:
+        out |= {"forcelimited": "true", "forcerange": _row(model.actuator_forcerange[a])}
+    return out | {"biastype": "affine", "biasprm": _row((law.constant, law.of_length, law.of_speed))}
 
 
 def _row(values: object) -> str:

@@ -279,21 +279,11 @@ def _rank_one(jacobian: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
 
 
 def _armatures(model: mujoco.MjModel, tendons: list[np.ndarray | None]) -> list[Mass]:
-    out = []
-    for j in range(model.njnt):
-        armature = float(model.dof_armature[model.jnt_dofadr[j]])
-        # the compiler adds the armature of an actuator to its joint
-        added = sum(
-            float(model.actuator_armature[a]) * float(row[model.jnt_dofadr[j]]) ** 2
-            for a in range(model.nactuator)
-            if model.actuator_armature[a]
-            and int(model.actuator_trntype[a]) == mujoco.mjtTrn.mjTRN_JOINT
-            and model.actuator_trnid[a, 0] == j
-            and (row := _actuator_row(model, a, tendons)) is not None
-        )
-        if armature:
-            kind = "joint" if armature - added > _TOL * armature else "actuator"
-            out.append(Mass(kind, j, model.joint(j).name, _unit(model, j), armature))
+    of_joints = ((j, float(model.dof_armature[model.jnt_dofadr[j]])) for j in range(model.njnt))
+    out = [Mass("joint", j, model.joint(j).name, _unit(model, j), armature) for j, armature in of_joints if armature]
+    own = model.actuator_armature
+    rows = ((a, _actuator_row(model, a, tendons)) for a in map(int, np.flatnonzero(own)))
+    out += [Mass("actuator", a, model.actuator(a).name, r, float(own[a])) for a, r in rows if r is not None]
     for t, row in enumerate(tendons):
         if row is not None and model.tendon_armature[t]:
             out.append(Mass("tendon", t, model.tendon(t).name, row, float(model.tendon_armature[t])))

@@ -84,11 +84,8 @@ class LinearWriter:
                 self._change(mass).inertia *= factor
                 self._write_mass(mass)
             else:
-                kind, name = mass.kind, mass.name
-                if kind == "actuator":
-                    name = self.editor.found.layout.drive.name
-                now = self.editor.node(kind, name).attributes.get("armature")
-                self.editor.set(kind, name, armature=number(rounded((float(now) if now else mass.value) * factor)))
+                now = self.editor.node(mass.kind, mass.name).attributes.get("armature")
+                self.editor.set(mass.kind, mass.name, armature=number(rounded((float(now) if now else mass.value) * factor)))
 
     def share(self, body: int, joint: str, link: float) -> None:
         """Set the inertia of a body's masses about its axis to ``link``, and the armature of its joint to the rest of it."""
@@ -99,8 +96,7 @@ class LinearWriter:
                 self._change(mass).inertia = link / present
                 self._write_mass(mass)
             elif (mass.kind, mass.name) != ("joint", joint):
-                name = self.editor.found.layout.drive.name if mass.kind == "actuator" else mass.name
-                self.editor.set(mass.kind, name, armature="0")
+                self.editor.set(mass.kind, mass.name, armature="0")
         self.editor.set("joint", joint, armature=number(rounded(self.target.bodies[body].inertia - link)))
 
     def weigh(self, body: int, factor: float, turn: float) -> None:

@@ -15,12 +15,12 @@ import numpy as np
 from mjsim.effects import native as N  # noqa: N812
 from mjsim.errors import InputError
 from mjsim.mjcf.chain import Found
-from mjsim.mjcf.drive_laws import range_of
+from mjsim.mjcf.drive_laws import Form, range_of
 from mjsim.mjcf.layout import outside
 from mjsim.quantity import Motion
-from mjsim.servo import Target
+from mjsim.servo import Servo, Target
 
-__all__ = ["PassiveMotor", "passive_motors", "read_native", "weight_under"]
+__all__ = ["Motor", "drive_motor", "passive_motors", "read_native", "weight_under"]
 
 _TOL = 1e-9
 
@@ -73,13 +73,25 @@ def _on_drive(found: Found, path: Path) -> Iterator[N.Value]:
     dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[a]))
     if dyntype in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
         yield N.DriveLag(float(model.actuator_dynprm[a, 0]))
-    elif dyntype == mujoco.mjtDyn.mjDYN_PID:
-        if math.isfinite(drive.law.slew):
-            yield N.CommandSlew(drive.law.slew)
-        if drive.law.integral:
-            yield N.ServoIntegral(drive.law.integral, drive.law.constant)
-    elif dyntype != mujoco.mjtDyn.mjDYN_NONE and not (drive.servo and drive.servo.target is Target.INTEGRATED):
+    elif dyntype != mujoco.mjtDyn.mjDYN_NONE and drive.law.form is Form.GENERAL and not _integrates(drive.servo):
         raise outside(path, f"actuator {drive.name!r} has dynamics other than a first-order filter", 'use dyntype="filter"')
+    if math.isfinite(drive.law.slew):
+        yield N.CommandSlew(drive.law.slew)
+    if drive.law.integral:
+        yield N.ServoIntegral(drive.law.integral, drive.law.constant)
+    if math.isfinite(drive.law.stall):
+        yield N.SpeedLine(drive.law.stall, drive.law.no_load)
+    motor = drive_motor(found)
+    if motor is not None and not motor.whole:
+        raise outside(
+            path, f"actuator {drive.name!r} has cogging or a bristle that is not of its own joint in whole periods per turn",
+            "leave cogging and lugre out",
+        )  # fmt: skip
+    yield from () if motor is None else motor.values
+
+
+def _integrates(servo: Servo | None) -> bool:
+    return servo is not None and servo.target is Target.INTEGRATED
 
 
 def _limit(found: Found, path: Path) -> float | None:
@@ -109,18 +121,28 @@ def _on_sensors(found: Found, path: Path) -> Iterator[N.Value]:
 
 
 @dataclass(frozen=True)
-class PassiveMotor:
-    """An actuator without input: its name, the values that it stands for and its travel over that of their place."""
+class Motor:
+    """A <dcmotor> with cogging or a bristle: its name, the values that it stands for and its travel over that of their place.
+
+    ``whole``: whether values stand for all of it.
+    """
 
     name: str
     values: tuple[N.Value, ...]
     scale: float
+    whole: bool
 
 
-def passive_motors(found: Found) -> list[PassiveMotor]:
+def passive_motors(found: Found) -> list[Motor]:
     """Actuators without input. A <dcmotor> with cogging or a bristle and no electric part has values; others have none."""
     model = found.layout.model
     return [_motor(found, a) for a in range(model.nactuator) if model.actuator_ctrlnum[a] == 0]
+
+
+def drive_motor(found: Found) -> Motor | None:
+    """The cogging and bristle of the drive, None where it is no <dcmotor>."""
+    drive = found.layout.drive
+    return _parts(found, drive.id) if drive.law.form is Form.DCMOTOR else None
 
 
 def _on_passive_motors(found: Found, path: Path) -> Iterator[N.Value]:
@@ -130,26 +152,36 @@ def _on_passive_motors(found: Found, path: Path) -> Iterator[N.Value]:
         yield from motor.values
 
 
-def _motor(found: Found, a: int) -> PassiveMotor:
+def _motor(found: Found, a: int) -> Motor:
     model = found.layout.model
-    name = str(model.actuator(a).name)
     gain, bias, dynamics = model.actuator_gainprm[a], model.actuator_biasprm[a], model.actuator_dynprm[a]
     electric = np.any(gain[1:]) or np.any(bias[6:]) or np.any(dynamics[:5]) or np.any(dynamics[7:])
-    share = _share(found, a)
+    if int(model.actuator_biastype[a]) != mujoco.mjtBias.mjBIAS_DCMOTOR or electric:
+        return Motor(str(model.actuator(a).name), (), 1.0, False)
+    return _parts(found, a)
+
+
+def _parts(found: Found, a: int) -> Motor:
+    """Cogging and bristle of a <dcmotor>."""
+    model, share = found.layout.model, _share(found, a)
     where = np.flatnonzero(share)
-    if int(model.actuator_biastype[a]) != mujoco.mjtBias.mjBIAS_DCMOTOR or electric or not len(where):
-        return PassiveMotor(name, (), 1.0)
-    scale = abs(float(share[where[-1]]))
+    name = str(model.actuator(a).name)
+    if not len(where):
+        return Motor(name, (), 1.0, False)
+    bias, dynamics = model.actuator_biasprm[a], model.actuator_dynprm[a]
     parts = [*_cogging(share, bias), *_bristle(found, share, bias, dynamics)]
-    return PassiveMotor(name, () if None in parts else tuple(p for p in parts if p is not None), scale)
+    whole = None not in parts
+    return Motor(name, tuple(p for p in parts if p is not None) if whole else (), float(share[where[-1]]), whole)
 
 
 def _cogging(share: np.ndarray, bias: np.ndarray) -> Iterator[N.Value | None]:
     """Cogging, None when it is not on the driven body's own angle in whole periods."""
     amplitude, cycles, phase = map(float, bias[:3])
     if amplitude:
-        own = share[0] == 1.0 and not np.any(share[1:]) and abs(cycles - round(cycles)) < _TOL
-        yield N.Cogging(amplitude, round(cycles), phase) if own else None
+        s = float(share[0])
+        turns = abs(s) * cycles
+        own = not np.any(share[1:]) and abs(turns - round(turns)) < _TOL * max(1.0, turns)
+        yield N.Cogging(abs(s) * amplitude, round(turns), math.copysign(1.0, s) * phase) if own else None
 
 
 def _bristle(found: Found, share: np.ndarray, bias: np.ndarray, dynamics: np.ndarray) -> Iterator[N.Value | None]:

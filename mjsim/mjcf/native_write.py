@@ -14,8 +14,18 @@ from mjsim.effects.ports import BacklashLaw
 from mjsim.mjcf.editor import MjcfEditor, element, number, row
 from mjsim.mjcf.joint_limit import on_joint
 from mjsim.mjcf.linear import LinearWriter
-from mjsim.mjcf.native_read import PassiveMotor, passive_motors, weight_under
-from mjsim.mjcf.servo_write import write_force, write_integral, write_lag, write_slew
+from mjsim.mjcf.motor_write import MotorWriter
+from mjsim.mjcf.native_read import weight_under
+from mjsim.mjcf.servo_write import (
+    STAYS,
+    can_be_general,
+    write_force,
+    write_integral,
+    write_lag,
+    write_limit,
+    write_line,
+    write_slew,
+)  # fmt: skip
 from mjsim.mjcf.slack_write import IMPEDANCE, NOT_ONE_JOINT, limit_slack, loosen_link
 from mjsim.quantity import Motion
 
@@ -47,8 +57,7 @@ class NativeWriter:
         self.law = law
         self.held = tuple(held)
         self.friction_step = friction_step
-        self._motors = passive_motors(editor.found)
-        editor.ignored += [m.name for m in self._motors]
+        self._motors = MotorWriter(editor, FRICTION_STEP)
         self._friction: dict[int, float] = {}
         self._torque = 0.0
 
@@ -151,7 +160,7 @@ class NativeWriter:
         joint = self.editor.joint_of(value.body)
         if joint is None:
             return NOT_ONE_JOINT
-        self._bristle(value, value, (f"{joint}_bristle", "joint", joint))
+        self._motors.bristle(value, value, (f"{joint}_bristle", "joint", joint))
         return ""
 
     def _split_body(self, value: N.SplitBody) -> str:
@@ -298,58 +307,25 @@ class NativeWriter:
             where = "tendon"
             editor.tendon(target, p.element.row, chain=False)
         as_body = N.BodyBristle(value.coupling, value.level, value.stiffness)
-        self._bristle(value, as_body, (f"{joint}_hysteresis", where, target), abs(p.scale))
+        self._motors.bristle(value, as_body, (f"{joint}_hysteresis", where, target), abs(p.scale))
         return ""
 
     # ---- actuator and sensors ---------------------------------------------------------------------------------------------
 
-    def _bristle(self, value: N.Value, b: N.BodyBristle, new: tuple[str, str, str], scale: float = 1.0) -> None:
-        """``scale``: travel of the element over that of the value's place. The Stribeck velocity does nothing at equal levels."""
-        motor = self._motor_of(value)
-        s = motor.scale if motor is not None else scale
-        self.editor.step(FRICTION_STEP)
-        levels = (b.level / s, (b.level + b.extra) / s)
-        lugre = row((b.stiffness / s**2, b.damping / s**2, *levels, b.speed * s)) if b.level + b.extra > 0 else None
-        self._passive_motor(motor, new, lugre=lugre)
-
     def _cogging(self, value: N.Cogging) -> str:
-        joint = self.editor.joint_of(0)
-        if joint is None:
-            return NOT_ONE_JOINT
-        cogging = row((value.amplitude, value.cycles, value.phase))
-        self._passive_motor(self._motor_of(value), (f"{joint}_cogging", "joint", joint), cogging=cogging)
-        return ""
-
-    def _motor_of(self, value: N.Value) -> PassiveMotor | None:
-        """The passive motor of the author's file that stands for a value of this kind at this place."""
-
-        def place(v: N.Value) -> tuple[type, object]:
-            return type(v), getattr(v, "body", getattr(v, "coupling", None))
-
-        return next((m for m in self._motors if place(value) in map(place, m.values)), None)
-
-    def _passive_motor(self, motor: PassiveMotor | None, new: tuple[str, str, str], **attributes: str | None) -> None:
-        """Change a passive motor of the file, or add a <dcmotor> without input and electric part (name, element, its name)."""
-        if motor is not None:
-            self.editor.set("actuator", motor.name, **attributes)
-            return
-        name = self.editor.fresh("actuator", new[0])
-        given = {"name": name, new[1]: new[2], "input": "none", "resistance": "1", "motorconst": "0 0"}
-        given |= {key: text for key, text in attributes.items() if text is not None}
-        self.editor.add("actuator", "actuator", name, [element("dcmotor", close=True, **given)])
+        return self._motors.cogging(value)
 
     def _drive_torque(self, value: N.DriveTorque) -> str:
         """A part of the actuator's bias, which `close` writes."""
         if self.editor.found.layout.drive.id < 0:
             return "" if value in self.held else "the model has no actuator for a constant torque"
+        if value.torque and not can_be_general(self.editor):
+            return STAYS
         self._torque += value.torque
         return ""
 
     def _drive_limit(self, value: N.DriveLimit) -> str:
-        drive, span = self.editor.found.layout.drive, row([-value.limit, value.limit])
-        what = "ctrl" if self.editor.chain.servo is None else "force"
-        name = self.editor.general() if what == "ctrl" and drive.law.inputs else drive.name
-        self.editor.set("actuator", name, **{f"{what}limited": "true", f"{what}range": span})
+        write_limit(self.editor, value.limit)
         return ""
 
     def _drive_lag(self, value: N.DriveLag) -> str:
@@ -360,6 +336,9 @@ class NativeWriter:
 
     def _servo_integral(self, value: N.ServoIntegral) -> str:
         return write_integral(self.editor, self.linear.target.servo, value.gain)
+
+    def _speed_line(self, value: N.SpeedLine) -> str:
+        return write_line(self.editor, value.stall, value.no_load)
 
     def _drive_delay(self, value: N.DriveDelay) -> str:
         """In whole steps."""
@@ -390,6 +369,6 @@ _WRITERS: Mapping[type, Callable[[NativeWriter, Any], str]] = {
     N.Weight: NativeWriter._weight, N.GroundSpring: NativeWriter._ground_spring,
     N.JointRange: NativeWriter._joint_range, N.Cogging: NativeWriter._cogging, N.DriveTorque: NativeWriter._drive_torque,
     N.DriveLimit: NativeWriter._drive_limit, N.DriveLag: NativeWriter._drive_lag, N.DriveDelay: NativeWriter._drive_delay,
-    N.CommandSlew: NativeWriter._command_slew, N.SensorDelay: NativeWriter._sensor_delay,
+    N.CommandSlew: NativeWriter._command_slew, N.SpeedLine: NativeWriter._speed_line, N.SensorDelay: NativeWriter._sensor_delay,
     N.ServoIntegral: NativeWriter._servo_integral,
 }  # fmt: skip

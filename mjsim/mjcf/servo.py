@@ -1,4 +1,4 @@
-"""Servos of MJCF: ``position``, ``velocity``, ``intvelocity``, ``pid`` and ``general`` with an affine bias, read.
+"""Servos of MJCF, read: ``position``, ``velocity``, ``intvelocity``, ``pid``, ``dcmotor`` and ``general`` with an affine bias.
 
 An actuator gives force = gain u + b0 + b1 l + b2 l', with l the length of its transmission (`mjsim.mjcf.drive_laws`). That is a
 servo (`mjsim.servo.Servo`) where b1 or b2 is below zero: kp = -b1, kv = -b2, scale = gain / kp, zero = -b0 / kp (by kv for a
@@ -12,25 +12,23 @@ import math
 import mujoco
 
 from mjsim.errors import InputError
-from mjsim.mjcf.drive_laws import law_of, range_of
+from mjsim.mjcf.drive_laws import Form, law_of, range_of
 from mjsim.servo import Servo, Target
 
 __all__ = ["bias_of", "read_servo"]
 
-PREFERRED = "<position>, <velocity>, <intvelocity>, <pid>, <general> with an affine bias, or <motor>"
+PREFERRED = "<position>, <velocity>, <intvelocity>, <pid>, <dcmotor>, <general> with an affine bias, or <motor>"
 
 
 def read_servo(model: mujoco.MjModel, a: int, source: object, name: str) -> Servo | None:
     """The servo of an actuator, None when its input is a torque. Raises InputError for laws that are none of these."""
-    if mujoco.mjtBias(int(model.actuator_biastype[a])) == mujoco.mjtBias.mjBIAS_NONE:
-        return None
+    law, bias = law_of(model, a), mujoco.mjtBias(int(model.actuator_biastype[a]))
     where = f"{source}: actuator {name!r}"
-    if mujoco.mjtBias(int(model.actuator_biastype[a])) != mujoco.mjtBias.mjBIAS_AFFINE:
+    if law.form is Form.GENERAL and bias not in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE):
         raise InputError(where, "its force depends on the motion by a law of its own", PREFERRED, "use one of these")
-    law = law_of(model, a)
-    gain, constant, of_length, of_speed = law.gain, law.constant, law.of_length, law.of_speed
-    if of_length == 0.0 and of_speed == 0.0:
+    if not law.servo:
         return None
+    gain, constant, of_length, of_speed = law.gain, law.constant, law.of_length, law.of_speed
     if of_length > 0.0 or of_speed > 0.0 or gain <= 0.0:
         raise InputError(
             where, f"gainprm {gain:g}, biasprm {constant:g} {of_length:g} {of_speed:g} pushes away from the command",
@@ -43,7 +41,7 @@ def read_servo(model: mujoco.MjModel, a: int, source: object, name: str) -> Serv
     own = -of_speed if target is Target.VELOCITY else -of_length
     low, high = range_of(model, a)
     zero = 0.0 if law.integral else -constant / own + 0.0  # beside integral action a constant force is a part of its start
-    return Servo(-of_length, -of_speed, target, _limit(model, a, where), zero, gain / own, low, high)
+    return Servo(0.0 - of_length, 0.0 - of_speed, target, _limit(model, a, where), zero, gain / own, low, high)
 
 
 def _limit(model: mujoco.MjModel, a: int, where: str) -> float:

@@ -33,12 +33,24 @@ PENDULUM = (
     '<actuator><motor name="u" joint="j"/></actuator>'
     '<sensor><jointvel name="motor_velocity" joint="j"/><jointpos name="motor_angle" joint="j"/></sensor></mujoco>'
 )
+SERVO = PENDULUM.replace(
+    '<motor name="u" joint="j"/>',
+    '<dcmotor name="u" joint="j" input="pos" motorconst=".5" resistance=".3" controller="8 0 .3 0 0 0"/>',
+).replace("0.02 0 -0.3", "0 0 0")  # without a weight
 CURVE = 0.8 * np.sin(2 * np.pi * 0.9 * 1e-3 * np.arange(3000))
 
 
 @pytest.fixture(scope="module")
 def nominal() -> Path:
     return shipped_model("robot_axis1")
+
+
+def home(name: str, nominal: Path, folder: Path) -> Path:
+    """The file that has a place for an effect: one of a servo for those of servos."""
+    if effect_class(name).family != "servo":
+        return nominal
+    (folder / "servo.xml").write_text(SERVO)
+    return folder / "servo.xml"
 
 
 @pytest.fixture
@@ -78,6 +90,7 @@ def relative(a, b) -> float:
 
 @pytest.mark.parametrize(("name", "place"), PLACED)
 def test_what_is_written_natively_is_read_as_the_same_values(tmp_path, nominal, name, place):
+    nominal = home(name, nominal, tmp_path)
     chain = load_axis(nominal).chain
     effect = make(name, place)
     try:
@@ -96,7 +109,8 @@ def test_what_is_written_natively_is_read_as_the_same_values(tmp_path, nominal, 
 
 
 @pytest.mark.parametrize(("name", "place"), PLACED)
-def test_an_effect_recognises_its_own_value_and_no_other_effect_does(nominal, name, place):
+def test_an_effect_recognises_its_own_value_and_no_other_effect_does(tmp_path, nominal, name, place):
+    nominal = home(name, nominal, tmp_path)
     chain = load_axis(nominal).chain
     effect = make(name, place)
     for value in effect.native(chain).values:
@@ -113,6 +127,7 @@ READ = [(n, p) for n, p in PLACED if "read" in vars(effect_class(n)) and n != "g
 
 @pytest.mark.parametrize(("name", "place"), READ)
 def test_a_native_effect_is_loaded_without_what_simgap_carries(tmp_path, nominal, name, place):
+    nominal = home(name, nominal, tmp_path)
     axis = Axis(load_axis(nominal).chain, (make(name, place),), BacklashLaw.UNGATED)
     write_corrected(nominal, axis, tmp_path / "corrected.xml")
     (back,) = load_axis(plain(tmp_path / "corrected.xml")).effects
@@ -123,6 +138,7 @@ def test_a_native_effect_is_loaded_without_what_simgap_carries(tmp_path, nominal
 @pytest.mark.parametrize(("name", "place"), [e for e in READ if e[0] != "backlash"])
 def test_an_effect_of_the_authors_file_is_changed_in_its_place(tmp_path, nominal, name, place):
     """A correction that changes an effect of the file edits its element and adds no second one."""
+    nominal = home(name, nominal, tmp_path)
     first = Axis(load_axis(nominal).chain, (make(name, place),), BacklashLaw.UNGATED)
     write_corrected(nominal, first, tmp_path / "corrected.xml")
     own = plain(tmp_path / "corrected.xml")
