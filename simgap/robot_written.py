@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from mjsim.servo import Servo, Target
 
 __all__ = ["write_corrected_servos"]
 
+LINE = "torque_speed_limit"
 AT_DRIVE = {"forcerange", "slewmax"}  # native values of laws that stand at the actuator, others at the joint
 
 
@@ -38,14 +39,23 @@ def write_corrected_servos(
             continue
         p = (slots or {}).get(s.problem.name, s.now.fit.slots)
         joints[s.problem.name], own = _joint_values(robot, s, p)
-        carried += own
         d = s.problem.drive
+        carried += [*own, *_line(s, p, own)]
         at_drive = {key for x in s.now.laws for key in x.native} & AT_DRIVE
         slew = float(p[SLOT["slew"]]) * abs(d.gear) if "slewmax" in at_drive and _slews(robot, d) else None
         servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, "forcerange" in at_drive), slew))
     m = outcome.masses
     links = robot.nominal - robot.fixed + np.einsum("clk,c->lk", changes(robot, m.numbers), m.x)
     write_robot(model, robot, path, links, joints, carried, servos)
+
+
+def _line(s: JointSearch, p: np.ndarray, carried: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The torque-speed limit of the file's <dcmotor>, which the <general> in its place does not have."""
+    stall, speed = float(p[SLOT["stall"]]), float(p[SLOT["no_load"]])
+    if not stall > 0.0 or any(e["effect"] == LINE for e in carried):
+        return []
+    parameters = {"stall_torque_Nm": stall, "no_load_speed_rad_s": speed}
+    return [{"effect": LINE, "form": "", "joint": s.problem.name, "place": "actuator", "parameters": parameters}]
 
 
 def _slews(robot: Robot, d: JointDrive) -> bool:

@@ -15,7 +15,8 @@ from mjsim.mjcf.servo import bias_of
 from mjsim.servo import Servo, Target
 
 __all__ = [
-    "STAYS", "can_be_general", "write_force", "write_integral", "write_lag", "write_limit", "write_line", "write_servo", "write_slew",
+    "STAYS", "can_be_general", "write_force", "write_integral", "write_lag", "write_limit", "write_line", "write_servo",
+    "write_slew",
 ]  # fmt: skip
 
 KP, KI, KD, SLEW, VMAX = (CONTROLLER.index(x) for x in ("kp", "ki", "kd", "slewmax", "Vmax"))

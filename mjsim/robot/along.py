@@ -68,6 +68,9 @@ def _bare(robot: Robot, links: np.ndarray | None) -> mujoco.MjModel:
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.dof_armature[:] = 0.0
     model.dof_damping[:] = 0.0
+    model.actuator_armature[:] = 0.0
+    model.actuator_damping[:] = 0.0
+    model.actuator_dampingpoly[:] = 0.0
     if hasattr(model, "dof_dampingpoly"):
         model.dof_dampingpoly[:] = 0.0
     if links is not None:

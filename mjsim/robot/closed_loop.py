@@ -242,7 +242,7 @@ class _Run:
         """Torque (m,) that the links need: gravity and velocity terms, and inertia without the joint's armature."""
         inertia = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, inertia, self.data.qacc)
-        inertia -= self.model.dof_armature * self.data.qacc
+        inertia -= self.robot.armature * self.data.qacc
         return np.asarray((self.data.qfrc_bias + inertia - self.data.qfrc_gravcomp) @ self.robot.tie)
 
     def _limit(self, out: np.ndarray) -> None:

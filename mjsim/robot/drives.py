@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjsim.errors import InputError
-from mjsim.mjcf.drive_laws import law_of, refused_law
+from mjsim.mjcf.drive_laws import Form, has_more, law_of, refused_law
 from mjsim.mjcf.servo import PREFERRED, read_servo
 from mjsim.robot.joint_kernel import SLOT, empty
 from mjsim.robot.model import Robot
@@ -63,11 +63,17 @@ def _servos(robot: Robot) -> list[tuple[int, Servo] | None]:
             refused = refused_law(model, a)
             if refused is not None:
                 raise InputError(f"{robot.source}: actuator {name!r}", refused[0], PREFERRED, refused[1])
-            ki = law_of(model, a).integral
-            if ki:
+            law = law_of(model, a)
+            if law.integral:
                 raise InputError(
-                    f"{robot.source}: actuator {name!r}", f"a <pid> with integral action, ki = {ki:g}", 'ki="0"', "leave ki out"
-                )
+                    f"{robot.source}: actuator {name!r}", f"a <{law.form.value}> with integral action, ki = {law.integral:g}",
+                    'ki="0"', "leave ki out",
+                )  # fmt: skip
+            if law.form is Form.DCMOTOR and has_more(model, a):
+                raise InputError(
+                    f"{robot.source}: actuator {name!r}", "cogging or bristles of a <dcmotor> in a robot", "a motor without them",
+                    "leave cogging and lugre out in a copy of the model: what acts of them is found as an effect",
+                )  # fmt: skip
             servo = read_servo(model, a, robot.source, name)
             found[j] = None if servo is None else (a, servo)
     return found
@@ -93,6 +99,8 @@ def joint_drives(robot: Robot) -> tuple[JointDrive | None, ...]:
         law = law_of(robot.model, a)
         if math.isfinite(law.slew):
             p[SLOT["slew"]] = law.slew / abs(g)
+        if math.isfinite(law.stall):
+            p[SLOT["stall"]], p[SLOT["no_load"]] = law.stall * abs(g), law.no_load / abs(g)
         out.append(JointDrive(j, a, servo, g, p, length, law.inputs[1:]))
     return tuple(out)
 

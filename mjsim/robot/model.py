@@ -32,9 +32,10 @@ class Robot:
     + rest;
     gear (m,): joint torque over recorded torque; driven (m,): whether an actuator drives it; links: body ids (L,);
     nominal (L, 10): inertial parameters of a link with all that is fixed to it; fixed (L, 10): of what is fixed to it alone.
-    armature, damping, frictionloss, stiffness (n,): as in the file; spring (n,): springref; ranges (n, 2): joint limits, infinite
-    where there are none; motions: hinge or slide of each independent joint; actuators (m,): of
-    each of them, -1 where there is none; length (m,): of the actuator where all independent joints are at 0.
+    armature, damping, frictionloss, stiffness (n,): as in the file, armature and damping with those of the actuator of the
+    joint; spring (n,): springref; ranges (n, 2): joint limits, infinite where there are none; motions: hinge or slide of each
+    independent joint; actuators (m,): of each of them, -1 where there is none; length (m,): of the actuator where all
+    independent joints are at 0.
     """
 
     source: str
@@ -115,11 +116,16 @@ def robot_from(model: mujoco.MjModel, source: str = "model") -> Robot:
             fixed[links.index(root)] += moved(own, *_pose(model, b, root))
     limited = model.jnt_limited.astype(bool)
     ranges = np.where(limited[:, None], model.jnt_range, [[-np.inf, np.inf]])
+    armature, damping = model.dof_armature.copy(), model.dof_damping.copy()
+    for k, a in enumerate(drive.actuators):
+        if a >= 0:
+            armature[independent[k]] += drive.gear[k] ** 2 * model.actuator_armature[a]
+            damping[independent[k]] += drive.gear[k] ** 2 * model.actuator_damping[a]
     motions = tuple(Motion.HINGE if model.jnt_type[j] == HINGE else Motion.SLIDE for j in independent)
     return Robot(
         source, model, dofs, tuple(dofs[j] for j in independent), tie, rest, drive.gear, np.array(drive.actuators) >= 0, links,
         nominal, fixed,
-        model.dof_armature.copy(), model.dof_damping.copy(), model.dof_frictionloss.copy(), model.jnt_stiffness.copy(),
+        armature, damping, model.dof_frictionloss.copy(), model.jnt_stiffness.copy(),
         model.qpos_spring.copy(), ranges, motions, drive.actuators, drive.length,
     )  # fmt: skip
 

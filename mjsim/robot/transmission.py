@@ -107,7 +107,10 @@ def transmission(
     """The actuator of each independent joint. Raises InputError for one that moves several of them, or none."""
     m = tie.shape[1]
     actuators, gear, length = [-1] * m, np.ones(m), np.zeros(m)
-    for a in map(int, np.flatnonzero(model.actuator_ctrlnum)):
+    for a in range(model.nactuator):
+        if not model.actuator_ctrlnum[a]:
+            _at_rest(model, source, a)
+            continue
         name, arm = name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a), _arm(model, source, a)
         moved = np.flatnonzero(np.abs(arm @ tie) > 0.0)
         if len(moved) != 1:
@@ -126,6 +129,15 @@ def transmission(
             )  # fmt: skip
         actuators[k], gear[k], length[k] = a, float((arm @ tie)[k]), float(arm @ rest)
     return Transmission(tuple(actuators), gear, length)
+
+
+def _at_rest(model: mujoco.MjModel, source: str, a: int) -> None:
+    """Raise InputError for an actuator without input that acts by itself."""
+    if model.actuator_gainprm[a, 1:].any() or model.actuator_biasprm[a].any():
+        raise InputError(
+            source, f"actuator {name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a)!r} acts by itself", "actuators with an input",
+            "remove it in a copy of the model: what acts of it is found as an effect",
+        )  # fmt: skip
 
 
 def _arm(model: mujoco.MjModel, source: str, a: int) -> np.ndarray:

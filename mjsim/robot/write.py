@@ -24,7 +24,7 @@ from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.robot.carried import effect_slots
 from mjsim.robot.inertia import to_body
 from mjsim.robot.model import Robot, load_robot
-from mjsim.robot.write_servo import NewServo, write_servos
+from mjsim.robot.write_servo import NewServo, actuator_node, write_servos
 
 __all__ = ["CUSTOM", "carried_effects", "check_writable", "write_robot"]
 
@@ -45,10 +45,9 @@ def write_robot(
     """Write a corrected copy of an MJCF.
 
     links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
-    damping, frictionloss, stiffness, springref and quadratic damping [SI] to write; effects: what MJCF has no element for,
-    as JSON values, read back by
-    `carried_effects`; servos: actuators to change. Raises InputError where the file cannot be written, or holds a link or
-    joint in an included file.
+    damping (of which the actuator's part stays at the actuator), frictionloss, stiffness, springref and quadratic damping [SI]
+    to write; effects: what MJCF has no element for, as JSON values, read back by `carried_effects`; servos: actuators to
+    change. Raises InputError where the file cannot be written, or holds a link or joint in an included file.
     """
     xml = XmlText.read(source)
     model = robot.model
@@ -57,7 +56,8 @@ def write_robot(
             _inertial(xml, source, robot, body, links[at])
     degrees, timestep, rubbing = _in_degrees(xml), float(model.opt.timestep), _rubbing(effects, robot)
     for name in dict.fromkeys((*joints, *rubbing)):
-        values = joints.get(name, {})
+        values = dict(joints.get(name, {}))
+        values = values | _beside(xml, source, robot, name, values)
         attributes = _attributes(values, degrees and _is_hinge(model, robot, name))
         if values.get("frictionloss") or name in rubbing:
             attributes |= _stiff(timestep)
@@ -95,6 +95,18 @@ def carried_effects(path: Path) -> list[dict[str, Any]]:
         return list(json.loads(raw.decode())["effects"])
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{path}: <custom> text {CUSTOM!r}", "not readable", "what simgap writes", "take a fresh copy") from None
+
+
+def _beside(xml: XmlText, source: Path, robot: Robot, name: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Armature and damping of the joint itself, beside those of its actuator, which become smaller where they are above."""
+    j, at, out = robot.joints.index(name), robot.leading(robot.joints.index(name)), {}
+    for key, total in ((k, values[k]) for k in ("armature", "damping") if k in values):
+        share = float(getattr(robot, key)[at] - getattr(robot.model, f"dof_{key}")[at])
+        if share > 0.0:
+            out[key] = max(total - share, 0.0)
+        if 0.0 < share > total:
+            xml.set(actuator_node(xml, source, robot.model, robot.actuators[j]), key, _number(total / float(robot.gear[j]) ** 2))
+    return out
 
 
 def _rubbing(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[str, ...]:

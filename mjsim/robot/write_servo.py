@@ -9,13 +9,13 @@ from pathlib import Path
 import mujoco
 
 from mjsim.errors import InputError
-from mjsim.mjcf.drive_laws import IMAX
+from mjsim.mjcf.drive_laws import IMAX, Form, law_of
 from mjsim.mjcf.general import spelled_out
 from mjsim.mjcf.servo import bias_of
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.servo import Servo, Target
 
-__all__ = ["NewServo", "can_slew", "write_servos"]
+__all__ = ["NewServo", "actuator_node", "can_slew", "write_servos"]
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,24 @@ def write_servos(xml: XmlText, source: Path, model: mujoco.MjModel, servos: list
 
 def can_slew(model: mujoco.MjModel, a: int, servo: Servo) -> bool:
     """Whether a limit of the setpoint's speed can be written at a servo: it is a ``<pid>`` of a position, or can be one."""
-    lagged = int(model.actuator_dyntype[a]) not in (int(mujoco.mjtDyn.mjDYN_NONE), int(mujoco.mjtDyn.mjDYN_PID))
+    lagged = law_of(model, a).form is Form.GENERAL and int(model.actuator_dyntype[a]) != int(mujoco.mjtDyn.mjDYN_NONE)
     return servo.target is Target.POSITION and servo.scale == 1.0 and not lagged
 
 
-def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> None:
-    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, s.actuator) or ""
+def actuator_node(xml: XmlText, source: Path, model: mujoco.MjModel, a: int) -> Node:
+    """The element of an actuator. Raises InputError where it has no name in the file itself."""
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, a) or ""
+    found = xml.find(lambda n: n.attributes.get("name") == name and n.parent is not None and n.parent.tag == "actuator")
+    if found is None:
+        raise InputError(
+            source, f"no actuator {name!r} in the file itself", "names, and no <include>", "name it, or join the files"
+        )
+    return found
 
+
+def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> None:
     def node() -> Node:
-        found = xml.find(lambda n: n.attributes.get("name") == name and n.parent is not None and n.parent.tag == "actuator")
-        if found is None:
-            raise InputError(
-                source, f"no actuator {name!r} in the file itself", "names, and no <include>", "name it, or join the files"
-            )
-        return found
+        return actuator_node(xml, source, model, s.actuator)
 
     tag = node().tag
     values = spelled_out(model, s.actuator, node().attributes)
@@ -63,7 +67,7 @@ def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> No
     if values["gaintype"] == "fixed":  # that of a <pid> is in its bias
         values["gainprm"] = _number(s.new.gain)
     if s.slew is not None:
-        imax = float(model.actuator_dynprm[s.actuator, IMAX]) if values["gaintype"] == "pid" else 0.0
+        imax = float(model.actuator_dynprm[s.actuator, IMAX]) if law_of(model, s.actuator).form is Form.PID else 0.0
         values |= {"dyntype": "pid", "dynprm": f"{_number(imax)} {_number(s.slew)}"}
         values |= {} if values["gaintype"] == "pid" else {"gaintype": "pid", "gainprm": "0", "input": "pos"}
     if math.isfinite(s.new.limit) and s.new.limit != s.old.limit:
