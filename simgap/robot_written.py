@@ -12,6 +12,7 @@ import numpy as np
 from diagnose.robot.servos.bodies import changes
 from diagnose.robot.servos.pipeline import ServoOutcome
 from diagnose.robot.servos.state import JointSearch
+from mjsim.robot.carried import effect_of_slots
 from mjsim.robot.drives import JointDrive
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
@@ -21,7 +22,6 @@ from mjsim.servo import Servo, Target
 
 __all__ = ["write_corrected_servos"]
 
-LINE = "torque_speed_limit"
 AT_DRIVE = {"forcerange", "slewmax"}  # native values of laws that stand at the actuator, others at the joint
 
 
@@ -51,11 +51,11 @@ def write_corrected_servos(
 
 def _line(s: JointSearch, p: np.ndarray, carried: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The torque-speed limit of the file's <dcmotor>, which the <general> in its place does not have."""
-    stall, speed = float(p[SLOT["stall"]]), float(p[SLOT["no_load"]])
-    if not stall > 0.0 or any(e["effect"] == LINE for e in carried):
+    slots = {name: float(p[SLOT[name]]) for name in ("stall", "no_load")}
+    if not slots["stall"] > 0.0:
         return []
-    parameters = {"stall_torque_Nm": stall, "no_load_speed_rad_s": speed}
-    return [{"effect": LINE, "form": "", "joint": s.problem.name, "place": "actuator", "parameters": parameters}]
+    line = effect_of_slots(s.problem.name, "actuator", slots)
+    return [] if any(e["effect"] == line["effect"] for e in carried) else [line]
 
 
 def _slews(robot: Robot, d: JointDrive) -> bool:

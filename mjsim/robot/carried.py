@@ -19,7 +19,7 @@ from mjsim.quantity import Motion
 from mjsim.robot.joint_kernel import SLOT, body_torque, coupled, empty, friction_level
 from mjsim.robot.model import Robot
 
-__all__ = ["AT_SERVO", "act", "effect_slots", "needed_parameters", "slots_by_joint"]
+__all__ = ["AT_SERVO", "act", "effect_of_slots", "effect_slots", "needed_parameters", "slots_by_joint"]
 
 LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING, FROM = (
     SLOT[x]
@@ -92,6 +92,13 @@ def effect_slots(effect: Mapping[str, Any], robot: Robot) -> dict[str, float] | 
     if id_ in ("torque_ripple", "position_dependent_friction", "gravity_load"):
         return _periodic(id_, given, unit)
     return None
+
+
+def effect_of_slots(joint: str, place: str, slots: Mapping[str, float]) -> dict[str, Any]:
+    """The carried effect, as JSON values, whose numbers are these slots and no others."""
+    id_, names = next((id_, names) for id_, names in _SIMPLE.items() if set(names) == set(slots))
+    parameters = {names[slot]: float(value) for slot, value in slots.items()}
+    return {"effect": id_, "form": "", "joint": joint, "place": place, "parameters": parameters}
 
 
 def _periodic(id_: str, given: Mapping[str, float], unit: float) -> dict[str, float]:

@@ -23,7 +23,7 @@ PLACED = [(name, place) for name, cls in registered().items() for place in cls.p
 VALUES = {
     "gap_rad": 5e-4, "inertia_kgm2": 0.5, "stiffness_Nm_rad": 2.5e3, "peak": 2.0, "cycles_per_rev": 8.0, "time_constant_s": 0.004,
     "delay_s": 0.00321, "limit_Nm": 0.8, "torque_Nm": 0.1 / 3, "coefficient_Nm_rad3": 1e8,
-    "lower_rad": -0.3, "upper_rad": 0.4,
+    "lower_rad": -0.3, "upper_rad": 0.4, "start_Nm": 0.0,  # of a run, which no file holds
 }  # fmt: skip
 IN_THE_CHAIN = (native.ViscousDamping, native.SplitBody, native.JointRange)  # a file that holds them is another chain
 PENDULUM = (
