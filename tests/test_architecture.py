@@ -25,7 +25,9 @@ GROUND = (
     "result",
     "thresholds",
 )  # every stage may import these, and they no stage
-SOURCES = sorted(p for layer in LAYERS for p in (ROOT / layer).rglob("*.py") if "speed" not in p.parts)  # those are scripts
+SOURCES = sorted(
+    p for layer in LAYERS for p in (ROOT / layer).rglob("*.py") if "speed" not in p.relative_to(ROOT).parts
+)  # those are scripts
 LONGEST = 400
 LONG_BY_NATURE = {
     "mjsim/kernel.py": "one compiled unit: numba inlines across functions of one file, and every runner calls it",
