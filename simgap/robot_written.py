@@ -17,12 +17,12 @@ from mjsim.robot.drives import JointDrive
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.write import write_robot
-from mjsim.robot.write_servo import NewServo, can_slew
+from mjsim.robot.write_servo import NewServo, can_be_pid
 from mjsim.servo import Servo, Target
 
 __all__ = ["write_corrected_servos"]
 
-AT_DRIVE = {"forcerange", "slewmax"}  # native values of laws that stand at the actuator, others at the joint
+AT_DRIVE = {"forcerange", "slewmax", "ki"}  # native values of laws that stand at the actuator, others at the joint
 
 
 def write_corrected_servos(
@@ -42,8 +42,11 @@ def write_corrected_servos(
         d = s.problem.drive
         carried += [*own, *_line(s, p, own)]
         at_drive = {key for x in s.now.laws for key in x.native} & AT_DRIVE
-        slew = float(p[SLOT["slew"]]) * abs(d.gear) if "slewmax" in at_drive and _slews(robot, d) else None
-        servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, "forcerange" in at_drive), slew))
+        slew = float(p[SLOT["slew"]]) * abs(d.gear) if "slewmax" in at_drive and _pid(robot, d) else None
+        integral = float(p[SLOT["integral"]]) / d.gear**2
+        given = float(s.problem.nominal[SLOT["integral"]]) > 0.0
+        ki = integral if given or ("ki" in at_drive and _pid(robot, d)) else None
+        servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, "forcerange" in at_drive), slew, ki))
     m = outcome.masses
     links = robot.nominal - robot.fixed + np.einsum("clk,c->lk", changes(robot, m.numbers), m.x)
     write_robot(model, robot, path, links, joints, carried, servos)
@@ -58,8 +61,8 @@ def _line(s: JointSearch, p: np.ndarray, carried: Sequence[Mapping[str, Any]]) -
     return [] if any(e["effect"] == line["effect"] for e in carried) else [line]
 
 
-def _slews(robot: Robot, d: JointDrive) -> bool:
-    return can_slew(robot.model, d.actuator, d.servo)
+def _pid(robot: Robot, d: JointDrive) -> bool:
+    return can_be_pid(robot.model, d.actuator, d.servo)
 
 
 def new_servo(drive: JointDrive, p: np.ndarray, limited: bool) -> Servo:
@@ -83,7 +86,7 @@ def _joint_values(robot: Robot, s: JointSearch, p: np.ndarray) -> tuple[dict[str
     named = dict(zip(SLOT, map(float, p), strict=True))
     for law in s.now.laws:
         sprung = "stiffness" in law.native and float(robot.stiffness[at]) != 0.0  # the file's own spring stays
-        if law.native and not sprung and not ("slewmax" in law.native and not _slews(robot, s.problem.drive)):
+        if law.native and not sprung and (_pid(robot, s.problem.drive) or not law.native.keys() & {"slewmax", "ki"}):
             values |= {key: float(p[SLOT[slot]]) for key, slot in law.native.items() if key not in AT_DRIVE}
             if "stiffness" in law.native:
                 values["springref"] = 0.0

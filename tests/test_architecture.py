@@ -135,6 +135,7 @@ NAMES_AN_EFFECT = {
     "mjsim/robot/carried.py": "the slots of the effects that a robot's file carries",
     "lab/robot/cases.py": "conceals known effects in robots",
     "lab/robot/servo_cases.py": "conceals known effects in servo robots",
+    "lab/robot/integral.py": "lists the effects that it conceals beside integral action",
     "diagnose/explain/second_encoder.py": "terms of its own model of a second encoder, which bear the names of the contract",
     "lab/fuzz/corpus.py": "makes a corrected file that carries an effect",
     "lab/kill.py": "makes recordings of a known effect",

@@ -17,7 +17,7 @@ __all__ = ["EFFECTS", "KINDS", "LATE", "ServoCase", "draw_servo", "write_servo_c
 RATE, SECONDS, BASE = 100.0, 10.0, 0.1
 STEP = 2 * np.pi / 16384  # of the encoder [rad]
 LATE = "late_position"  # the name of a delay of the log, which a diagnosis calls a time_delay of the sensor
-KINDS = ("nothing", "parameters", "single", "pair", "skew", "coupled", "compensation")
+KINDS = ("nothing", "parameters", "single", "pair", "skew", "coupled", "compensation", "integral")
 EFFECTS = (
     "coulomb_friction", "stribeck_friction", "load_dependent_friction", "torque_ripple", "servo_deadband", "velocity_limit",
     "time_delay", "sublinear_viscous_friction", "cable_torque",
@@ -147,6 +147,11 @@ def draw_servo(seed: int, kind: str, axes: int, effect: str = "") -> ServoCase:
         stiff, rest = 2.0 * float(load[1] * rng.uniform(0.25, 1.0)), float(rng.uniform(-0.5, 0.5))
         true = true.with_servo(1, spring=stiff, rest=rest)
         effects["gravity_compensation_spring", "joint2"] = {"stiffness_Nm_rad": stiff}
+    if kind == "integral":
+        j = int(rng.integers(axes))
+        gain = true.servos[j].kp * float(np.exp(rng.uniform(np.log(1 / 3), np.log(5.0))))
+        true = true.with_servo(j, integral=gain)
+        effects["integral_action", f"joint{j + 1}"] = {"gain_Nm_rad_s": gain}
     return ServoCase(kind, seed, nominal, true, effects, tuple(words), late)
 
 

@@ -35,7 +35,8 @@ class ServoJoint:
     [rad]; slew [rad/s]; delay [s]; stall [N m], no_load [rad/s]: limit of torque and speed; ripple [N m], order [1/rad]:
     torque over the angle; offset [N m]; sublinear, exponent: friction sublinear |v|^exponent; cable [N m]: a hose that
     stiffens to one side, which opposes with cable (exp(`HOSE` q) - 1); source: index of a joint of which the part couple of the
-    servo's torque acts here, and drag [N m] opposes its motion; spring [N m/rad], rest [rad]: a spring that takes weight.
+    servo's torque acts here, and drag [N m] opposes its motion; spring [N m/rad], rest [rad]: a spring that takes weight;
+    integral [N m/(rad s)]: gain on the integral of the servo's error, which is zero when the first command begins to act.
     """
 
     kp: float
@@ -60,6 +61,7 @@ class ServoJoint:
     drag: float = 0.0
     spring: float = 0.0
     rest: float = 0.0
+    integral: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ def _run(
     count, n = lead.shape
     h = dt / each
     q, v, target = lead[0].copy(), np.zeros(n), lead[0].copy()
-    acceleration = np.zeros(n)
+    acceleration, summed = np.zeros(n), np.zeros(n)
     out, zero = np.empty((count, n)), np.zeros(n)
     M, A, p, level = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
     for k in range(count):
@@ -191,7 +193,7 @@ def _run(
                     target[j] = goal
                 e = target[j] - q[j]
                 active = 1.0 if abs(e) > band else 0.0
-                constant = kp * (e - min(max(e, -band), band))
+                constant = kp * (e - min(max(e, -band), band)) + servos[j, 22] * (summed[j] + 0.5 * h * e)
                 stiff, damp = kp * active, kv
                 if stall > 0:
                     slope = stall / no_load
@@ -223,6 +225,7 @@ def _run(
                     new[j] = value
                 if change < 1e-12:
                     break
+            summed += h * (target - q - 0.25 * h * (v + new))
             q = q + 0.5 * h * (v + new)
             acceleration = (new - v) / h
             v = new

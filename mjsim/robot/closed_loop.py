@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,8 @@ from mjsim.robot.recording import RobotRecording
 __all__ = ["ClosedLoop", "closed_loop", "motor_gain"]
 
 FASTEST = 1e6  # [rad/s | m/s]: a run beyond it has diverged
+FIRST, SETTLED = 50, 5.0  # samples at least, and times kp / ki: how long the start of a servo's integral shows
+NUDGE = 1e-3  # [rad | m]: what an integral at the start is moved by, as an angle under kp
 SMOOTH = 4.0  # times the bandwidth of the tracking loop: the low-pass of the positions that it follows
 TRACKING = 5.0  # [Hz]: bandwidth of the tracking loop of joints that are driven by a torque
 
@@ -91,13 +93,17 @@ def closed_loop(
     ``finer``: steps for each step of the file's timestep, to measure the integration error. ``sampled``: the tracking loop acts
     at the samples and is held between them, as a digital controller's, and its torque is that of the sample that follows.
     """
-    model, data = copy.copy(robot.model), mujoco.MjData(robot.model)
+    model = copy.copy(robot.model)
     r, n = recording, samples or len(recording)
     each = finer * max(1, math.ceil(r.dt / float(model.opt.timestep) - 1e-6))
     model.opt.timestep = r.dt / each
     slots, lacking = slots_by_joint(effects, robot)
-    run = _Run(robot, model, data, r, slots, n, each, sampled)
-    z, dz, tracking = run.plain() if run.native_only else run.stepped()
+
+    def run(wound: np.ndarray, count: int = n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        this = _Run(robot, copy.copy(model), mujoco.MjData(model), r, slots, count, each, sampled, wound)
+        return this.plain() if this.native_only else this.stepped()
+
+    z, dz, tracking = run(_wound(robot, r, n, run))
     for j, late in enumerate(slots[:, SLOT["late"]]):  # the log's clock, no matter of the motion
         if late > 0.0:
             z[:, j], dz[:, j] = delayed(z[:, j], late / r.dt), delayed(dz[:, j], late / r.dt)
@@ -105,6 +111,33 @@ def closed_loop(
     if len(gone):
         z[gone[0] :] = np.nan
     return ClosedLoop(z, dz, tracking, lacking)
+
+
+def _wound(robot: Robot, r: RobotRecording, n: int, run: Callable[..., tuple[np.ndarray, ...]]) -> np.ndarray:
+    """Torque (m,) of servos' integrals at the start, beyond what holds the robot there, that suits the recording best.
+
+    By least squares over the first samples, which know of the start, in which the positions are linear in it; zero at joints
+    without integral action.
+    """
+    wound = np.zeros(len(robot.joints))
+    drives = [d for d in joint_drives(robot) if d is not None and d.slots[SLOT["integral"]] > 0.0]
+    known = [r.has("command", robot.joints[d.joint]) and robot.joints[d.joint] in r.joints for d in drives]
+    drives = [d for d, there in zip(drives, known, strict=True) if there]
+    if not drives:
+        return wound
+    slowest = max(float(d.slots[SLOT["kp"]] / d.slots[SLOT["integral"]]) for d in drives)
+    count = min(n, max(FIRST, math.ceil(SETTLED * slowest / r.dt)))
+    at = [d.joint for d in drives]
+    recorded, before = r.positions(robot)[:count, at], run(wound, count)[0][:, at]
+    columns = []
+    for d in drives:
+        moved = wound.copy()
+        moved[d.joint] = float(d.slots[SLOT["kp"]]) * NUDGE
+        columns.append(((run(moved, count)[0][:, at] - before) / moved[d.joint]).ravel())
+    A, e = np.column_stack(columns), (recorded - before).ravel()
+    keep = np.isfinite(A).all(axis=1) & np.isfinite(e)
+    wound[at] = np.linalg.lstsq(A[keep], e[keep], rcond=1e-9)[0] if keep.any() else 0.0
+    return wound
 
 
 class _Run:
@@ -119,7 +152,8 @@ class _Run:
         slots: np.ndarray,
         n: int,
         each: int,
-        sampled: bool = False,
+        sampled: bool,
+        wound: np.ndarray,
     ) -> None:
         self.robot, self.model, self.data, self.slots, self.n, self.each = robot, model, data, slots, n, each
         self.h, self.sampled = float(model.opt.timestep), sampled
@@ -142,6 +176,7 @@ class _Run:
         data.qpos[:] = robot.tie @ self.recorded[0] + robot.rest
         rate = np.gradient(_smooth(self.recorded, r.dt)[:3], r.dt, axis=0)[0]
         data.qvel[:] = robot.tie @ np.where(servo, 0.0, rate)  # joints that follow the recording begin as it does
+        self.wound = wound
         self._activate()
         mujoco.mj_forward(model, data)
 
@@ -214,11 +249,16 @@ class _Run:
         return z, dz, np.where(self.torque, tracking, np.nan)
 
     def _activate(self) -> None:
-        """Filtered and integrated commands start where the joint is, or at the first command."""
+        """Filtered and integrated commands start where the joint is, or at the first command; a servo's integral holds it."""
+        mujoco.mj_forward(self.model, self.data)
+        held = (self.data.qfrc_bias - self.data.qfrc_passive) @ self.robot.tie
         for d in self.drives:
             if d is not None:
                 start = (d.gear * self.recorded[0, d.joint] + d.length) / d.servo.scale
-                begin(self.model, self.data, d.actuator, self.u[0, d.joint], self.u[0, d.joint], start)
+                u = float(self.u[0, d.joint])
+                asked = d.servo.kp * (d.servo.scale * u - d.servo.zero - d.gear * self.recorded[0, d.joint] - d.length)
+                force = (held[d.joint] + self.wound[d.joint]) / d.gear - asked
+                begin(self.model, self.data, d.actuator, u, u, start, force)
 
     def _gains(self) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness and damping (m,) of the tracking loop: M_jj w^2 and 2 M_jj w, critically damped."""

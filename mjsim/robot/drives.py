@@ -64,10 +64,10 @@ def _servos(robot: Robot) -> list[tuple[int, Servo] | None]:
             if refused is not None:
                 raise InputError(f"{robot.source}: actuator {name!r}", refused[0], PREFERRED, refused[1])
             law = law_of(model, a)
-            if law.integral:
+            if law.integral and law.form is Form.DCMOTOR:
                 raise InputError(
-                    f"{robot.source}: actuator {name!r}", f"a <{law.form.value}> with integral action, ki = {law.integral:g}",
-                    'ki="0"', "leave ki out",
+                    f"{robot.source}: actuator {name!r}", f"a <dcmotor> with integral action, ki = {law.integral:g}, in a robot",
+                    "a <pid>", 'use <pid ki=...> where its limits are not reached, or leave ki out',
                 )  # fmt: skip
             if law.form is Form.DCMOTOR and has_more(model, a):
                 raise InputError(
@@ -101,6 +101,7 @@ def joint_drives(robot: Robot) -> tuple[JointDrive | None, ...]:
             p[SLOT["slew"]] = law.slew / abs(g)
         if math.isfinite(law.stall):
             p[SLOT["stall"]], p[SLOT["no_load"]] = law.stall * abs(g), law.no_load / abs(g)
+        p[SLOT["integral"]] = g * g * law.integral
         out.append(JointDrive(j, a, servo, g, p, length, law.inputs[1:]))
     return tuple(out)
 

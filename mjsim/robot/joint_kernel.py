@@ -27,14 +27,14 @@ SLOTS = (
     "friction", "asymmetry", "extra", "stribeck", "load", "load_back", "quadratic", "sublinear", "exponent", "bristle",
     "ripple_sin", "ripple_cos", "order", "rub_sin", "rub_cos", "rub_order", "weight_sin", "weight_cos", "spring", "preload",
     "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
-    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late",
+    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral",
 )  # fmt: skip
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 (KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD,
 LOAD_BACK,
  QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
  DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE, COUPLE_FROM,
- COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE) = range(len(SLOTS))  # fmt: skip
+ COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL) = range(len(SLOTS))  # fmt: skip
 
 
 def empty() -> np.ndarray:
@@ -85,8 +85,8 @@ def coupled(p: np.ndarray, torque: float, sign: float, speed: float) -> float:
 
 
 @compiled(error_model="numpy", inline="always")
-def _drive(p: np.ndarray, velocity: bool, r: float, q: float, v: float) -> tuple[float, float, float]:
-    """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state."""
+def _drive(p: np.ndarray, velocity: bool, r: float, q: float, v: float, wound: float) -> tuple[float, float, float]:
+    """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state; wound: torque of its integral."""
     if velocity:
         constant, stiff, damp = p[KV] * (r - p[ZERO]), 0.0, p[KV]
     else:
@@ -97,6 +97,7 @@ def _drive(p: np.ndarray, velocity: bool, r: float, q: float, v: float) -> tuple
         else:
             shift = 0.0 if w == 0.0 else (w if e > 0.0 else -w)
             constant, stiff, damp = p[KP] * (r - p[ZERO] - shift), p[KP], p[KV]
+    constant += wound
     force = constant - stiff * q - damp * v
     high, low, slope = p[LIMIT], -p[LIMIT], 0.0
     if p[STALL] > 0.0:
@@ -119,7 +120,7 @@ def _drive(p: np.ndarray, velocity: bool, r: float, q: float, v: float) -> tuple
 @compiled(error_model="numpy")
 def run_joint(
     p: np.ndarray, velocity: bool, starts: np.ndarray, first: np.ndarray, slope: np.ndarray, series: np.ndarray, dt: float,
-    each: int, q: np.ndarray, v: np.ndarray
+    each: int, shift: np.ndarray, q: np.ndarray, v: np.ndarray
 ) -> None:  # fmt: skip
     """Write position and velocity (N,) of all recordings, one after the other, into q and v.
 
@@ -127,7 +128,8 @@ def run_joint(
     command at the
     start of each sample and its slope over it; series (N, 10 + 3 m): inertia, b, db/dq, db/dq', |load| as a signed torque,
     recorded position and velocity, inertia, torque and its db/dq of a unit payload, then of each joint of the robot the torque of
-    its drive, the sign of its motion and its velocity; dt [s]; each: steps per sample.
+    its drive, the sign of its motion and its velocity; dt [s]; each: steps per sample; shift (R,): torque of a servo's integral
+    at the start of each recording beyond what carries the links there.
     """
     h = dt / each
     late = p[DELAY] / dt
@@ -139,6 +141,10 @@ def run_joint(
         lagged = first[a]
         r = first[a] if not velocity else 0.0
         q[a], v[a] = x, 0.0
+        wound, begun = 0.0, 0.0
+        if p[INTEGRAL] > 0.0:
+            begun = p[SCALE] * series[a, 4] + p[PAYLOAD] * series[a, 8] + body_torque(p, x) + p[SPRING] * x
+            begun += shift[run] - p[KP] * (first[a] - p[ZERO] - x)
         for k in range(a, b - 1):
             M0, b0, bq0, bv0 = p[SCALE] * series[k, 0], p[SCALE] * series[k, 1], p[SCALE] * series[k, 2], p[SCALE] * series[k, 3]
             M1, b1, bq1, bv1 = (
@@ -185,7 +191,10 @@ def run_joint(
                     goal = c
                 M = g * M0 + f * M1 + p[ARMATURE]
                 bq, bv, bias, load = g * bq0 + f * bq1, g * bv0 + f * bv1, g * b0 + f * b1, g * load0 + f * load1
-                constant, stiff, damp = _drive(p, velocity, goal, x, w)
+                off = goal - p[ZERO] - x
+                if p[INTEGRAL] > 0.0:
+                    wound = begun + p[INTEGRAL] * 0.5 * h * off
+                constant, stiff, damp = _drive(p, velocity, goal, x, w, wound)
                 F = constant - bias - body_torque(p, x)
                 if source >= 0:
                     F -= g * coupled(p, series[k, source], series[k, source + 1], series[k, source + 2])
@@ -213,6 +222,7 @@ def run_joint(
                 if p[BRISTLE] > 0.0 and way != 0.0:
                     s = 1.0 if way > 0.0 else -1.0
                     y = s + (y - s) * math.exp(-abs(way) / p[BRISTLE])
+                begun += p[INTEGRAL] * h * (off - 0.5 * way)
                 x += way
                 w = new
             q[k + 1], v[k + 1] = x, w

@@ -15,31 +15,33 @@ from mjsim.mjcf.servo import bias_of
 from mjsim.mjcf.xmltext import Node, XmlText
 from mjsim.servo import Servo, Target
 
-__all__ = ["NewServo", "actuator_node", "can_slew", "write_servos"]
+__all__ = ["NewServo", "actuator_node", "can_be_pid", "write_servos"]
 
 
 @dataclass(frozen=True)
 class NewServo:
     """A servo to write: the actuator by its index, its law in the file and the new one.
 
-    slew: largest speed of its setpoint [rad/s | m/s], None where the file's stays (`can_slew` says where one can be written).
+    slew: largest speed of its setpoint [rad/s | m/s], ki: gain of its integral action [N m/(rad s) | N/(m s)], None where the
+    file's stays (`can_be_pid` says where one can be written).
     """
 
     actuator: int
     old: Servo
     new: Servo
     slew: float | None = None
+    ki: float | None = None
 
 
 def write_servos(xml: XmlText, source: Path, model: mujoco.MjModel, servos: list[NewServo]) -> None:
     """Change the actuators of ``xml`` in place where their law differs. Raises InputError for one without a name in the file."""
     for s in servos:
-        if s.new != s.old or s.slew is not None:
+        if s.new != s.old or s.slew is not None or s.ki is not None:
             _write(xml, source, model, s)
 
 
-def can_slew(model: mujoco.MjModel, a: int, servo: Servo) -> bool:
-    """Whether a limit of the setpoint's speed can be written at a servo: it is a ``<pid>`` of a position, or can be one."""
+def can_be_pid(model: mujoco.MjModel, a: int, servo: Servo) -> bool:
+    """Whether slewmax and ki can be written at a servo: it is a ``<pid>`` of a position, or can be one."""
     lagged = law_of(model, a).form is Form.GENERAL and int(model.actuator_dyntype[a]) != int(mujoco.mjtDyn.mjDYN_NONE)
     return servo.target is Target.POSITION and servo.scale == 1.0 and not lagged
 
@@ -63,13 +65,18 @@ def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> No
     values = spelled_out(model, s.actuator, node().attributes)
     if values["dyntype"] == "filter":
         values["dyntype"] = "filterexact"
-    values["biasprm"] = " ".join(_number(x) for x in bias_of(s.new))
+    law = law_of(model, s.actuator)
+    ki = law.integral if s.ki is None else s.ki  # beside integral action a constant force is a part of its start
+    bias = (law.constant if law.integral else 0.0, -s.new.kp, -s.new.kv) if ki else bias_of(s.new)
+    values["biasprm"] = " ".join(_number(x) for x in bias)
     if values["gaintype"] == "fixed":  # that of a <pid> is in its bias
         values["gainprm"] = _number(s.new.gain)
-    if s.slew is not None:
-        imax = float(model.actuator_dynprm[s.actuator, IMAX]) if law_of(model, s.actuator).form is Form.PID else 0.0
-        values |= {"dyntype": "pid", "dynprm": f"{_number(imax)} {_number(s.slew)}"}
-        values |= {} if values["gaintype"] == "pid" else {"gaintype": "pid", "gainprm": "0", "input": "pos"}
+    if s.slew is not None or s.ki is not None:
+        imax = float(model.actuator_dynprm[s.actuator, IMAX]) if law.form is Form.PID else 0.0
+        slew = s.slew if s.slew is not None else (law.slew if law.form is Form.PID and math.isfinite(law.slew) else 0.0)
+        values |= {"dyntype": "pid", "dynprm": f"{_number(imax)} {_number(slew)}"}
+        values |= {} if values["gaintype"] == "pid" else {"gaintype": "pid", "input": "pos"}
+        values["gainprm"] = _number(ki)
     if math.isfinite(s.new.limit) and s.new.limit != s.old.limit:
         values |= {"forcelimited": "true", "forcerange": f"{_number(-s.new.limit)} {_number(s.new.limit)}"}
     for key, value in values.items():

@@ -19,7 +19,7 @@ from mjsim.robot.model import load_robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
 from mjsim.robot.write import write_robot
-from mjsim.robot.write_servo import NewServo, can_slew
+from mjsim.robot.write_servo import NewServo, can_be_pid
 
 NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
 DT = 0.01
@@ -74,7 +74,7 @@ def test_gains_and_a_velocity_limit_are_written_at_the_actuator(tmp_path, log, m
         path = pids(tmp_path, more)
     robot, out = load_robot(path), tmp_path / "corrected.xml"
     d = joint_drives(robot)[1]
-    assert can_slew(robot.model, d.actuator, d.servo)
+    assert can_be_pid(robot.model, d.actuator, d.servo)
     new = dataclasses.replace(d.servo, kp=70.0, kv=5.0, zero=0.01)
     write_robot(path, robot, out, robot.nominal - robot.fixed, {}, [], [NewServo(d.actuator, d.servo, new, 0.5)])
     again = load_robot(out)
@@ -185,7 +185,7 @@ def test_armature_and_damping_of_an_actuator_are_of_its_joint(tmp_path, log):
 
 
 def test_inputs_that_no_log_holds_and_other_laws_are_refused(tmp_path):
-    for more, said in (('input="pos ff"', "inputs pos ff"), ('ki="2"', "integral action")):
+    for more, said in (('input="pos ff"', "inputs pos ff"), ('ki="2" imax=".1"', "stops its integral at imax")):
         with pytest.raises(InputError, match=said):
             joint_drives(load_robot(pids(tmp_path, more)))
     for more, said in (

@@ -122,6 +122,8 @@ def servo_laws(problem: JointProblem, p: np.ndarray, only: Sequence[str] = ()) -
     ]
     if problem.nominal[SLOT["friction"]] > 0.0:  # the file has dry friction: its size is one of its own numbers
         laws = [law for law in laws if law.id != PLAIN]
+    if problem.nominal[SLOT["integral"]] > 0.0:
+        laws = [law for law in laws if "ki" not in law.native]
     if problem.nominal[SLOT["delay"]] > 0.0:
         laws = [law for law in laws if not law.is_delay or law.is_logged]
     return tuple(law for law in laws if not only or law.id in only or law.id == PAYLOAD)
@@ -241,11 +243,16 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
             ServoLaw("torque_offset", "actuator", (Number("preload", False, 0.1 * s.drive + 1e-12),), ({"preload": 0.1 * s.drive},),
                      lambda x: {"torque_Nm": (-x["preload"], Quantity.TORQUE)}, "A constant torque beside that of the servo."))  # fmt: skip
         return laws
+    stiff = s.drive / (s.error + 1e-300)  # kp
     return [
         *laws,
         ServoLaw("servo_deadband", "actuator", (Number("dead_band", upper=3 * s.error),), tuple({"dead_band": c * s.error} for c in (0.1, 0.4)),
                  lambda x: {"half_width_rad": (x["dead_band"], Quantity.ANGLE)},
                  "The servo does not react to errors within its dead band."),
+        ServoLaw("integral_action", "actuator", (Number("integral", upper=stiff / s.dt),), tuple({"integral": c * stiff} for c in (0.5, 2.0)),
+                 lambda x: {"gain_Nm_rad_s": (x["integral"], Quantity.INTEGRAL_GAIN)},
+                 "The servo has integral action: beside kp and kv a gain on the integral of its error.", native={"ki": "integral"},
+                 sane=lambda x: x["kp"] / s.span < x["integral"] < 0.5 * x["kp"] / s.dt),
         ServoLaw("velocity_limit", "actuator", (Number("slew", upper=20 * s.fastest),), tuple({"slew": c * s.fastest} for c in (0.5, 0.9)),
                  lambda x: {"limit_rad_s": (x["slew"], Quantity.VELOCITY)}, "The servo follows its command no faster than a limit.",
                  native={"slewmax": "slew"}, sane=lambda x: x["slew"] < 5 * s.fastest),

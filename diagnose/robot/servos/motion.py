@@ -39,6 +39,7 @@ STEP = 5e-3  # [s]: longest step of the kernel, a twentieth of the period of a s
 FEWEST_STEPS = 4  # per sample, of the kernel
 EDGE = 0.1  # [s]: what the low-pass reaches, before a contact or the end of a series that is moved in time; not counted
 RESTS = 0.01  # of the rms speed: the speed over which the sign of a motion turns
+WINDING = 0.1  # of the rms torque of the links: a change of an integral at the start, by which its response is seen
 WEIGHTLESS = 0.01  # of the torque of the links: the weight about an axis that is vertical to .01 rad
 WINDOW, UNSETTLED = 12.0, 1.0  # [s]: windows of a part of the samples, and what of each, and behind a contact, is not counted
 
@@ -205,9 +206,29 @@ class JointProblem:
         return self.with_masses(np.zeros_like(self.masses)) if np.any(self.masses) else self
 
     def run(self, p: np.ndarray, each: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity (N,) of the joint running free under these slots."""
+        """Position and velocity (N,) of the joint running free under these slots.
+
+        Where the integral of a servo stands at the start of a recording is what suits its counted samples best, to first order.
+        """
+        shift = np.zeros(len(self.sources))
+        q, v = self._run(p, shift, each)
+        if p[SLOT["integral"]] > 0.0:
+            size = WINDING * float(np.sqrt(np.mean(self.series[:, 4] ** 2))) + self.noise * float(p[SLOT["kp"]])
+            response = (self._run(p, shift + size, each)[0] - q) / size
+            for k in range(len(self.sources)):
+                part = self.part(k)
+                counts = (self.fitted | self.held)[part]
+                g, e = response[part][counts], (self.angle - q)[part][counts]
+                squares = float(g @ g)
+                shift[k] = float(np.clip(g @ e / squares, -size / WINDING**2, size / WINDING**2)) if squares > 0.0 else 0.0
+            q, v = self._run(p, shift, each)
+        return q, v
+
+    def _run(self, p: np.ndarray, shift: np.ndarray, each: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same from the integral of a servo that is ``shift`` (R,) [N m | N] beyond what carries the links at the start."""
         q, v = np.empty(len(self.angle)), np.empty(len(self.angle))
-        run_joint(p, self.drive.velocity, self.starts, self.first, self.slope, self.series, self.dt, each or self.each, q, v)
+        steps = each or self.each
+        run_joint(p, self.drive.velocity, self.starts, self.first, self.slope, self.series, self.dt, steps, shift, q, v)
         late = float(p[SLOT["late"]]) / self.dt
         if late > 0.0:  # as it is logged
             for k in range(len(self.sources)):

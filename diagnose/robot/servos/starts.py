@@ -46,6 +46,8 @@ def own_numbers(problem: JointProblem) -> tuple[Number, ...]:
             inertia,
             Number("zero", False, 0.01 * float(np.ptp(problem.angle)) + 1e-12),
         ]
+    if p[SLOT["integral"]] > 0.0:
+        numbers.append(Number("integral", prior=(math.log(p[SLOT["integral"]]), GAIN_PRIOR)))
     loss = float(p[SLOT["friction"]])
     return (*numbers, *([Number("friction", prior=(math.log(loss), GAIN_PRIOR))] if loss > 0 else []))
 
