@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.robot.servos.bodies import changes
+from diagnose.robot.servos.bodies import GRAVITY, changes
 from diagnose.robot.servos.pipeline import ServoOutcome
 from diagnose.robot.servos.state import JointSearch
 from mjsim.robot.carried import effect_of_slots
@@ -49,7 +49,8 @@ def write_corrected_servos(
         servos.append(NewServo(d.actuator, d.servo, new_servo(d, p, "forcerange" in at_drive), slew, ki))
     m = outcome.masses
     links = robot.nominal - robot.fixed + np.einsum("clk,c->lk", changes(robot, m.numbers), m.x)
-    write_robot(model, robot, path, links, joints, carried, servos)
+    lifted = next(((n.nominal + float(m.x[k])) for k, n in enumerate(m.numbers) if n.kind == GRAVITY and m.x[k] != 0.0), None)
+    write_robot(model, robot, path, links, joints, carried, servos, lifted)
 
 
 def _line(s: JointSearch, p: np.ndarray, carried: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

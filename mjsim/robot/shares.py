@@ -7,12 +7,15 @@ velocity from the recorded one alone.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+
 import numpy as np
 
 from mjsim.robot.model import Robot
 from mjsim.robot.rows import link_rows
 
-__all__ = ["SERIES", "shares"]
+__all__ = ["SERIES", "compensation", "shares"]
 
 SERIES = ("inertia", "bias", "by_position", "torque", "weight")
 EPS = 1e-5  # step of the differences [rad | m]: the cube root of double precision, for central ones
@@ -26,6 +29,28 @@ def shares(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray, changes
     """
     parts = [_shares(robot, z[k : k + CHUNK], dz[k : k + CHUNK], ddz[k : k + CHUNK], changes) for k in range(0, len(z), CHUNK)]
     return np.concatenate(parts)
+
+
+def compensation(robot: Robot, z: np.ndarray) -> np.ndarray:
+    """Series (N, m, 5), single precision, by joint and `SERIES` along positions (N, m), of drives that carry the whole weight."""
+    model = copy.copy(robot.model)
+    model.body_gravcomp[:] = 0.0
+    bare = dataclasses.replace(robot, model=model)
+    out = np.zeros((*z.shape, len(SERIES)), np.float32)
+    weight = _weight(bare, z)
+    out[..., 1] = out[..., 3] = out[..., 4] = -weight
+    for j in range(z.shape[1]):
+        unit = np.zeros_like(z)
+        unit[:, j] = EPS
+        out[:, j, 2] = (_weight(bare, z - unit) - _weight(bare, z + unit))[:, j] / (2 * EPS)
+    return out
+
+
+def _weight(robot: Robot, z: np.ndarray) -> np.ndarray:
+    """Torque of the links' weight (N, m) at positions (N, m)."""
+    parts = [z[k : k + CHUNK] for k in range(0, len(z), CHUNK)]
+    rows = [link_rows(robot, x, np.zeros_like(x), np.zeros_like(x)) for x in parts]
+    return np.concatenate([np.einsum("nmlk,lk->nm", r, robot.nominal) for r in rows])
 
 
 def _shares(robot: Robot, z: np.ndarray, dz: np.ndarray, ddz: np.ndarray, changes: np.ndarray) -> np.ndarray:

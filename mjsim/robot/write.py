@@ -41,13 +41,15 @@ def write_robot(
     joints: Mapping[str, Mapping[str, float]],
     effects: Sequence[Mapping[str, Any]],
     servos: Sequence[NewServo] = (),
+    gravcomp: float | None = None,
 ) -> None:
     """Write a corrected copy of an MJCF.
 
     links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
     damping (of which the actuator's part stays at the actuator), frictionloss, stiffness, springref and quadratic damping [SI]
     to write; effects: what MJCF has no element for, as JSON values, read back by `carried_effects`; servos: actuators to
-    change. Raises InputError where the file cannot be written, or holds a link or joint in an included file.
+    change; gravcomp: of every body that moves, None as in the file. Raises InputError where the file cannot be written, or
+    holds a link or joint in an included file.
     """
     xml = XmlText.read(source)
     model = robot.model
@@ -64,11 +66,20 @@ def write_robot(
         for key, text in attributes.items():
             xml.set(_joint(xml, source, robot, name), key, text)
     write_servos(xml, source, model, list(servos))
+    if gravcomp is not None:
+        for body in _moving(model):
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or ""
+            xml.set(_named(xml, source, "body", name), "gravcomp", _number(gravcomp))
     _drop(xml)
     if effects:
         xml.append(xml.root, _custom(effects))
     relocate(xml, source, out)
     save_compiled(xml.raw, out, load_robot)
+
+
+def _moving(model: mujoco.MjModel) -> list[int]:
+    """Bodies with a mass that a joint moves."""
+    return [b for b in range(1, model.nbody) if model.body_mass[b] > 0.0 and int(model.body_weldid[b]) != 0]
 
 
 def check_writable(source: Path, robot: Robot, *, links: bool) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from diagnose.result import Estimate
 from diagnose.robot.options import RobotOptions
-from diagnose.robot.servos.bodies import MASS, MOMENTS, PAYLOAD, BodyNumber, is_physical
+from diagnose.robot.servos.bodies import GRAVITY, MASS, MOMENTS, PAYLOAD, BodyNumber, is_physical
 from diagnose.robot.servos.fit import covariance, fit
 from diagnose.robot.servos.library import WEIGHT
 from diagnose.robot.servos.masses import UNSEEN, Loaded, fit_masses, gain_of, information
@@ -96,7 +96,8 @@ class Masses:
                 value, low, high = (f"{v - given:+.4g}" for v in (e.value, *e.ci95))
             else:
                 value, low, high = f"{given:.4g} -> {e.value:.4g}", f"{e.ci95[0]:.4g}", f"{e.ci95[1]:.4g}"
-            out.append(f"{name}: {value} {e.unit} [{low}, {high}]{also}{COMMON}".replace(" 1 [", " ["))
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            out.append(f"{name}: {value}{unit} [{low}, {high}]{also}{'' if one.kind == GRAVITY else COMMON}")
         return tuple(out)
 
 
@@ -116,8 +117,8 @@ class _Robot:
 
     @property
     def moves(self) -> int:
-        """Number of candidates: the mass of each link, alone and with its first moment, and the payload."""
-        return 2 * sum(n.kind == MASS for n in self.numbers) + 1
+        """Number of candidates: the mass of each link, alone and with its first moment, gravity compensation and the payload."""
+        return 2 * sum(n.kind == MASS for n in self.numbers) + 2
 
     @property
     def entry(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from diagnose.data.noise import white_noise_level
 from diagnose.robot.motion import BLOCKS, EVERY, LEAST_MOVED, derivative
-from diagnose.robot.servos.bodies import body_numbers, changes
+from diagnose.robot.servos.bodies import GRAVITY, body_numbers, changes, gravcomp_of
 from mjsim.errors import InputError
 from mjsim.hold import between, delayed
 from mjsim.quantity import Motion as Kind
@@ -24,7 +24,7 @@ from mjsim.robot.inertia import moved, point_mass
 from mjsim.robot.joint_kernel import SLOT, run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
-from mjsim.robot.shares import SERIES, shares
+from mjsim.robot.shares import SERIES, compensation, shares
 from mjsim.robot.touching import Touching, touching
 
 __all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution"]
@@ -131,7 +131,10 @@ def prepare(robot: Robot, recording: RobotRecording, held: bool, late: Mapping[s
         at, pos, quat = robot.link_of(known.body)
         links[at] += moved(point_mass(known.mass, np.array(known.pos)), pos, quat)
     series = along(robot, z, dz, ddz, links if known is not None else None)
-    extra = shares(robot, z, dz, ddz, changes(robot, body_numbers(robot)))
+    numbers = body_numbers(robot)
+    extra = shares(robot, z, dz, ddz, changes(robot, numbers))
+    if gravcomp_of(robot) is not None:
+        extra[:, :, [n.kind for n in numbers].index(GRAVITY)] = compensation(robot, z)
     drive = series.torque.copy()
     for j, d in enumerate(joint_drives(robot)):
         if d is not None:
