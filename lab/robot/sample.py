@@ -29,7 +29,7 @@ __all__ = ["PLAN", "Item", "markdown", "plan", "run", "score_servo"]
 
 PLAN: Mapping[tuple[str, str], int] = {  # cases of each kind on each of the two arms
     ("servo", "nothing"): 18, ("servo", "parameters"): 12, ("servo", "single"): 18, ("servo", "pair"): 9, ("servo", "skew"): 6,
-    ("servo", "coupled"): 6, ("servo", "compensation"): 3,
+    ("servo", "coupled"): 6, ("servo", "compensation"): 3, ("servo", "integral"): 3,
     ("torque", "nothing"): 12, ("torque", "parameters"): 6, ("torque", "single"): 6, ("torque", "pair"): 6,
     ("torque", "compensation"): 3, ("torque", "steady_load"): 3, ("torque", "cable"): 3, ("torque", "flexible"): 3,
 }  # fmt: skip
