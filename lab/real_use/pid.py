@@ -108,11 +108,17 @@ def true_numbers(case: PidCase, given: Numbers) -> Numbers:
         case "friction":
             return dataclasses.replace(given, friction=0.3 * rng.uniform(0.7, 1.4) * torque)
         case "limit":
-            return dataclasses.replace(given, limit=1.3 * rng.uniform(0.7, 1.4) * torque + given.weight * given.swing)
+            return dataclasses.replace(given, limit=rng.uniform(0.5, 0.8) * _peak(case, given))
         case "delay":
             return dataclasses.replace(given, delay=max(1, round(0.012 * rng.uniform(0.7, 1.4) / TIMESTEP)) * TIMESTEP)
         case _:
             return given
+
+
+def _peak(case: PidCase, given: Numbers) -> float:
+    """Largest torque of the drive at the joint in the first log of the nominal machine."""
+    u, start = _command(case, given, 0)
+    return float(np.max(np.abs(_run(mujoco.MjModel.from_xml_string(text(case.plain, given)), case.rate, u, start)[1])))
 
 
 def make_files(case: PidCase, folder: Path) -> tuple[Numbers, Numbers]:
@@ -131,6 +137,18 @@ def make_files(case: PidCase, folder: Path) -> tuple[Numbers, Numbers]:
 
 def _log(case: PidCase, path: Path, given: Numbers, which: int) -> np.ndarray:
     """Time, command and angle (N, 3) of the machine on a command that is held over each sample."""
+    rng, ahead = np.random.default_rng([case.seed, 3, which]), round(BEFORE * case.rate)
+    u, start = _command(case, given, which)
+    q = _run(mujoco.MjModel.from_xml_path(str(path)), case.rate, u, start)[0][ahead:]
+    t, u = np.arange(len(q)) / case.rate, u[ahead:]
+    if case.sensor == "encoder":
+        step = ENCODER if case.machine != "slide" else ENCODER * given.swing / 0.4
+        return np.column_stack([t, u, step * np.round(q / step)])
+    return np.column_stack([t, u, q + rng.uniform(*LEVEL) * float(np.std(q)) * rng.standard_normal(len(q))])
+
+
+def _command(case: PidCase, given: Numbers, which: int) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """Command (N,) from `BEFORE` ahead of the log on, and where the machine starts then."""
     rng = np.random.default_rng([case.seed, 2, which])
     ahead, count = round(BEFORE * case.rate), round(SECONDS[case.rate] * case.rate)
     t = (np.arange(ahead + count) - ahead) / case.rate
@@ -141,18 +159,12 @@ def _log(case: PidCase, path: Path, given: Numbers, which: int) -> np.ndarray:
         wave = rng.uniform(-1.7, 1.7, math.ceil((t[-1] - t[0]) / 0.5) + 1)[((t - t[0]) / 0.5).astype(int)]
     if case.begin == "rest":
         wave = wave * np.clip(t / FADE, 0.0, 1.0)
-    u = given.gear * (offset + given.swing * wave)
-    q = _run(mujoco.MjModel.from_xml_path(str(path)), case.rate, u, (offset if case.begin == "rest" else 0.0, 0.0, 0.0))
-    t, u, q = t[ahead:], u[ahead:], q[ahead:]
-    if case.sensor == "encoder":
-        step = ENCODER if case.machine != "slide" else ENCODER * given.swing / 0.4
-        return np.column_stack([t, u, step * np.round(q / step)])
-    return np.column_stack([t, u, q + rng.uniform(*LEVEL) * float(np.std(q)) * rng.standard_normal(len(q))])
+    return given.gear * (offset + given.swing * wave), (offset if case.begin == "rest" else 0.0, 0.0, 0.0)
 
 
-def _run(m: mujoco.MjModel, rate: float, u: np.ndarray, start: Sequence[float]) -> np.ndarray:
-    """Angle (N,) of the joint from a start (angle, velocity, activation), the command held over each sample."""
-    data, q = mujoco.MjData(m), np.empty(len(u))
+def _run(m: mujoco.MjModel, rate: float, u: np.ndarray, start: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Angle of the joint and torque of its drive (N,) from a start (angle, velocity, activation) on a held command."""
+    data, (q, torque) = mujoco.MjData(m), np.empty((2, len(u)))
     steps, at = round(1 / (rate * m.opt.timestep)), (m.joint(JOINT).qposadr[0], m.joint(JOINT).dofadr[0])
     data.qpos[at[0]], data.qvel[at[1]] = start[:2]
     if m.na:
@@ -162,7 +174,8 @@ def _run(m: mujoco.MjModel, rate: float, u: np.ndarray, start: Sequence[float]) 
             q[k] = data.qpos[at[0]]
             data.ctrl[0] = x
             mujoco.mj_step(m, data, steps)
-    return q
+            torque[k] = data.qfrc_actuator[at[1]]
+    return q, torque
 
 
 def follow(path: Path, rate: float, log: np.ndarray) -> float:
@@ -173,7 +186,7 @@ def follow(path: Path, rate: float, log: np.ndarray) -> float:
 
     def errors(x: np.ndarray) -> np.ndarray:
         moved = np.pad(x * scale, (0, 3 - len(x)))
-        e = q - _run(m, rate, u, (q[0] + moved[0], moved[1], moved[2]))
+        e = q - _run(m, rate, u, (q[0] + moved[0], moved[1], moved[2]))[0]
         return np.where(np.isfinite(e), e, 1e6)
 
     fit = least_squares(errors, np.zeros(len(scale)), diff_step=1e-2, x_scale=1.0, max_nfev=12)
