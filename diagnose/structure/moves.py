@@ -57,6 +57,8 @@ class Moves:
         # a response that is not linear in the amplitude is tried while there is a residual, or a filter that may have taken it
         families = NONLINEAR if visible else NONLINEAR[:1] if len(state.fitter.whitening) > 1 else ()
         misjudged = [s for s in ranked if s not in tried and effect_class(s.candidate.id).family in families]
+        if visible:  # beside a further feedback all numbers of the servo are others
+            misjudged += [s for s in ranked if s not in tried and effect_class(s.candidate.id).closes_loop]
         if visible:  # so is another law in the place of a nominal effect
             misjudged += [
                 s for s in ranked

@@ -2,8 +2,8 @@
 
 force = kp e - kv l' + T0 + ki (integral of e dt since the first sample),    e: the error of the servo (`mjsim.servo`)
 
-T0 is the force that the integral has at the first sample. A cascade of a position loop K and a velocity loop with gain D and
-integral gain I has kp = D K + I, kv = D and ki = I K, but its command acts through D K alone: the law is its own for I << D K.
+T0 is the force that the integral has at the first sample. A cascade of a position and a velocity loop has another weight of the
+command (`mjsim.effects.integral_action_of_cascade`).
 """
 
 from __future__ import annotations

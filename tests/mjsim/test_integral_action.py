@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjsim.axis import Axis
 from mjsim.effects.integral_action import IntegralAction
+from mjsim.effects.integral_action_of_cascade import IntegralActionOfCascade
 from mjsim.effects.presliding_friction import PreslidingFriction
 from mjsim.errors import InputError
 from mjsim.mjcf import load_axis, load_model, write_corrected
@@ -69,6 +71,28 @@ def test_at_rest_under_gravity_the_integral_holds_the_weight(tmp_path):
         ).angle,
     ):
         assert np.ptp(run) < 1e-9
+
+
+def test_a_cascade_is_the_law_with_less_of_its_gain_on_the_command(tmp_path):
+    """A position loop K ahead of a PI velocity loop (D, I), written out: kp = D K + I, kv = D, ki = I K, weight I."""
+    K, D, i, J, f = 6.0, 0.4, 1.5, 0.03, 0.05
+    chain = load_axis(write(tmp_path / "p.xml", POSITION)).chain
+    body = dataclasses.replace(chain.bodies[0], inertia=J, viscous=f)
+    chain = dataclasses.replace(chain, bodies=(body,), gain=1.0, servo=Servo(D * K + i, D))
+    law = IntegralActionOfCascade(gain_Nm_rad_s=i * K, weight_Nm_rad=i)
+    run = simulate(Axis(chain, (law,)), STEPS, DT)
+    q = v = s = 0.0
+    out, h = [], DT / 2000
+    for c in STEPS:
+        out.append(q)
+        for _ in range(2000):
+            e = K * (c - q) - v
+            v += h * (D * e + i * s - f * v) / J
+            s += h * e
+            q += h * v
+    assert rms(run.angle - out) < 1e-3 * np.std(out)
+    plain = simulate(Axis(chain, (IntegralAction(gain_Nm_rad_s=i * K),)), STEPS, DT)
+    assert rms(plain.angle - out) > 0.05 * np.std(out)
 
 
 def test_its_state_is_no_bristle(tmp_path):
