@@ -12,13 +12,14 @@ from diagnose.robot.servos.motion import joint_problem, prepare
 from lab.robot.arm import three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, simulate
 from mjsim.errors import InputError
+from mjsim.robot.carried import effect_of_slots, effect_slots
 from mjsim.robot.closed_loop import closed_loop
 from mjsim.robot.drives import joint_drives
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import load_robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
-from mjsim.robot.write import write_robot
+from mjsim.robot.write import carried_effects, write_robot
 from mjsim.robot.write_servo import NewServo, can_be_pid
 
 NOMINAL = ServoRobot(three_axes(), tuple(ServoJoint(kp, kv) for kp, kv in ((60.0, 6.0), (90.0, 8.0), (50.0, 4.0))))
@@ -218,3 +219,20 @@ def test_a_passive_actuator_ahead_of_the_drives_shifts_no_control(tmp_path, log)
     assert robot.model.nactuator == 4
     assert mujoco.mj_name2id(robot.model, mujoco.mjtObj.mjOBJ_ACTUATOR, "still") == 0
     np.testing.assert_allclose(closed_loop(robot, log).z, closed_loop(load_robot(tmp_path / "arm.xml"), log).z, atol=1e-12)
+
+
+def test_the_speed_limit_of_a_motor_is_an_effect_whose_slots_are_those_of_the_file(tmp_path, log):
+    """A <general> in the place of the motor runs as the motor does once its speed limit is carried."""
+    path = motors(tmp_path, 'nominal="4 20 2" input="pos" controller="{kp} 0 {kv} 0 0 4"')
+    robot = load_robot(path)
+    d = joint_drives(robot)[1]
+    carried = effect_of_slots("joint2", "actuator", {name: d.slots[SLOT[name]] for name in ("stall", "no_load")})
+    assert effect_slots(carried, robot) == {"stall": 20.0, "no_load": 2.0}
+    servos = [NewServo(d.actuator, d.servo, dataclasses.replace(d.servo, zero=1e-9))]
+    write_robot(path, robot, tmp_path / "out.xml", robot.nominal - robot.fixed, {}, [carried], servos)
+    again = load_robot(tmp_path / "out.xml")
+    assert joint_drives(again)[1].slots[SLOT["stall"]] == 0.0
+    own = closed_loop(robot, log).z[:, 1]
+    with_it = closed_loop(again, log, carried_effects(tmp_path / "out.xml")).z[:, 1]
+    without = closed_loop(again, log).z[:, 1]
+    assert np.std(with_it - own) < 0.02 * np.std(without - own)
