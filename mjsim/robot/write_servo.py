@@ -73,7 +73,7 @@ def _write(xml: XmlText, source: Path, model: mujoco.MjModel, s: NewServo) -> No
         values["gainprm"] = _number(s.new.gain)
     if s.slew is not None or s.ki is not None:
         imax = float(model.actuator_dynprm[s.actuator, IMAX]) if law.form is Form.PID else 0.0
-        slew = s.slew if s.slew is not None else (law.slew if law.form is Form.PID and math.isfinite(law.slew) else 0.0)
+        slew = s.slew if s.slew is not None else (law.slew if math.isfinite(law.slew) else 0.0)
         values |= {"dyntype": "pid", "dynprm": f"{_number(imax)} {_number(slew)}"}
         values |= {} if values["gaintype"] == "pid" else {"gaintype": "pid", "input": "pos"}
         values["gainprm"] = _number(ki)

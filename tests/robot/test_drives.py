@@ -236,3 +236,13 @@ def test_the_speed_limit_of_a_motor_is_an_effect_whose_slots_are_those_of_the_fi
     with_it = closed_loop(again, log, carried_effects(tmp_path / "out.xml")).z[:, 1]
     without = closed_loop(again, log).z[:, 1]
     assert np.std(with_it - own) < 0.02 * np.std(without - own)
+
+
+def test_integral_action_that_is_found_at_a_motor_keeps_its_slewmax(tmp_path):
+    path = motors(tmp_path, 'input="pos" controller="{kp} 0 {kv} 0.3 0 0"')
+    robot = load_robot(path)
+    d = joint_drives(robot)[1]
+    servos = [NewServo(d.actuator, d.servo, d.servo, ki=5.0)]
+    write_robot(path, robot, tmp_path / "out.xml", robot.nominal - robot.fixed, {}, [], servos)
+    found = joint_drives(load_robot(tmp_path / "out.xml"))[1]
+    assert (found.slots[SLOT["slew"]], found.slots[SLOT["integral"]]) == (0.3, 5.0)
