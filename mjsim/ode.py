@@ -249,11 +249,15 @@ def _input(s: System, command: np.ndarray, dt: float, hold: str, before: float) 
         command, before = command - servo.zero, before - servo.zero
     if not math.isinf(s.slew):
         start, slope = slewed(command, dt, s.slew, hold)
-        return _lent(start), _lent(slope), before
+        return _lent(start + s.lead * slope), _lent(slope), before
     u = apply_input(s, command)
     if hold == "held":
+        if s.lead:
+            u = u + s.lead / dt * np.diff(u, prepend=u[:1])
         return _lent(u), _still(len(u)), before
     start, slope = between(u, dt, hold)
+    if s.lead:
+        start = start + s.lead * slope
     return _lent(start), _lent(slope), before
 
 

@@ -46,6 +46,7 @@ class System:
     n_states: int
     input_maps: tuple[P.InputMap, ...]
     slew: float
+    lead: float
     input_lag: float
     input_delay: float
     output_maps: tuple[P.OutputMap, ...]
@@ -281,6 +282,7 @@ def assemble(axis: Axis) -> System:
         parameters=np.array(elements.values or [0.0]),
         has_friction=elements.friction,
         n_states=elements.n_states,
+        lead=float(sum(p.seconds for p in ports if isinstance(p, P.CommandLead))),
         slew=min((p.limit for p in ports if isinstance(p, P.CommandSlew)), default=math.inf),
         input_maps=tuple(p for p in ports if isinstance(p, P.InputMap)),
         input_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.InputLag))),

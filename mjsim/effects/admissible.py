@@ -12,11 +12,18 @@ from typing import final
 
 from mjsim.effects.scales import Scales
 
-__all__ = ["Range", "bristles", "mode", "ringing", "wait", "wave"]
+__all__ = ["Range", "bristles", "mode", "ringing", "servo_stiffness", "wait", "wave"]
 
 WHOLE = 0.03  # relative distance to a whole order of the motor's turn within which an order is that one
 BETWEEN = 0.25  # of a sample, within which the delay of an input is that of how it goes between samples: held, linear or a mean
+PEAK = 3.0  # largest over rms of an error of a servo
 WARMS_UP = 10.0  # ratio of the friction of a cold and a warm machine: viscosity of grease over some 40 K
+
+
+def servo_stiffness(scales: Scales) -> float:
+    """Force that the servo asks for over its error [N m/rad | N/m]: about its kp."""
+    force = scales.asked[0] if scales.asked else scales.max_torque
+    return force / (PEAK * (scales.following or 0.01 * scales.travel))
 
 
 @final

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from mjsim.effects.admissible import Range
+from mjsim.effects.admissible import Range, servo_stiffness
 from mjsim.effects.base import Effect, Scales, need_servo, parameter
 from mjsim.effects.law import INPUT, POSITION, STATE, law
 from mjsim.effects.native import Native, ServoIntegral, Value
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["IntegralAction"]
 
-PEAK = 3.0  # largest over rms of an error
 RATES = (0.3, 1.0, 4.0)  # ki / kp [1/s] of the starts: a tuned PID integrates within some tenths of a second to some seconds
 
 
@@ -75,16 +74,10 @@ class IntegralAction(Effect):
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        most = _stiffness(scales) / scales.dt
+        most = servo_stiffness(scales) / scales.dt
         return (Range("integral gain", self.gain_Nm_rad_s, 0.0, most, "which turns the force over within a sample"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit."""
-        return [{"gain_Nm_rad_s": rate * _stiffness(scales), "start_Nm": 0.0} for rate in RATES]
-
-
-def _stiffness(scales: Scales) -> float:
-    """Force that the servo asks for over its error [N m/rad | N/m]: about its kp."""
-    force = scales.asked[0] if scales.asked else scales.max_torque
-    return force / (PEAK * (scales.following or 0.01 * scales.travel))
+        return [{"gain_Nm_rad_s": rate * servo_stiffness(scales), "start_Nm": 0.0} for rate in RATES]

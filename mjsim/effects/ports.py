@@ -26,6 +26,7 @@ __all__ = [
     "BodyInertia",
     "BodyTorque",
     "CommandDeadBand",
+    "CommandLead",
     "CommandSlew",
     "CouplingTorque",
     "DriveLimit",
@@ -203,6 +204,13 @@ class CommandSlew:
 
 
 @dataclass(frozen=True)
+class CommandLead:
+    """What the servo's target is ahead of the command by its own speed: target + ``seconds`` target'."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
 class InputLag:
     """First-order lag of the commanded torque, time constant [s]."""
 
@@ -252,6 +260,7 @@ Port = (
     | TorqueSpeedLine
     | CommandDeadBand
     | CommandSlew
+    | CommandLead
     | InputLag
     | InputDelay
     | OutputMap

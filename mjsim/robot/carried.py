@@ -21,10 +21,11 @@ from mjsim.robot.model import Robot
 
 __all__ = ["AT_SERVO", "act", "effect_of_slots", "effect_slots", "needed_parameters", "slots_by_joint"]
 
-LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING, FROM = (
+LIMIT, LAG, DEAD, SLEW, STALL, NO_LOAD, ASYMMETRY, QUADRATIC, BRISTLE, SPRING, FROM, LEAD = (
     SLOT[x]
     for x in (
         "limit", "lag", "dead_band", "slew", "stall", "no_load", "asymmetry", "quadratic", "bristle", "spring", "couple_from",
+        "lead",
     )
 )  # fmt: skip
 _SIMPLE: dict[str, dict[str, str]] = {
@@ -39,6 +40,7 @@ _SIMPLE: dict[str, dict[str, str]] = {
     "actuator_saturation": {"limit": "limit_Nm"},
     "servo_deadband": {"dead_band": "half_width_rad"},
     "velocity_limit": {"slew": "limit_rad_s"},
+    "velocity_feedforward": {"lead": "gain_Nms_rad"},
     "torque_speed_limit": {"stall": "stall_torque_Nm", "no_load": "no_load_speed_rad_s"},
 }
 
@@ -55,7 +57,15 @@ _OTHERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "gravity_load": (("torque_Nm", "phase_rad"), ()),
 }
 AT_SERVO = frozenset(
-    ("time_delay", "actuator_lag", "actuator_saturation", "servo_deadband", "velocity_limit", "torque_speed_limit")
+    (
+        "time_delay",
+        "actuator_lag",
+        "actuator_saturation",
+        "servo_deadband",
+        "velocity_limit",
+        "velocity_feedforward",
+        "torque_speed_limit",
+    )
 )  # of the input: a joint that a torque drives is held to its recording by a loop beside it
 
 
@@ -140,35 +150,37 @@ def slots_by_joint(effects: Sequence[Mapping[str, Any]], robot: Robot) -> tuple[
 
 @compiled(error_model="numpy")
 def act(
-    p: np.ndarray, native: np.ndarray, zero: np.ndarray, target: np.ndarray, q: np.ndarray, v: np.ndarray, load: np.ndarray,
-    drive: np.ndarray, t: float, h: float, state: np.ndarray, out: np.ndarray
+    p: np.ndarray, native: np.ndarray, zero: np.ndarray, target: np.ndarray, rate: np.ndarray, q: np.ndarray, v: np.ndarray,
+    load: np.ndarray, drive: np.ndarray, t: float, h: float, state: np.ndarray, out: np.ndarray
 ) -> None:  # fmt: skip
     """What carried laws do at one instant.
 
-    p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target (m,): of the
-    servos, after
-    their delay; q, v, load, drive (m,): motion, torque
+    p (m, K): slots of carried laws; native (m,): frictionloss of the file; zero (m,): of the servos; target, rate (m,): of the
+    servos, after their delay, and its speed; q, v, load, drive (m,): motion, torque
     of the links and of the drives; t [s]; h: step [s]; state (m, 4): lagged target, slewed target, bristle, and whether it has
     begun; out
     (m, 5): dry friction, torque, target, least and largest force at the joint.
     """
     for j in range(len(q)):
         c = p[j]
-        r = target[j]
+        r, speed = target[j], rate[j]
         if state[j, 3] == 0.0:
             state[j, 0], state[j, 1], state[j, 3] = r, r, 1.0
         if c[LAG] > 0.0:  # lag
-            state[j, 0] += (r - state[j, 0]) * (1.0 - math.exp(-h / c[LAG]))
-            r = state[j, 0]
+            way = (r - state[j, 0]) * (1.0 - math.exp(-h / c[LAG]))
+            state[j, 0] += way
+            r, speed = state[j, 0], way / h
         if c[SLEW] > 0.0:  # slew
-            state[j, 1] += min(max(r - state[j, 1], -c[SLEW] * h), c[SLEW] * h)
-            r = state[j, 1]
+            way = min(max(r - state[j, 1], -c[SLEW] * h), c[SLEW] * h)
+            state[j, 1] += way
+            r, speed = state[j, 1], way / h
         if c[DEAD] > 0.0:  # dead band
             r -= min(max(r - zero[j] - q[j], -c[DEAD]), c[DEAD])
         up, down = friction_level(c, q[j], v[j], load[j], t)
         up, down = up + c[ASYMMETRY], down - c[ASYMMETRY]
         level, offset = 0.5 * (up + down), 0.5 * (up - down)
         torque = -body_torque(c, q[j]) - c[SPRING] * q[j] - c[QUADRATIC] * v[j] * abs(v[j]) - offset
+        torque += c[LEAD] * speed
         if c[FROM] > 0.0:  # another joint
             k = int(c[FROM]) - 1
             torque -= coupled(c, drive[k], np.sign(v[k]), v[k])

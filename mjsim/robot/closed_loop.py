@@ -156,7 +156,7 @@ class _Run:
         wound: np.ndarray,
     ) -> None:
         self.robot, self.model, self.data, self.slots, self.n, self.each = robot, model, data, slots, n, each
-        self.h, self.sampled = float(model.opt.timestep), sampled
+        self.h, self.sampled, self.hold = float(model.opt.timestep), sampled, r.hold
         self.drives = joint_drives(robot)
         self.lead = np.array([robot.leading(j) for j in range(len(robot.joints))])
         self.recorded = r.positions(robot)
@@ -216,7 +216,7 @@ class _Run:
         z[0], dz[0], tracking[0] = d.qpos[lead], d.qvel[lead], loop
         if self.sampled:
             tracking[0] = self._computed(followed[0], slope[0])
-        u, applied = self.u, np.zeros(m)
+        u, speed, applied = self.u, self._speed(), np.zeros(m)
         for i in range(len(self.t)):
             q, v = d.qpos[lead], d.qvel[lead]
             if self.sampled and i % per == 0:
@@ -228,7 +228,7 @@ class _Run:
             if self.carried:
                 drive = (d.qfrc_actuator @ self.robot.tie) + loop
                 goal = inputs * self.factor
-                act(self.slots, self.native, self.zero, goal, q, v, self._load(), drive, self.t[i], self.h, state, out)
+                act(self.slots, self.native, self.zero, goal, speed[i], q, v, self._load(), drive, self.t[i], self.h, state, out)
                 model.dof_frictionloss[lead] = out[:, 0]
                 applied = loop + out[:, 1]
                 inputs = np.where(self.torque, inputs, out[:, 2] / self.factor)
@@ -247,6 +247,15 @@ class _Run:
                 if not np.isfinite(z[row]).all():
                     break
         return z, dz, np.where(self.torque, tracking, np.nan)
+
+    def _speed(self) -> np.ndarray:
+        """Speed (T, m) of the servos' targets at each step: of a held command its last step over a sample."""
+        if not self.slots[:, SLOT["lead"]].any():
+            return np.zeros_like(self.u)
+        if self.hold == "held":
+            before = np.concatenate([np.repeat(self.u[:1], self.each, axis=0), self.u[: -self.each]])
+            return np.asarray((self.u - before) * self.factor / (self.each * self.h))
+        return np.asarray(np.gradient(self.u, self.h, axis=0) * self.factor)
 
     def _activate(self) -> None:
         """Filtered and integrated commands start where the joint is, or at the first command; a servo's integral holds it."""

@@ -27,14 +27,14 @@ SLOTS = (
     "friction", "asymmetry", "extra", "stribeck", "load", "load_back", "quadratic", "sublinear", "exponent", "bristle",
     "ripple_sin", "ripple_cos", "order", "rub_sin", "rub_cos", "rub_order", "weight_sin", "weight_cos", "spring", "preload",
     "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
-    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral",
+    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral", "lead",
 )  # fmt: skip
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 (KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD,
 LOAD_BACK,
  QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
  DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE, COUPLE_FROM,
- COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL) = range(len(SLOTS))  # fmt: skip
+ COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL, LEAD) = range(len(SLOTS))  # fmt: skip
 
 
 def empty() -> np.ndarray:
@@ -86,7 +86,8 @@ def coupled(p: np.ndarray, torque: float, sign: float, speed: float) -> float:
 
 @compiled(error_model="numpy", inline="always")
 def _drive(p: np.ndarray, velocity: bool, r: float, q: float, v: float, wound: float) -> tuple[float, float, float]:
-    """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state; wound: torque of its integral."""
+    """The drive as (force at q = 0 and v = 0, stiffness, damping) about the present state; wound: torque of its integral and of
+    its feedforward."""
     if velocity:
         constant, stiff, damp = p[KV] * (r - p[ZERO]), 0.0, p[KV]
     else:
@@ -135,6 +136,7 @@ def run_joint(
     late = p[DELAY] / dt
     source = 10 + 3 * (int(p[COUPLE_FROM]) - 1) if p[COUPLE_FROM] > 0.0 else -1
     forget = 1.0 - math.exp(-h / p[LAG]) if p[LAG] > 0.0 else 1.0
+    held = p[LEAD] != 0.0 and not np.any(slope)
     for run in range(len(starts) - 1):
         a, b = starts[run], starts[run + 1]
         x, w, y = series[a, 5], 0.0, 0.0
@@ -179,14 +181,23 @@ def run_joint(
                     c = first[a + n] + slope[a + n] * (at - n + 0.5 * part / each) * dt
                     if part < 1.0:
                         c = part * c + (1.0 - part) * (first[a + n + 1] + slope[a + n + 1] * 0.5 * (1.0 - part) / each * dt)
+                speed = 0.0  # of the target
+                if p[LEAD] != 0.0 and at > -1.0 / each:
+                    speed = slope[a + n]
+                    if held:
+                        speed = (first[a + n] - first[a + n - 1]) / dt if n > 0 else 0.0
+                        if part < 1.0:
+                            speed = part * speed + (1.0 - part) * (first[a + n + 1] - first[a + n]) / dt
                 if p[LAG] > 0.0:
                     before = lagged
                     lagged += (c - lagged) * forget
                     c = 0.5 * (before + lagged)
+                    speed = (lagged - before) / h
                 if p[SLEW] > 0.0:
                     before = r
                     r += min(max(c - r, -p[SLEW] * h), p[SLEW] * h)
                     goal = 0.5 * (before + r)
+                    speed = (r - before) / h
                 else:
                     goal = c
                 M = g * M0 + f * M1 + p[ARMATURE]
@@ -194,7 +205,7 @@ def run_joint(
                 off = goal - p[ZERO] - x
                 if p[INTEGRAL] > 0.0:
                     wound = begun + p[INTEGRAL] * 0.5 * h * off
-                constant, stiff, damp = _drive(p, velocity, goal, x, w, wound)
+                constant, stiff, damp = _drive(p, velocity, goal, x, w, wound + p[LEAD] * speed)
                 F = constant - bias - body_torque(p, x)
                 if source >= 0:
                     F -= g * coupled(p, series[k, source], series[k, source + 1], series[k, source + 2])
