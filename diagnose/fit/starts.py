@@ -35,11 +35,13 @@ def about_nominal(fitter: Fitter, f: Fitted) -> Fitted:
 def multistart(fitter: Fitter, f: Fitted, effect: Effect) -> Fitted:
     """The best fit of a structure from the starts of an effect at the nominal linear parameters; ``f`` where none is better.
 
-    Starts are ranked by their cost. The best, twice as many as the effect's ``multistart``, are fitted by a few iterations by
-    secants, in coarse steps of the integration, and the best of these goes on in steps of the usual size.
+    Of what each recording has of its own only the numbers of the other effects are kept: a start in motion, or a phase of a
+    nominal effect, that was fitted without the effect compensates for it, as fitted linear parameters do. Starts are ranked by
+    their cost. The best, twice as many as the effect's ``multistart``, are fitted by a few iterations by secants, in coarse steps
+    of the integration, and the best of these goes on in steps of the usual size.
     """
     cls, others = type(effect), tuple(e for e in f.effects if e.key != effect.key)
-    own = {k: v for k, v in f.own.items() if k[0] != effect.key}
+    own = {k: v for k, v in f.own.items() if k[0] in {e.key for e in others}}
     values = cls.starts(fitter.scales_for(cls, effect.place))
     starts = [fitter.hypothesis((*others, make(cls.id, effect.place, v)), None, own) for v in values]
     coarse = _in_coarse_steps(fitter)

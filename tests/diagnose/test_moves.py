@@ -70,6 +70,20 @@ def test_starts_are_fitted_in_coarse_steps_and_the_best_in_those_of_the_view(fit
     assert fitter.view.step < COARSE
 
 
+def test_starts_keep_of_each_recording_what_belongs_to_the_other_effects(fitter_of, pair, monkeypatch):
+    """A start in motion that was fitted without the effect compensates for it: a gap behind a motor was not found from there."""
+    mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
+    ripple = effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=8.0, phase_rad=0.5)
+    fitter = fitter_of([r.slice(300, len(r)) for r in pair(mode)])
+    far = fitter.fit(fitter.hypothesis([mode, ripple]), iterations=0)
+    assert {owner for owner, _, _ in far.own} == {"", ripple.key}
+    kept, made = [], type(fitter).hypothesis
+    monkeypatch.setattr(type(fitter), "hypothesis", lambda self, e, linear, own: kept.append(own) or made(self, e, linear, own))
+    multistart(fitter, far, mode)
+    assert len(kept) == len(type(mode).starts(fitter.scales_for(type(mode), "arm")))
+    assert all({owner for owner, _, _ in own} == {ripple.key} for own in kept)
+
+
 @pytest.mark.parametrize(("best", "restarts"), [(1.02 * LARGE, 1), (0.98 * LARGE, 0)])
 def test_an_added_body_is_not_fitted_anew_beside_a_neighbour_that_leaves_little(monkeypatch, best, restarts):
     mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
