@@ -74,12 +74,12 @@ def robot() -> Axis:
 
 @pytest.fixture(scope="session")
 def record(robot: Axis) -> Record:
-    """``record(Effect, ..., seconds=3, seed=0, amplitude=1, noise=0.05, changed=True)``: a chirp from 0.5 to 30 Hz at 2 kHz.
+    """``record(Effect, ..., seconds=2, seed=0, amplitude=1, noise=0.05, changed=True)``: a chirp from 0.5 to 30 Hz at 2 kHz.
 
     The angle carries 1e-4 rad of noise, as an encoder of the motor does.
     """
 
-    def make(*effects: Effect, seconds: float = 3.0, seed: int = 0, amplitude: float = 1.0, noise: float = NOISE,
+    def make(*effects: Effect, seconds: float = 2.0, seed: int = 0, amplitude: float = 1.0, noise: float = NOISE,
              changed: bool = True, axis: Axis | None = None, top: float = 30.0) -> Recording:  # fmt: skip
         plant = axis or (robot.with_linear(CHANGED) if changed else robot)
         for e in effects:

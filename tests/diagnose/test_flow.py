@@ -61,7 +61,8 @@ def test_nothing_is_found_where_nothing_differs(pair, robot):
     assert math.isnan(result.gap_closed)
 
 
-@pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(12, 18))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(11, 18))
 def test_no_false_alarm_on_other_noise(pair, robot, seed):
     estimation, held_out = pair(seed=seed)
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1))

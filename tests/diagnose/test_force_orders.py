@@ -51,7 +51,7 @@ def test_a_turn_of_the_screw_stands_out_of_slow_errors():
     assert found[0] == pytest.approx(TURN, abs=np.pi / np.ptp(recording.angle))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 9))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 9))])
 def test_slow_errors_alone_have_no_order(seed):
     axis, recording = carriage(seed)
     fitter = fitter_on(axis, recording)

@@ -15,8 +15,8 @@ COULOMB = effect("coulomb_friction", torque_Nm=0.1)
 
 @pytest.fixture(scope="module")
 def three(pair, record, robot):
-    first, other = pair(COULOMB)
-    return diagnose(robot, [first, record(COULOMB, seed=5, amplitude=0.6)], [other], FEW)
+    first, other = pair(COULOMB, seconds=3.0)
+    return diagnose(robot, [first, record(COULOMB, seed=5, amplitude=0.6, seconds=3.0)], [other], FEW)
 
 
 def test_every_recording_is_looked_at(three):

@@ -266,7 +266,7 @@ def test_another_law_of_the_same_name_stands_once_it_fits_better_and_no_worse_on
 
 def test_what_a_better_law_may_still_miss_is_no_effect_of_its_own(fitter_of, pair):
     """Where another law of an effect changed much, a hundredth of that is no evidence for anything beside it; of less, more."""
-    fitter = fitter_of(pair(coulomb()))
+    fitter = fitter_of(pair(coulomb(), seconds=3.0))
     search = Search(fitter, SearchOptions())
     levels = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.05, "stribeck_velocity_rad_s": 1.0}
     load = effect("gravity_load", place="arm", torque_Nm=0.1, phase_rad=0.0)

@@ -77,7 +77,7 @@ def test_friction_and_inertia_of_step_responses(steps, drive, tmp_path):
             assert found.ci95[1] - found.ci95[0] < 0.05 * true
 
 
-@pytest.mark.parametrize("drive", ["servo", "motor"])
+@pytest.mark.parametrize("drive", ["servo", pytest.param("motor", marks=pytest.mark.slow)])
 def test_intervals_of_many_step_responses_hold_the_truth(steps, drive):
     """Of 32 intervals, 95 % of which hold the truth, fewer than 27 do by chance once in three hundred."""
     held = 0

@@ -17,7 +17,7 @@ def stepped():
 
 @pytest.fixture
 def fitter(fitter_of, pair, stepped):
-    return fitter_of(pair(stepped(), noise=NOISE))
+    return fitter_of(pair(stepped(), noise=NOISE, seconds=3.0))
 
 
 def test_the_sensitivities_of_a_rounded_model_are_those_ahead_of_the_rounding(fitter, stepped):

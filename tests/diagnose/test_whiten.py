@@ -76,7 +76,7 @@ def test_noise_far_larger_than_its_innovations_is_whitened_by_its_own_poles(reco
 
 def fitted(record, robot, noise):
     """A fitter whose residual at the true axis is a given noise."""
-    r = record(changed=False, noise=0.0)
+    r = record(changed=False, noise=0.0, seconds=3.0)
     r = dataclasses.replace(r, velocity=r.velocity + noise)
     fitter = Fitter(robot, MotionView(), (prepare(r),), (prepare(r),), 1)
     return fitter, fitter.fit(fitter.hypothesis(()), iterations=0)
