@@ -66,3 +66,11 @@ def test_the_sample_is_even_in_what_it_lacks():
     assert sum(c.kind == "integral" for c in cases) == 12
     assert {c.kind for c in cases} == {"integral", "nothing", "gains", "friction", "limit", "delay"}
     assert math.isclose(len({c.seed for c in cases}), 24)
+
+
+def test_it_is_tried_where_a_score_test_misjudges_it(tmp_path):
+    """Gains fitted without it are twice the true ones, about which its response is nearly theirs."""
+    of = PidCase(1, "pendulum", 100.0, "sines", "encoder", "rest", False, "integral", draw(24, 74101)[1].seed)
+    result, _, truth = diagnosed(tmp_path, of)
+    assert [f.effect for f in result.findings] == ["integral_action"]
+    assert result.findings[0].parameters["gain_Nm_rad_s"].value == pytest.approx(truth.ki, rel=0.02)
