@@ -98,8 +98,8 @@ def test_an_effect_that_is_there_gains_beside_the_encoder(robot, record):
 
 def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch):
     """Angle and velocity both show it, so that only its repeating with the turn tells it from motion."""
-    erred, by_encoder, _ = fits(robot, erring(record(seconds=8)), ripple(1e-3))
-    rippled, by_ripple, _ = fits(robot, record(ripple(), seconds=8), ripple(1e-3))
+    erred, by_encoder, _ = fits(robot, erring(record(seconds=5)), ripple(1e-3))
+    rippled, by_ripple, _ = fits(robot, record(ripple(), seconds=5), ripple(1e-3))
     found = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
     monkeypatch.setattr("diagnose.evidence.predictable.whole_orders", lambda angle: [])
     before = motion_error(erred, by_encoder), motion_error(rippled, by_ripple)
@@ -109,7 +109,7 @@ def test_an_error_of_the_encoder_is_no_missed_motion(robot, record, monkeypatch)
 
 def test_fast_motion_of_a_right_model_is_no_missed_motion(robot, record):
     """The mean of two samples' velocities is not that of the time between: the difference passed for an error of the encoder."""
-    fitter, base, _ = fits(robot, record(seconds=10, amplitude=4.0, top=45.0, noise=0.03), ripple(1e-3))
+    fitter, base, _ = fits(robot, record(seconds=5, amplitude=4.0, top=45.0, noise=0.03), ripple(1e-3))
     assert motion_error(fitter, base) == 0.0
 
 
@@ -128,7 +128,7 @@ def refitted(robot):
 
 
 def test_parameters_that_bent_to_the_encoder_are_put_right(refitted, record):
-    fitter, base = refitted(erring(record(seconds=8), 2e-3))
+    fitter, base = refitted(erring(record(seconds=5), 2e-3))
     beside = fit_with_encoder_error(fitter, base, 25.0)
     assert beside.chi2 > base.chi2, "more is left of what the encoder shows"
     assert motion_error(fitter, beside) < 0.3 * motion_error(fitter, base), "and less of motion"

@@ -192,7 +192,7 @@ def test_what_the_angle_shows_is_taken_in_first(robot, pair):
         effect("friction_drift", torque_Nm=0.04, relative_change=1.5, time_constant_s=1.0),
     )
     few = ("coulomb_friction", "friction_drift", "asymmetric_friction", "sensor_offset", "torque_offset", "gravity_load")
-    first, other = pair(*hidden, seconds=5.0)
+    first, other = pair(*hidden, seconds=3.0)
     result = diagnose(robot, [first], [other], Options(jobs=1, effects=few))
     assert {f.effect for f in result.findings} == {"sensor_offset", "friction_drift"}
 

@@ -21,7 +21,7 @@ INERTIA, DAMPING, LEVEL, DT, FINE = 0.07, 0.05, 0.2, 2e-3, 20
 def log(path, speed, seed):
     """The equation of motion by small steps, with white noise."""
     rng = np.random.default_rng(seed)
-    t = DT * np.arange(3000)
+    t = DT * np.arange(2000)
     torque = 0.8 * sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) for f in (0.3, 1.1, 4.0))
     q = v = 0.0
     motion = np.empty((len(t), 2))

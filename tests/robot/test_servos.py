@@ -161,7 +161,7 @@ def test_a_robot_as_in_the_file_has_no_findings(folder):
 
 def test_a_payload_is_a_number_of_the_robot_and_no_physics(folder):
     arm = NOMINAL.arm.with_payload(0.5, NOMINAL.arm.links[-1].centre)
-    where = folder(ServoRobot(arm, NOMINAL.servos))
+    where = folder(ServoRobot(arm, NOMINAL.servos), 4.0)
     d = diagnosed(where, (*LAWS, "gravity_load"))
     assert d.verdict is Verdict.PARAMETERS_ONLY
     assert not d.findings
