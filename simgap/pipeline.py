@@ -88,6 +88,7 @@ def diagnose_files(
     *,
     progress: bool | None = True,
     truth: Mapping[str, Any] | None = None,
+    page: bool = True,
     accept_log: bool = False,
     joint: str | None = None,
 ) -> Diagnosis:
@@ -95,7 +96,7 @@ def diagnose_files(
 
     The log is checked first. Where it has to be fixed, that is the answer and nothing is searched, unless ``accept_log``; of a
     servo's log such faults are a wrong sign, unit or gear. ``joint``: which one of a robot's log, by default the one that the
-    model drives.
+    model drives. ``page``: whether report.html is written too.
 
     Broken off (KeyboardInterrupt), it leaves what it has fitted in ``out / STATE``: the same call goes on from there and comes to
     the same end. The file goes when the folder is written.
@@ -112,6 +113,7 @@ def diagnose_files(
         options,
         progress=progress,
         truth=truth,
+        page=page,
         accept_log=accept_log,
         stretches=read.stretches,
     )

@@ -123,11 +123,16 @@ def diagnose_robot_files(
     held_out: Sequence[Path] = (),
     options: RobotOptions | None = None,
     say: Callable[[str], None] = lambda line: None,
+    *,
+    page: bool = True,
 ) -> RobotDiagnosis:
-    """Diagnose a robot from files and write the folder ``out``. Raises InputError for what is outside."""
+    """Diagnose a robot from files and write the folder ``out``; ``page``: whether report.html is written too.
+
+    Raises InputError for what is outside.
+    """
     robot = load_robot(model)
     loaded, held = ([load_robot_recording(p, robot, model=model) for p in group] for group in (recordings, held_out))
-    return diagnose_robot_recordings(loaded, model, out, held, options, say)
+    return diagnose_robot_recordings(loaded, model, out, held, options, say, page=page)
 
 
 @one_thread

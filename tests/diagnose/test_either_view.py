@@ -80,7 +80,7 @@ def test_motion_decides_where_it_explains_the_recordings(tmp_path):
             header="time_s,torque_Nm,angle_rad",
             comments="",
         )
-    diagnose_files(files[:1], model, tmp_path / "out", files[1:], Options(jobs=1, effects=ONLY), progress=False)
+    diagnose_files(files[:1], model, tmp_path / "out", files[1:], Options(jobs=1, effects=ONLY), progress=False, page=False)
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert said["verdict"] == "missing_physics"
     assert said["judged_on"]["channel"] == "velocity"
@@ -317,7 +317,7 @@ def test_friction_is_named_beside_a_slow_unknown_torque(tmp_path):
         table = np.column_stack([r.time, r.torque, velocity, r.angle])
         np.savetxt(files[-1], table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s,angle_rad", comments="")
     options = Options(jobs=1, effects=("coulomb_friction",))
-    diagnose_files(files[:1], model, tmp_path / "out", files[1:], options, progress=False, accept_log=True)
+    diagnose_files(files[:1], model, tmp_path / "out", files[1:], options, progress=False, page=False, accept_log=True)
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert said["verdict"] == "unexplained"
     (found,) = said["findings"]

@@ -109,7 +109,7 @@ def test_the_check_of_a_free_swing_asks_for_no_torque(free):
 
 def test_friction_of_a_free_swing_is_found_with_the_drive_off(free, tmp_path):
     logs, other = [swing(free, 1.6, 0.012, 3.0)], swing(free, 2.2, 0.012, 3.0)
-    result = diagnose_recordings(logs, free, tmp_path, [other], FEW, progress=False)
+    result = diagnose_recordings(logs, free, tmp_path, [other], FEW, progress=False, page=False)
     assert result.verdict is Verdict.MISSING_PHYSICS
     (found,) = result.findings
     assert found.effect == "coulomb_friction"
@@ -176,7 +176,7 @@ def loop(tmp_path_factory):
 
 def test_a_velocity_loop_without_an_angle_is_judged_by_its_velocity(loop, tmp_path):
     path, logs = loop
-    result = diagnose_recordings(logs[:1], path, tmp_path, logs[1:], FEW, progress=False)
+    result = diagnose_recordings(logs[:1], path, tmp_path, logs[1:], FEW, progress=False, page=False)
     assert result.channel == "velocity"
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
     assert abs(result.findings[0].parameters["torque_Nm"].value - 0.03) < 1e-3

@@ -54,7 +54,7 @@ def test_plain_mujoco_gets_coulomb_friction_and_damping(model, tmp_path):
         files.append(tmp_path / r.source)
         table = np.column_stack([r.time, r.torque, r.velocity, r.angle])
         np.savetxt(files[-1], table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s,angle_rad", comments="")
-    diagnose_files(files[:1], model, out, files[1:], Options(jobs=1, effects=(SUBLINEAR.id,)), progress=False)
+    diagnose_files(files[:1], model, out, files[1:], Options(jobs=1, effects=(SUBLINEAR.id,)), progress=False, page=False)
     said = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     fit = {**said["fit"], "surrogate": said["fit"]["surrogate"]["corrected"]}
     given, mended, engine = (fit[name]["held_out_rms"] for name in ("nominal", "corrected", "surrogate"))

@@ -50,7 +50,7 @@ def diagnosed(folder, given, true, dt, seconds, torque, sigma):
         logs.append(folder / f"log_{seed}.csv")
         header = "time_s,torque_Nm,velocity_rad_s,angle_rad"
         np.savetxt(logs[-1], np.column_stack([t, u, motion]), delimiter=",", header=header, comments="")
-    diagnose_files(logs[:1], folder / "nominal.xml", folder / "out", logs[1:], Options(jobs=1), progress=False)
+    diagnose_files(logs[:1], folder / "nominal.xml", folder / "out", logs[1:], Options(jobs=1), progress=False, page=False)
     return json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8"))
 
 

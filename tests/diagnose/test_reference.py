@@ -332,7 +332,7 @@ def test_soft_friction_is_never_called_physics(solver, verdict, found, nominal, 
         logs.append(tmp_path / r.source)
         table = np.column_stack([r.time, r.torque, r.velocity, r.angle])
         np.savetxt(logs[-1], table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s,angle_rad", comments="")
-    diagnose_files(logs[:1], nominal, tmp_path / "out", logs[1:], Options(jobs=1), progress=False)
+    diagnose_files(logs[:1], nominal, tmp_path / "out", logs[1:], Options(jobs=1), progress=False, page=False)
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert said["verdict"] == verdict
     assert [f["effect"] for f in said["findings"]] == found

@@ -196,7 +196,7 @@ def test_the_files_are_judged_by_plain_mujoco(tmp_path):
         columns = np.column_stack([r.time, r.command, r.angle])
         np.savetxt(paths[-1], columns, delimiter=",", header="time_s,command_rad,angle_rad", comments="", fmt="%.12g")
     out = tmp_path / "out"
-    result = diagnose_files(paths[:1], nominal, out, paths[1:], Options(jobs=1, effects=FEW), progress=False)
+    result = diagnose_files(paths[:1], nominal, out, paths[1:], Options(jobs=1, effects=FEW), progress=False, page=False)
     assert result.verdict is Verdict.MISSING_PHYSICS
     written = json.loads((out / "diagnosis.json").read_text())["fit"]
     held_out = load(paths[1], model=out / "corrected.xml")
@@ -218,7 +218,9 @@ def test_a_default_timestep_is_no_physics(tmp_path, friction, verdict):
     for i, path in enumerate(paths):
         log = default_log(default_pendulum(friction), seed=i + 1)
         np.savetxt(path, log, delimiter=",", header="time_s,command_rad,angle_rad", comments="", fmt="%.9g")
-    result = diagnose_files(paths[:1], nominal, tmp_path / "out", paths[1:], Options(jobs=1, effects=FEW), progress=False)
+    result = diagnose_files(
+        paths[:1], nominal, tmp_path / "out", paths[1:], Options(jobs=1, effects=FEW), progress=False, page=False
+    )
     assert result.verdict is verdict
     assert result.fit["corrected"].held_out_rms < 1.1 * NOISE
     if friction:
@@ -257,7 +259,7 @@ def test_soft_friction_of_the_simulator_is_coulomb_friction(tmp_path, others):
         log = default_log(default_pendulum(0.2, drive), seed=i + 11, seconds=6.0, dt=0.002, scale=0.5, velocity=0.02)
         np.savetxt(path, log, delimiter=",", header="time_s,torque_Nm,angle_rad,velocity_rad_s", comments="", fmt="%.9g")
     options = Options(jobs=1, effects=("coulomb_friction", *others))
-    result = diagnose_files(paths[:1], nominal, tmp_path / "out", paths[1:], options, progress=False)
+    result = diagnose_files(paths[:1], nominal, tmp_path / "out", paths[1:], options, progress=False, page=False)
     assert result.verdict is Verdict.MISSING_PHYSICS
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
     assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(0.2, rel=0.01)
@@ -279,7 +281,9 @@ def test_the_interval_of_friction_in_a_log_of_a_simulator_holds_the_truth(tmp_pa
     for i, path in enumerate(paths):
         log = default_log(default_pendulum(true), seed=seed + i, seconds=(30.0, 15.0)[i], dt=0.02)
         np.savetxt(path, log, delimiter=",", header="time_s,command_rad,angle_rad", comments="", fmt="%.9g")
-    result = diagnose_files(paths[:1], nominal, tmp_path / "out", paths[1:], Options(jobs=1, effects=FEW), progress=False)
+    result = diagnose_files(
+        paths[:1], nominal, tmp_path / "out", paths[1:], Options(jobs=1, effects=FEW), progress=False, page=False
+    )
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
     friction = result.findings[0].parameters["torque_Nm"]
     assert friction.ci95[0] < true < friction.ci95[1] < 1.01 * true

@@ -67,7 +67,7 @@ def steps(tmp_path_factory):
 def test_friction_and_inertia_of_step_responses(steps, drive, tmp_path):
     model, paths = steps(drive, 0)
     options = Options(jobs=1, effects=("coulomb_friction", "time_delay"))
-    result = diagnose_files(paths[:4], model, tmp_path, paths[4:], options, progress=False)
+    result = diagnose_files(paths[:4], model, tmp_path, paths[4:], options, progress=False, page=False)
     assert result.verdict is Verdict.MISSING_PHYSICS
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
     for found, true in ((result.findings[0].parameters["torque_Nm"], FRICTION), (result.linear_parameters["Jm"], INERTIA)):

@@ -48,7 +48,7 @@ def test_smooth_friction_is_found_with_its_speed(tmp_path, speed, options):
     model = tmp_path / "model.xml"
     model.write_text(MODEL)
     first, second = (log(tmp_path / f"{seed}.csv", speed, seed) for seed in (1, 2))
-    diagnose_files([first], model, tmp_path / "out", [second], options, progress=False)
+    diagnose_files([first], model, tmp_path / "out", [second], options, progress=False, page=False)
     found = json.loads((tmp_path / "out/diagnosis.json").read_text())
     assert found["verdict"] == "missing_physics"
     (finding,) = found["findings"]

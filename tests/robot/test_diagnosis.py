@@ -148,7 +148,9 @@ def test_the_folder_holds_what_the_contract_says(rubbing):
 
 def test_a_payload_is_a_number_and_no_physics(case, tmp_path):
     folder = case(true=three_axes().with_payload(0.8, (0.2, 0.01, 0.02)))
-    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS))
+    d = diagnose_robot_files(
+        [folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS), page=False
+    )
     assert d.verdict is Verdict.PARAMETERS_ONLY
     assert not d.findings
     assert any("forearm" in line for line in d.changed)
@@ -159,7 +161,9 @@ def test_a_payload_is_a_number_and_no_physics(case, tmp_path):
 def test_what_mjcf_has_no_element_for_is_carried(case, tmp_path):
     offset = cases.Law("torque_offset", 2, {}, lambda q, v, T, t: np.full(len(q), -0.4))
     folder = case(offset)
-    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS))
+    d = diagnose_robot_files(
+        [folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS), page=False
+    )
     assert [(f.effect, f.joint) for f in d.findings] == [("torque_offset", "joint3")]
     (kept,) = carried_effects(tmp_path / "corrected.xml")
     assert kept["joint"] == "joint3"
@@ -179,7 +183,7 @@ def test_blocks_are_held_out_where_there_is_no_other_recording(case):
 def test_the_budget_of_time_ends_the_search(case, rubbing):
     folder, whole = rubbing
     options = RobotOptions(effects=LAWS, until=0.0)
-    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "late", [folder / "b.csv"], options)
+    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "late", [folder / "b.csv"], options, page=False)
     assert not d.findings
     assert LATE in d.notes
     assert LATE not in whole.notes
@@ -334,7 +338,9 @@ def test_native_laws_and_identifiers_are_those_of_the_contract(case, tmp_path):
     assert {"coulomb_friction", "load_dependent_friction", "coupled_transmission", "cable_torque"} <= set(identifiers())
     drag = cases.Law("quadratic_friction", 0, {}, lambda q, v, T, t: 0.2 * v * np.abs(v))
     folder = case(drag)
-    d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS))
+    d = diagnose_robot_files(
+        [folder / "a.csv"], folder / "arm.xml", tmp_path, [folder / "b.csv"], RobotOptions(effects=LAWS), page=False
+    )
     assert [(f.effect, f.joint) for f in d.findings] == [("quadratic_friction", "joint1")]
     assert d.joints["joint1"].fit["corrected"].held_out_rms < 1.1 * d.joints["joint1"].fit["surrogate"].held_out_rms
     assert carried_effects(tmp_path / "corrected.xml") == []

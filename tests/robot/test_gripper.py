@@ -36,7 +36,7 @@ def test_friction_beside_a_tied_finger_is_found_by_servo_and_corrected_xml_follo
     (tmp_path / "log.toml").write_text(TOML)
     path, _ = write_robot_log(run_robot(robot_scenario(tmp_path / "log.toml")), tmp_path / "logs")
     options = RobotOptions(effects=("coulomb_friction",))
-    found = diagnose_robot_files([path], tmp_path / "gripper.xml", tmp_path / "out", options=options)
+    found = diagnose_robot_files([path], tmp_path / "gripper.xml", tmp_path / "out", options=options, page=False)
     assert [(f.effect, f.joint) for f in found.findings] == [("coulomb_friction", "wrist")]
     assert found.findings[0].parameters["torque_Nm"].value == pytest.approx(0.4, rel=0.02)
     corrected = load_robot(tmp_path / "out" / "corrected.xml")

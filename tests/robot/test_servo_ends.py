@@ -26,7 +26,7 @@ def rubbing(tmp_path_factory):
 @pytest.mark.parametrize("late", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_budget_of_time_ends_the_search(rubbing, late):
     options = RobotOptions(joints=("joint2",), effects=("coulomb_friction",), **({"until": 0.0} if late else {}))
-    d = diagnose_robot_files([rubbing / "a.csv"], rubbing / "arm.xml", rubbing / "out", [rubbing / "b.csv"], options)
+    d = diagnose_robot_files([rubbing / "a.csv"], rubbing / "arm.xml", rubbing / "out", [rubbing / "b.csv"], options, page=False)
     assert [f.effect for f in d.findings] == ([] if late else ["coulomb_friction"])
     assert (LATE in d.notes) is late
 

@@ -50,9 +50,9 @@ def folder(tmp_path_factory):
     return make
 
 
-def diagnosed(where, effects=LAWS):
+def diagnosed(where, effects=LAWS, *, page=False):
     return diagnose_robot_files(
-        [where / "a.csv"], where / "arm.xml", where / "out", [where / "b.csv"], RobotOptions(effects=effects)
+        [where / "a.csv"], where / "arm.xml", where / "out", [where / "b.csv"], RobotOptions(effects=effects), page=page
     )
 
 
@@ -60,7 +60,7 @@ def diagnosed(where, effects=LAWS):
 def rubbing(folder):
     """Dry friction at the second joint, a servo of two thirds of its gain at the third."""
     where = folder(NOMINAL.with_servo(1, friction=1.0).with_servo(2, kp=35.0))
-    return where, diagnosed(where)
+    return where, diagnosed(where, page=True)
 
 
 def test_dry_friction_is_named_at_its_joint_and_a_gain_is_a_number(rubbing):
