@@ -134,3 +134,13 @@ def test_what_the_motion_of_a_servo_can_show(axis):
     one_way = {e.family.split(" at ")[0]: e for e in simgap.check(ramp, path).excitation}
     assert not one_way["friction"].identifiable
     assert "one way" in one_way["friction"].sentence
+
+
+def test_a_servo_that_is_ahead_of_its_model_may_have_a_feedforward(axis):
+    path, log = axis
+    late = round(simgap.check(log, path).measured["memory"]["axis"]["angle over command"]["delay"] / DT)
+    for shift, severity in ((late, "limits"), (late + 8, "fix")):  # at its command, and ahead of it
+        moved = np.concatenate([log["angle_rad"][shift:], np.full(shift, log["angle_rad"][-1])])
+        (skew,) = [p for p in simgap.check(log | {"angle_rad": moved}, path).problems if p.problem == "skew"]
+        assert skew.severity.value == severity
+        assert ("feedforward" in skew.sentence) == (severity == "limits")

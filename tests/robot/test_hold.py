@@ -24,9 +24,9 @@ def robot():
     return robot_from(mujoco.MjModel.from_xml_string(servo_mjcf(NOMINAL)))
 
 
-def log(robot, hold: str, friction: float = 0.0) -> RobotRecording:
+def log(robot, hold: str, friction: float = 0.0, seconds: float = 12.0) -> RobotRecording:
     true = NOMINAL.with_servo(1, friction=friction, kp=1.2 * NOMINAL.servos[1].kp)
-    t = np.arange(0.0, 12.0, DT)
+    t = np.arange(0.0, seconds, DT)
     command = command_for(true, np.random.default_rng(3), t, 0.1, 12)
     fine = np.column_stack([within(u, DT, hold, FINER) for u in command.T])
     angle = simulate(true, fine, DT / FINER)[::FINER]
@@ -37,6 +37,12 @@ def log(robot, hold: str, friction: float = 0.0) -> RobotRecording:
 @pytest.mark.parametrize(("hold", "friction"), [("held", 1.0), ("linear", 0.0), ("linear", 1.0), ("mean", 0.0)])
 def test_the_hold_of_all_commands_is_found(robot, hold, friction):
     assert shown_hold(robot, [log(robot, hold, friction)]) == hold
+
+
+def test_long_logs_are_fitted_by_windows(robot, monkeypatch):
+    for module in ("hold", "starts"):
+        monkeypatch.setattr(f"diagnose.robot.servos.{module}.THIN", 600)
+    assert shown_hold(robot, [log(robot, "linear", 1.0, 60.0)]) == "linear"
 
 
 def test_a_stated_hold_stays(robot):

@@ -92,15 +92,21 @@ def geared(joint: str, r: Relation, gear: float) -> list[Problem]:
 
 
 def late_or_early(channel: str, joint: str, delay: float, expected: tuple[float, float], dt: float, cause: str) -> list[Problem]:
-    """A channel that is earlier or later than the model and one sample explain; ``expected``: least, most [s]."""
+    """A channel that is earlier or later than the model and one sample explain; ``expected``: least, most [s].
+
+    A response that is ahead of its cause is a fault of the log. One that is behind it by less than the model says may be a servo
+    with a feedforward.
+    """
     allowed = max(dt, ACTUATOR_DELAY)
     low, high = expected[0] - allowed, expected[1] + allowed
     if low <= delay <= high:
         return []
     early = delay < low
     off = delay - (expected[0] if early else expected[1])
-    fix = early or (abs(off) > SKEW_FIX and expected[1] == 0.0)
-    why = "the clocks of the two channels differ" if fix else "a lag, another gain and a skew of the clocks look alike"
+    ahead = early and (expected[1] == 0.0 or delay < -allowed)
+    fix = ahead or (not early and abs(off) > SKEW_FIX and expected[1] == 0.0)
+    law = "a feedforward" if early else "a lag"
+    why = "the clocks of the two channels differ" if fix else f"{law}, another gain and a skew of the clocks look alike"
     return [
         Problem(
             f"{joint}.{channel}", "skew", delay, "s",

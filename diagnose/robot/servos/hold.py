@@ -47,7 +47,7 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
     The numbers of the file are refitted under each hold, dry friction beside them. Raises InputError.
     """
     motions = [prepare(robot, r, False, {}) for r in recordings]
-    held = [p for n in moving(robot, recordings) if (p := _part(robot, motions, n)) is not None]
+    held = [p for n in moving(robot, recordings) if (p := _problem(robot, motions, n)) is not None]
     fits = [_Joint.of(p) for p in held]
     if not fits:
         return "held"
@@ -57,7 +57,7 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
         moved = [dataclasses.replace(m, recording=change(m.recording)) for m in motions]
         logs, gain = [], 0.0
         for joint in fits:
-            problem = _part(robot, moved, joint.problem.name)
+            problem = _problem(robot, moved, joint.problem.name)
             assert problem is not None
             ratio, count = joint.compared(problem)
             logs.append(ratio)
@@ -92,12 +92,12 @@ class _Joint:
         drive = slots[SLOT["kv" if problem.drive.velocity else "kp"]] * float(np.std(problem.first - problem.angle))
         slots[SLOT["friction"]] = 0.1 * drive
         numbers = (*numbers, Number("friction"))
-        found = fit(problem, numbers, slots, block_weights(problem, first.error), QUICK)
+        found = fit(problem, numbers, slots, block_weights(problem, first.error), QUICK, problem.windows(THIN))
         return cls(problem, numbers, found, block_weights(problem, found.error))
 
     def compared(self, problem: JointProblem) -> tuple[float, float]:
         """log(error held / error) of the same joint with its command changed, refitted, and the number of independent samples."""
-        other = fit(problem, self.numbers, self.fit.slots, self.weights, QUICK)
+        other = fit(problem, self.numbers, self.fit.slots, self.weights, QUICK, problem.windows(THIN))
         mask, w2 = problem.fitted, self.weights[problem.fitted] ** 2
         a, b = self.fit.error[mask], other.error[mask]
         least = float(np.sum(w2)) * problem.noise**2
@@ -105,9 +105,9 @@ class _Joint:
         return ratio, independent(b, problem.dt, a - b) * len(a)
 
 
-def _part(robot: Robot, motions: Sequence[Motion], name: str) -> JointProblem | None:
-    """Windows of the problem of one joint; None where its command is integrated, which has no hold, or nothing is fitted."""
-    problem = joint_problem(robot, motions, name, False).windows(THIN)
+def _problem(robot: Robot, motions: Sequence[Motion], name: str) -> JointProblem | None:
+    """The problem of one joint; None where its command is integrated, which has no hold, or nothing is fitted."""
+    problem = joint_problem(robot, motions, name, False)
     return None if problem.drive.servo.target is Target.INTEGRATED or not problem.fitted.any() else problem
 
 
