@@ -30,6 +30,7 @@ def log(seed, *effects):
     t = DT * np.arange(N)
     phase = 2 * np.pi * (0.3 * t + 0.5 * 0.5 * t**2)
     u = (80.0 - 20.0 * seed) * np.sin(phase + seed) + 20.0 * np.sin(2 * np.pi * 0.2 * t)
+    u[1] = u[0]  # at rest: a log whose command moves from its first row on has a speed of its own at its start
     angle = simulate(dataclasses.replace(NOMINAL, effects=effects), u, DT).angle
     angle = angle + NOISE * np.random.default_rng(seed).standard_normal(N)
     return Recording(t, np.full(N, np.nan), None, angle, DT, source=f"{seed}.csv", command=u)
