@@ -26,7 +26,7 @@ GAIN = {PENDULUM: 0.4, GEARED: 0.0012}
 
 
 def log(template: str, hold: str, seed: int, seconds: float = 10.0, noise: float = 0.0) -> Recording:
-    """A log of plain MuJoCo whose command is moved by what the feedforward asks of kp."""
+    """A log of plain MuJoCo whose command is moved by the force of the feedforward over kp."""
     m = mujoco.MjModel.from_xml_string(model(template, timestep=DT / FINER))
     d, gear, kp = mujoco.MjData(m), float(m.actuator_gear[0, 0]), float(m.actuator_gainprm[0, 0])
     u = gear * command(seconds, DT, seed)
