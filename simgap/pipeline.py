@@ -151,7 +151,10 @@ def diagnose_recordings(
     recordings, held_out, alike = with_common_channels(recordings, held_out)
     recordings, held_out, filled = with_input_in_gaps(recordings, held_out)
     split(*_usable(nominal, recordings, held_out))  # one line for what cannot be used at all, before anything is told
-    log, recordings, held_out = _checked(model, nominal, recordings, held_out, accept_log)
+    if nominal.chain.servo is not None:
+        log, recordings, held_out = checked_servo(model, nominal, recordings, held_out, options.since(began).seconds)
+    else:
+        log, recordings, held_out = _checked(Machine.of(load_model(model)), recordings, held_out, accept_log)
     if log is not None and _has_to_be_fixed(log, nominal) and not accept_log:
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
     if nominal.chain.servo is not None and log is not None:
@@ -221,16 +224,13 @@ def _has_to_be_fixed(log: LogCheck, nominal: Axis) -> bool:
 
 
 def _checked(
-    model: Path, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
-) -> tuple[LogCheck | None, Sequence[Recording], Sequence[Recording]]:
-    """The check of the log, and the recordings; no check of a servo that is switched off.
+    machine: Machine, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
+) -> tuple[LogCheck, Sequence[Recording], Sequence[Recording]]:
+    """The check of the log of an axis that a torque drives, and the recordings.
 
     With the hold that they all show where none is stated, and without a velocity that is late where the angle can take its place.
     """
-    if nominal.chain.servo is not None:
-        return checked_servo(model, nominal, recordings, held_out)
     every = [*recordings, *held_out]
-    machine = Machine.of(load_model(model))
     log = check_log(machine, every)
     other = with_found_hold(log, machine, recordings, held_out)
     if other is not None:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from diagnose.check.types import LogCheck, Severity
-from diagnose.fit.command_hold import taken_hold
+from diagnose.fit.command_hold import is_assumed, taken_hold, with_hold
 from diagnose.result import FitFigures
 from diagnose.robot.check.faults import WRONG
 from diagnose.robot.check.run import check_robot
@@ -164,7 +164,7 @@ def diagnose_robot_recordings(
     log = checked(robot, [*recordings, *held_out], accept_log)
     corrected = out / "corrected.xml"
     if servos:
-        from diagnose.robot.servos.hold import is_assumed, shown_hold, with_hold
+        from diagnose.robot.servos.hold import shown_hold
         from diagnose.robot.servos.pipeline import diagnose_servos
 
         hold = shown_hold(robot, recordings) if is_assumed([*recordings, *held_out]) else "held"

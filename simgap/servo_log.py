@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,17 +19,17 @@ __all__ = ["checked_servo", "hold_beside", "with_taken"]
 
 
 def checked_servo(
-    model: Path, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording]
+    model: Path, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], seconds: float
 ) -> tuple[LogCheck | None, Sequence[Recording], Sequence[Recording]]:
     """The check of a servo's log, and the recordings with the hold that they show where none is stated.
 
-    No check of a servo that is switched off.
+    No check of a servo that is switched off. ``seconds``: the most that the question of the hold takes.
     """
     every = [*recordings, *held_out]
     if not all(r.driven for r in every):
         return None, recordings, held_out
     log = check_servo_axis(nominal.chain, load_robot(model), every)
-    hold = "held" if log.to_fix() or not is_assumed(every) else shown_hold(nominal, recordings, held_out, math.inf)
+    hold = "held" if log.to_fix() or not is_assumed(every) else shown_hold(nominal, recordings, held_out, seconds)
     if hold == "held":
         return log, recordings, held_out
     return with_taken(log, hold, recordings), with_hold(recordings, hold), with_hold(held_out, hold)

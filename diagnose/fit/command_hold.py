@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,18 +31,20 @@ from mjsim.effects import Effect, registered
 from mjsim.effects.native import DryFriction
 from mjsim.hold import HOLDS
 from mjsim.recording import Recording
+from mjsim.robot.recording import RobotRecording
 
-__all__ = ["is_assumed", "shown_hold", "taken_hold", "with_hold"]
+__all__ = ["earlier", "is_assumed", "shown_hold", "taken_hold", "with_hold"]
 
+R = TypeVar("R", Recording, RobotRecording)
 WORDS = {"linear": "goes in straight lines between samples", "mean": "is logged as the mean over the interval before a row"}
 
 
-def is_assumed(recordings: Sequence[Recording]) -> bool:
-    """Whether all recordings have a command that is taken to be held, and none states so."""
+def is_assumed(recordings: Sequence[R]) -> bool:
+    """Whether all recordings, of one joint or of a robot, have commands that are taken to be held, and none states so."""
     return all(r.command is not None and r.hold == "held" and not r.hold_stated for r in recordings)
 
 
-def with_hold(recordings: Sequence[Recording], hold: str) -> list[Recording]:
+def with_hold(recordings: Sequence[R], hold: str) -> list[R]:
     """The recordings with another hold of the command."""
     return [dataclasses.replace(r, hold=hold) for r in recordings]
 
@@ -59,8 +62,8 @@ def shown_hold(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[R
         if "held" not in own or best == "held" or not own["held"].is_improved_by(own[best]):
             continue
         if best == "mean":
-            earlier = _refitted(axis, [_earlier(r) for r in recordings], [_earlier(r) for r in held_out], until)
-            if len(earlier) <= k or earlier[k].cost < own[best].cost:
+            ahead = _refitted(axis, [earlier(r) for r in recordings], [earlier(r) for r in held_out], until)
+            if len(ahead) <= k or ahead[k].cost < own[best].cost:
                 continue
         return best
     return "held"
@@ -76,10 +79,11 @@ def taken_hold(hold: str, rate: float) -> Problem:
     )  # fmt: skip
 
 
-def _earlier(r: Recording) -> Recording:
-    """A recording whose command acts two samples earlier: a sample before the mean over the interval before a row."""
+def earlier(r: R) -> R:
+    """A recording whose commands act two samples earlier: a sample before the mean over the interval before a row."""
     assert r.command is not None
-    return dataclasses.replace(r, command=np.concatenate([r.command[2:], np.repeat(r.command[-1:], min(2, len(r)))])[: len(r)])
+    end = np.repeat(r.command[-1:], min(2, len(r)), axis=0)
+    return dataclasses.replace(r, command=np.concatenate([r.command[2:], end])[: len(r)])
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lab.real_use.design import draw
-from lab.real_use.run import read, run_missing, write_files
+from lab.real_use.run import read, run_case, run_missing, write_files
 from lab.real_use.score import line, tables
 
 __all__ = ["main"]
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n".join([*map(line, records), ""] if options.lines else []) + tables(records))
         return 0
     cases = [c for c in draw(options.count, options.seed) if options.cases is None or c.number in options.cases]
-    for record in run_missing(cases, options.out, options.jobs, options.keep):
+    for record in run_missing(cases, options.out, options.jobs, options.keep, run_case):
         print(line(record), flush=True)
     return 0
 

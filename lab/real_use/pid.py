@@ -17,10 +17,9 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -31,7 +30,7 @@ from diagnose.options import Options
 from lab.real_use import design
 from lab.real_use.logs import wave_of
 from lab.real_use.machines import JOINT, Numbers, nominal, text
-from lab.real_use.run import measured, read, said
+from lab.real_use.run import measured, read, run_missing, said
 from lab.real_use.score import MISSES, Count
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import caught_warnings
@@ -218,20 +217,6 @@ def run_case(case: PidCase, folder: Path, jobs: int) -> dict[str, Any]:
     return out
 
 
-def run_missing(cases: Sequence[PidCase], path: Path, jobs: int, keep: Path | None) -> Iterator[dict[str, Any]]:
-    """Run the cases that a file of records lacks and append a line for each; ``keep``: folder of their files."""
-    done = read(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for case in cases:
-        if dataclasses.asdict(case).items() <= done.get(case.number, {}).items():
-            continue
-        with TemporaryDirectory() as work:
-            record = run_case(case, Path(work) if keep is None else keep / f"{case.number:03d}", jobs)
-        with path.open("a", encoding="utf-8") as handle:
-            handle.write(json.dumps(record) + "\n")
-        yield record
-
-
 def _wanted(r: dict[str, Any]) -> list[str]:
     return [KINDS[r["kind"]]] if KINDS[r["kind"]] else []
 
@@ -316,7 +301,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.command == "run":
         cases = [c for c in draw(options.count, options.seed) if options.cases is None or c.number in options.cases]
-        for record in run_missing(cases, options.out, options.jobs, options.keep):
+        for record in run_missing(cases, options.out, options.jobs, options.keep, run_case):
             print(line(record), flush=True)
         return 0
     records = sorted(read(options.records).values(), key=lambda r: r["number"])

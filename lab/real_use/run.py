@@ -7,12 +7,12 @@ import json
 import resource
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from diagnose.options import Options
 from diagnose.verdict.numerics import IDS
@@ -25,6 +25,19 @@ from simgap.pipeline import diagnose_files
 __all__ = ["measured", "read", "run_case", "run_missing", "said", "write_files"]
 
 Record = dict[str, Any]
+
+
+class Numbered(Protocol):
+    """A case by its number, a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def number(self) -> int:
+        """Its number in the design."""
+
+
+C = TypeVar("C", bound=Numbered)
 
 
 def write_files(case: Case, folder: Path) -> tuple[Numbers, Numbers, list[Log]]:
@@ -115,8 +128,13 @@ def read(path: Path) -> dict[int, Record]:
     return out
 
 
-def run_missing(cases: Sequence[Case], path: Path, jobs: int, keep: Path | None = None) -> Iterator[Record]:
-    """Run the cases that a file of records lacks, in order, and append a line for each; ``keep``: folder of their files."""
+def run_missing(
+    cases: Sequence[C], path: Path, jobs: int, keep: Path | None, one: Callable[[C, Path, int], Record]
+) -> Iterator[Record]:
+    """Run the cases that a file of records lacks, in order, and append a line for each.
+
+    ``keep``: folder of their files; ``one``: makes and diagnoses a case in a folder.
+    """
     done = read(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     for case in cases:
@@ -124,7 +142,7 @@ def run_missing(cases: Sequence[Case], path: Path, jobs: int, keep: Path | None 
         if before is not None and dataclasses.asdict(case).items() <= before.items():
             continue
         with TemporaryDirectory() as work:
-            record = run_case(case, Path(work) if keep is None else keep / f"{case.number:03d}", jobs)
+            record = one(case, Path(work) if keep is None else keep / f"{case.number:03d}", jobs)
         with path.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(record) + "\n")
         yield record

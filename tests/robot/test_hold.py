@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from diagnose.robot.servos.hold import is_assumed, shown_hold, with_hold
+from diagnose.fit.command_hold import is_assumed, with_hold
+from diagnose.robot.servos.hold import shown_hold
 from lab.robot.arm import three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, simulate
 from mjsim.hold import within

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from diagnose.fit.command_hold import earlier
 from diagnose.problem.noise_model import ModelError
 from diagnose.robot.servos.fit import Fit, Number, block_weights, fit, independent
 from diagnose.robot.servos.motion import JointProblem, Motion, joint_problem, moving, prepare
@@ -25,19 +26,9 @@ from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.servo import Target
 
-__all__ = ["is_assumed", "shown_hold", "with_hold"]
+__all__ = ["shown_hold"]
 
 Change = Callable[[RobotRecording], RobotRecording]
-
-
-def is_assumed(recordings: Sequence[RobotRecording]) -> bool:
-    """Whether all recordings have commands that are taken to be held, and none states so."""
-    return all(r.command is not None and r.hold == "held" and not r.hold_stated for r in recordings)
-
-
-def with_hold(recordings: Sequence[RobotRecording], hold: str) -> list[RobotRecording]:
-    """The recordings with another hold of the commands."""
-    return [dataclasses.replace(r, hold=hold) for r in recordings]
 
 
 def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
@@ -69,7 +60,7 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
     ratio, least, gain = found[best]
     if ratio < MATERIAL or least < -MATERIAL or gain < ModelError.prices.entry:
         return "held"
-    return "held" if best == "mean" and left(_earlier)[0] > ratio else best
+    return "held" if best == "mean" and left(earlier)[0] > ratio else best
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,10 +100,3 @@ def _problem(robot: Robot, motions: Sequence[Motion], name: str) -> JointProblem
     """The problem of one joint; None where its command is integrated, which has no hold, or nothing is fitted."""
     problem = joint_problem(robot, motions, name, False)
     return None if problem.drive.servo.target is Target.INTEGRATED or not problem.fitted.any() else problem
-
-
-def _earlier(r: RobotRecording) -> RobotRecording:
-    """A recording whose commands act two samples earlier: a sample before the mean over the interval before a row."""
-    assert r.command is not None
-    end = np.repeat(r.command[-1:], min(2, len(r)), axis=0)
-    return dataclasses.replace(r, command=np.concatenate([r.command[2:], end])[: len(r)])
