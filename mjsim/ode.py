@@ -14,6 +14,7 @@ from mjsim.axis import Axis, Body, Chain, Coupling
 from mjsim.hold import between, slewed
 from mjsim.servo import Target
 from mjsim.system import STEP, System, assemble
+from mjsim.trapezoid import profiled
 
 __all__ = [
     "DivergedError",
@@ -247,8 +248,11 @@ def _input(s: System, command: np.ndarray, dt: float, hold: str, before: float) 
             command = np.concatenate([[0.0], np.cumsum(mean[:-1]) * dt])
             hold, before = "linear", 0.0
         command, before = command - servo.zero, before - servo.zero
-    if not math.isinf(s.slew):
-        start, slope = slewed(command, dt, s.slew, hold)
+    if not (math.isinf(s.slew) and math.isinf(s.acceleration)):
+        if math.isinf(s.acceleration):
+            start, slope = slewed(command, dt, s.slew, hold)
+        else:
+            start, slope = profiled(*between(command, dt, hold), dt, s.slew, s.acceleration)
         return _lent(start + s.lead * slope), _lent(slope), before
     u = apply_input(s, command)
     if hold == "held":

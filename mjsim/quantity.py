@@ -20,6 +20,7 @@ class Quantity(enum.Enum):
     TORQUE = ("N m", "N")
     ANGLE = ("rad", "m")
     VELOCITY = ("rad/s", "m/s")
+    ACCELERATION = ("rad/s^2", "m/s^2")
     INERTIA = ("kg m^2", "kg")
     TORQUE_PER_COMMAND = ("N m/ctrl", "N/ctrl")
     STIFFNESS = ("N m/rad", "N/m")

@@ -46,6 +46,7 @@ class System:
     n_states: int
     input_maps: tuple[P.InputMap, ...]
     slew: float
+    acceleration: float
     lead: float
     input_lag: float
     input_delay: float
@@ -284,6 +285,7 @@ def assemble(axis: Axis) -> System:
         n_states=elements.n_states,
         lead=float(sum(p.seconds for p in ports if isinstance(p, P.CommandLead))),
         slew=min((p.limit for p in ports if isinstance(p, P.CommandSlew)), default=math.inf),
+        acceleration=min((p.limit for p in ports if isinstance(p, P.CommandAcceleration)), default=math.inf),
         input_maps=tuple(p for p in ports if isinstance(p, P.InputMap)),
         input_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.InputLag))),
         input_delay=float(sum(p.delay for p in ports if isinstance(p, P.InputDelay))),

@@ -132,6 +132,7 @@ def scales_by_place(
     steps = value_steps(measured_velocity(r), experiment.sigma)
     turning = turning and chain.motion is Motion.HINGE and len(orders) > 0
     stops = stops_of(q, v, r.dt)
+    fastest = float(np.max(np.abs(np.gradient(v, r.dt))))
     turns = tuple(n for n in TURNS if turning and n * float(np.ptp(q)) > np.pi)  # half a period
     for place in PLACES:
         found = chain.body(place)
@@ -150,6 +151,6 @@ def scales_by_place(
             swung=tuple(o / ratio for o in swung), turns=turns, steps=steps,
             following=_following(chain, r, q), asked=asked,
             move=r.duration / (1 + reversals(v)), stops=stops if at == 0 else (),
-            hold_stated=r.hold_stated,
+            hold_stated=r.hold_stated, acceleration=ratio * fastest,
         )  # fmt: skip
     return out

@@ -66,7 +66,7 @@ def scales_at(axis: Axis, run: Trajectory, place: str) -> Scales:
         torque=rms(torque), max_torque=float(np.max(np.abs(torque))), velocity=rms(v), max_velocity=float(np.max(np.abs(v))),
         deflection=deflection, inertia=chain.bodies[body].inertia, stiffness=stiffness, travel=travel, input=rms(u),
         max_input=float(np.max(np.abs(u))), output=rms(run.velocity), dt=dt, duration=float(run.time[-1]),
-        orders=(2 * math.pi * 3 / turned,),
+        orders=(2 * math.pi * 3 / turned,), acceleration=float(np.max(np.abs(np.gradient(v, dt)))),
         stops=tuple((side, float(run.q[0, 0]) + 0.5 * side * reach, 0.02) for side in (-1, 1)),
     )  # fmt: skip
 

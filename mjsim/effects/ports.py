@@ -25,6 +25,7 @@ __all__ = [
     "BacklashLaw",
     "BodyInertia",
     "BodyTorque",
+    "CommandAcceleration",
     "CommandDeadBand",
     "CommandLead",
     "CommandSlew",
@@ -204,6 +205,13 @@ class CommandSlew:
 
 
 @dataclass(frozen=True)
+class CommandAcceleration:
+    """A limit of how fast the speed changes with which the target goes to the command, and stops there [rad/s^2 | m/s^2]."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
 class CommandLead:
     """What the servo's target is ahead of the command by its own speed: target + ``seconds`` target'."""
 
@@ -260,6 +268,7 @@ Port = (
     | TorqueSpeedLine
     | CommandDeadBand
     | CommandSlew
+    | CommandAcceleration
     | CommandLead
     | InputLag
     | InputDelay

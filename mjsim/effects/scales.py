@@ -24,7 +24,8 @@ class Scales:
     and in three tenths of the time; move: mean time between reversals of the velocity [s],
     the duration where it does not reverse; stops: (side, angle [rad | m], time constant [s]) of each end of the travel at which the
     motion is turned back as at a stop, side -1 or +1; None where this was not looked for; hold_stated: whether it is known how
-    the input goes between samples; band: highest frequency [Hz] that is compared.
+    the input goes between samples; band: highest frequency [Hz] that is compared; acceleration: largest of the body at the place
+    [rad/s^2 | m/s^2].
     """
 
     torque: float
@@ -50,3 +51,4 @@ class Scales:
     stops: tuple[tuple[int, float, float], ...] | None = None
     hold_stated: bool = True
     band: float = math.inf
+    acceleration: float = 0.0

@@ -40,6 +40,7 @@ _SIMPLE: dict[str, dict[str, str]] = {
     "actuator_saturation": {"limit": "limit_Nm"},
     "servo_deadband": {"dead_band": "half_width_rad"},
     "velocity_limit": {"slew": "limit_rad_s"},
+    "acceleration_limit": {"acceleration": "limit_rad_s2"},
     "velocity_feedforward": {"lead": "gain_Nms_rad"},
     "torque_speed_limit": {"stall": "stall_torque_Nm", "no_load": "no_load_speed_rad_s"},
 }
@@ -63,6 +64,7 @@ AT_SERVO = frozenset(
         "actuator_saturation",
         "servo_deadband",
         "velocity_limit",
+        "acceleration_limit",
         "velocity_feedforward",
         "torque_speed_limit",
     )

@@ -21,10 +21,11 @@ import numpy as np
 from mjsim.hold import between, delayed
 from mjsim.mjcf.drive_laws import begin, law_of
 from mjsim.robot.carried import act, slots_by_joint
-from mjsim.robot.drives import joint_drives
+from mjsim.robot.drives import JointDrive, joint_drives
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
+from mjsim.trapezoid import finely, parts_of
 
 __all__ = ["ClosedLoop", "closed_loop", "motor_gain"]
 
@@ -51,8 +52,8 @@ class ClosedLoop:
         return not bool(np.isfinite(self.z).all())
 
 
-def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -> np.ndarray:
-    """Commands of servos and torques of other actuators (S, m), each later by its delay (m,) [s].
+def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, slots: np.ndarray) -> np.ndarray:
+    """Commands of servos and torques of other actuators (S, m), behind the profile and the delay of carried slots (m, K).
 
     They are means over the steps of which times (S,) [s] are the middle.
     """
@@ -64,10 +65,27 @@ def _inputs(robot: Robot, r: RobotRecording, t: np.ndarray, delay: np.ndarray) -
         if not r.has(channel, name):
             continue
         values = getattr(r, channel)[:, r.joints.index(name)] / (motor_gain(robot, j) if drives[j] is None else 1.0)
-        first, slope = between(values, r.dt, r.hold)
-        ends = t[0] - 0.5 * h - delay[j] + h * np.arange(len(t) + 1)
-        out[:, j] = np.diff(_integral(first, slope, r.dt, ends)) / h
+        (first, slope), dt, drive = between(values, r.dt, r.hold), r.dt, drives[j]
+        if drive is not None and slots[j, SLOT["acceleration"]] > 0.0:
+            dt = r.dt / parts_of(r.dt)
+            first, slope = _profile(first, slope, r.dt, drive, slots[j])
+        ends = t[0] - 0.5 * h - slots[j, SLOT["delay"]] + h * np.arange(len(t) + 1)
+        out[:, j] = np.diff(_integral(first, slope, dt, ends)) / h
     return out
+
+
+def _profile(
+    first: np.ndarray, slope: np.ndarray, dt: float, drive: JointDrive, slots: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Command at the start of each step of its profile, and its slope there, from those of each sample of dt [s].
+
+    slots (K,): carried ones; a velocity limit of the file is that of the profile as well.
+    """
+    limits = [float(x) for x in (slots[SLOT["slew"]], drive.slots[SLOT["slew"]]) if x > 0.0]
+    unit = abs(drive.gear / drive.servo.scale)  # command per target
+    most, rate = unit * min(limits, default=math.inf), unit * float(slots[SLOT["acceleration"]])
+    fine = finely(first, slope, dt, most, rate)
+    return fine[:-1], np.diff(fine) / (dt / parts_of(dt))
 
 
 def _integral(first: np.ndarray, slope: np.ndarray, dt: float, t: np.ndarray) -> np.ndarray:
@@ -164,7 +182,7 @@ class _Run:
         torque = np.array([d is None and r.has("torque", x) for d, x in zip(self.drives, robot.joints, strict=True)])
         self.torque, self.imposed = torque, ~servo & ~torque
         self.t = (np.arange((n - 1) * each) + 0.5) * self.h
-        self.u = _inputs(robot, r, self.t, slots[:, SLOT["delay"]])
+        self.u = _inputs(robot, r, self.t, slots)
         self.factor = np.array([1.0 if d is None else d.servo.scale / d.gear for d in self.drives])  # target per command
         self.zero = np.array([0.0 if d is None else d.slots[SLOT["zero"]] for d in self.drives])
         self.native = model.dof_frictionloss[self.lead].copy()
@@ -252,10 +270,12 @@ class _Run:
         """Speed (T, m) of the servos' targets at each step: of a held command its last step over a sample."""
         if not self.slots[:, SLOT["lead"]].any():
             return np.zeros_like(self.u)
+        moving = np.gradient(self.u, self.h, axis=0)
         if self.hold == "held":
             before = np.concatenate([np.repeat(self.u[:1], self.each, axis=0), self.u[: -self.each]])
-            return np.asarray((self.u - before) * self.factor / (self.each * self.h))
-        return np.asarray(np.gradient(self.u, self.h, axis=0) * self.factor)
+            profiled = self.slots[:, SLOT["acceleration"]] > 0.0
+            moving = np.where(profiled, moving, (self.u - before) / (self.each * self.h))
+        return np.asarray(moving * self.factor)
 
     def _activate(self) -> None:
         """Filtered and integrated commands start where the joint is, or at the first command; a servo's integral holds it."""

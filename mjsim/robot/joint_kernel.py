@@ -9,7 +9,8 @@ between
 events.
 
 A law is absent where its slot is zero. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of
-the joint that acts on this one. "late" is of the log, and not used here: see `diagnose.robot.servos.motion.JointProblem.run`.
+the joint that acts on this one. "late" is of the log and "acceleration" of
+the command ahead of the run, and neither is used here: see `diagnose.robot.servos.motion.JointProblem.run`.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ SLOTS = (
     "friction", "asymmetry", "extra", "stribeck", "load", "load_back", "quadratic", "sublinear", "exponent", "bristle",
     "ripple_sin", "ripple_cos", "order", "rub_sin", "rub_cos", "rub_order", "weight_sin", "weight_cos", "spring", "preload",
     "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
-    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral", "lead",
+    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral", "lead", "acceleration",
 )  # fmt: skip
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 (KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD,
 LOAD_BACK,
  QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
  DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE, COUPLE_FROM,
- COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL, LEAD) = range(len(SLOTS))  # fmt: skip
+ COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL, LEAD, ACCELERATION) = range(len(SLOTS))  # fmt: skip
 
 
 def empty() -> np.ndarray:

@@ -82,13 +82,15 @@ class ServoLaw:
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of one joint: travel [rad | m], rms and largest speed, error of the servo, torque of the links and of the drive."""
+    """Sizes of one joint: travel [rad | m], rms and largest speed, largest acceleration, error of the servo, torque of the links and
+    of the drive."""
 
     travel: float
     low: float
     high: float
     speed: float
     fastest: float
+    hardest: float
     error: float
     load: float
     drive: float
@@ -104,8 +106,10 @@ def scales_of(problem: JointProblem, p: np.ndarray) -> Scales:
     rms = float(np.sqrt(np.mean(error**2)))
     gain = p[SLOT["kv"]] if problem.drive.velocity else p[SLOT["kp"]]
     span = float(np.max(np.diff(problem.starts)) * problem.dt)
+    hardest = max(float(np.max(np.abs(np.gradient(v[problem.part(k)], problem.dt)))) for k in range(len(problem.sources)))
     return Scales(
-        float(np.ptp(q)), float(np.min(q)), float(np.max(q)), float(np.sqrt(np.mean(v**2))) + 1e-9, float(np.max(np.abs(v))) + 1e-9, rms,
+        float(np.ptp(q)), float(np.min(q)), float(np.max(q)), float(np.sqrt(np.mean(v**2))) + 1e-9, float(np.max(np.abs(v))) + 1e-9,
+        hardest + 1e-9, rms,
         float(np.sqrt(np.mean(problem.series[:, 4] ** 2))), float(gain) * rms, span, problem.dt, problem.drive.gear,
     )  # fmt: skip
 
@@ -168,7 +172,7 @@ def _motion(problem: JointProblem) -> Motion:
 
 def identifiers() -> tuple[str, ...]:
     """Identifiers of all laws of servo joints."""
-    s = Scales(2.0, -1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1.0, 10.0, 0.01, 1.0)
+    s = Scales(2.0, -1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1.0, 10.0, 0.01, 1.0)
     laws = [*_friction(s), *_drive(s, False), *_position(s, Motion.HINGE)]
     return (*dict.fromkeys(law.id for law in laws), "coupled_transmission")
 
@@ -260,6 +264,10 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
         ServoLaw("velocity_limit", "actuator", (Number("slew", upper=20 * s.fastest),), tuple({"slew": c * s.fastest} for c in (0.5, 0.9)),
                  lambda x: {"limit_rad_s": (x["slew"], Quantity.VELOCITY)}, "The servo follows its command no faster than a limit.",
                  native={"slewmax": "slew"}, sane=lambda x: x["slew"] < 5 * s.fastest),
+        ServoLaw("acceleration_limit", "actuator", (Number("acceleration", upper=20 * s.hardest),),
+                 tuple({"acceleration": c * s.hardest} for c in (0.2, 0.4, 0.8)),
+                 lambda x: {"limit_rad_s2": (x["acceleration"], Quantity.ACCELERATION)},
+                 "The servo's target speeds up and slows down by no more than a limit.", sane=lambda x: x["acceleration"] < 2 * s.hardest),
     ]  # fmt: skip
 
 

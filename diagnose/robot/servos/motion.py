@@ -26,6 +26,7 @@ from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.shares import SERIES, compensation, shares
 from mjsim.robot.touching import Touching, touching
+from mjsim.trapezoid import profiled
 
 __all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution"]
 
@@ -230,14 +231,23 @@ class JointProblem:
     def _run(self, p: np.ndarray, shift: np.ndarray, each: int) -> tuple[np.ndarray, np.ndarray]:
         """The same from the integral of a servo that is ``shift`` (R,) [N m | N] beyond what carries the links at the start."""
         q, v = np.empty(len(self.angle)), np.empty(len(self.angle))
-        steps = each or self.each
-        run_joint(p, self.drive.velocity, self.starts, self.first, self.slope, self.series, self.dt, steps, shift, q, v)
+        steps, (first, slope) = each or self.each, self._target(p)
+        run_joint(p, self.drive.velocity, self.starts, first, slope, self.series, self.dt, steps, shift, q, v)
         late = float(p[SLOT["late"]]) / self.dt
         if late > 0.0:  # as it is logged
             for k in range(len(self.sources)):
                 part = self.part(k)
                 q[part], v[part] = delayed(q[part], late), delayed(v[part], late)
         return q, v
+
+    def _target(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First and slope (N,) of the target, on its profile where its acceleration is limited."""
+        if not p[SLOT["acceleration"]] > 0.0:
+            return self.first, self.slope
+        most = float(p[SLOT["slew"]]) if p[SLOT["slew"]] > 0.0 else math.inf
+        parts = [self.part(k) for k in range(len(self.sources))]
+        each = [profiled(self.first[x], self.slope[x], self.dt, most, float(p[SLOT["acceleration"]])) for x in parts]
+        return np.concatenate([first for first, _ in each]), np.concatenate([slope for _, slope in each])
 
     def error(self, p: np.ndarray) -> np.ndarray:
         """Measured less simulated position (N,); a run that diverges has at most `DIVERGED` times the travel."""
