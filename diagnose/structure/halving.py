@@ -15,7 +15,7 @@ from diagnose.structure.graph import Neighbour
 from diagnose.structure.score import unexplained_squares
 from diagnose.structure.screening import Screening, screening_of
 from diagnose.structure.state import State
-from diagnose.thresholds import FAR, HALVINGS, LARGE, TWICE, UNEXPLAINED
+from diagnose.thresholds import FAR, HALVINGS, LARGE, SMALL, TWICE, UNEXPLAINED
 from mjsim.effects import effect_class
 
 __all__ = ["NONLINEAR", "Halving"]
@@ -49,17 +49,22 @@ class Halving:
     def run(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float) -> list[Fitted]:
         """The neighbours, fitted; ``floor``: the gain of C over the base below which one is not fitted on.
 
-        A further body behind a gap strikes in nearly every sample, and its starts may take more than the budget: it is begun
-        last, and only where the others leave more than noise.
+        A further body takes many times what another effect does, and may take more than the budget. It is begun last, and not
+        where another effect leaves little of the error: it is tried beside that one then. One behind a gap strikes in nearly
+        every sample: it comes after all, and only where the others leave more than noise.
         """
-        last = [n for n in neighbours if effect_class(n[1].candidate.id).rough and _adds_body(n)]
-        found = self._fitted(base, [n for n in neighbours if n not in last], floor)
-        if found and last and not self.state.fitter.above(min(found, key=lambda f: f.chi2), UNEXPLAINED):
+        struck = [n for n in neighbours if effect_class(n[1].candidate.id).rough and _adds_body(n)]
+        bodies = [n for n in neighbours if _adds_body(n) and n not in struck]
+        found = self._fitted(base, [n for n in neighbours if not _adds_body(n)], floor)
+        if found and min(f.chi2 for f in found) < SMALL * base.chi2:
             return found
-        return [*found, *self._fitted(base, last, floor)]
+        found = [*found, *self._fitted(base, bodies, floor, found)]
+        if found and struck and not self.state.fitter.above(min(found, key=lambda f: f.chi2), UNEXPLAINED):
+            return found
+        return [*found, *self._fitted(base, struck, floor, found)]
 
-    def _fitted(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float) -> list[Fitted]:
-        """Neighbours that are fitted together."""
+    def _fitted(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float, ahead: Sequence[Fitted] = ()) -> list[Fitted]:
+        """Neighbours that are fitted together, once those ``ahead`` were."""
         state = self.state
         if state.spent() or not neighbours:
             return []
@@ -77,21 +82,21 @@ class Halving:
                 running.append(f)
         for rung, halving in enumerate(HALVINGS):
             running.sort(key=lambda f: f.chi2)
-            self._continue(base, running, halving, floor, lends=rung == 0 and screening.every > 1)
+            best = min((f.chi2 for f in (*ahead, *running)), default=0.0)
+            self._continue(base, running, halving, floor, best, lends=rung == 0 and screening.every > 1)
         for f in running:
             state.keep(f)
-        self._restart(base, running)
+        self._restart(base, running, ahead)
         return [state.fits.best(f) for f in running]
 
     def _continue(
-        self, base: Fitted, running: list[Fitted], halving: tuple[int, int, float], floor: float, *, lends: bool
+        self, base: Fitted, running: list[Fitted], halving: tuple[int, int, float], floor: float, best: float, *, lends: bool
     ) -> None:
-        """Further iterations of the leading fits that may still gain ``floor``, in place.
+        """Further iterations of the leading fits that may still gain ``floor``, in place; ``best``: the least chi-square so far.
 
         ``lends``: they start with the sensitivities that they have, which are computed and not updated by secants.
         """
         (keep, iterations, behind), state, fitter = halving, self.state, self.state.fitter
-        best = running[0].chi2 if running else 0.0
         on = [
             rank for rank, f in enumerate(running[:keep])
             if f.fit.status is Status.BUDGET and math.log(f.chi2 / best) < behind
@@ -112,7 +117,7 @@ class Halving:
         for rank, f in zip(on, fitter.map(tasks, lengths), strict=True):
             running[rank] = f
 
-    def _restart(self, base: Fitted, running: list[Fitted]) -> None:
+    def _restart(self, base: Fitted, running: list[Fitted], ahead: Sequence[Fitted]) -> None:
         """Fit added bodies from the nominal linear parameters, where the residual is far from the noise.
 
         The fitted parameters of the base compensate for the missing body, and few iterations lead from there to it. Not where a
@@ -123,7 +128,7 @@ class Halving:
             (f, e) for f in running if fitter.above(f, FAR)
             for e in f.effects if e.key not in base.key and type(e).family == NONLINEAR[0]
         ]  # fmt: skip
-        if new and fitter.noise.within(min(map(fitter.misfit, running)), LARGE):
+        if new and fitter.noise.within(min(map(fitter.misfit, (*ahead, *running))), LARGE):
             return
         for f, effect in new:
             if not fitter.late and self.state.once("restart", f.key):

@@ -25,6 +25,7 @@ from mjsim.robot.drives import JointDrive, joint_drives
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
+from mjsim.servo import Target
 from mjsim.trapezoid import finely, parts_of
 
 __all__ = ["ClosedLoop", "closed_loop", "motor_gain"]
@@ -79,13 +80,18 @@ def _profile(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Command at the start of each step of its profile, and its slope there, from those of each sample of dt [s].
 
-    slots (K,): carried ones; a velocity limit of the file is that of the profile as well.
+    slots (K,): carried ones; a velocity limit of the file is that of the profile as well. A command that the servo integrates is
+    the rate of the target.
     """
+    if drive.servo.target is Target.INTEGRATED:
+        ends = np.cumsum((first + 0.5 * dt * slope) * dt)
+        first, slope = between(np.concatenate([[0.0], ends[:-1]]), dt, "linear")
     limits = [float(x) for x in (slots[SLOT["slew"]], drive.slots[SLOT["slew"]]) if x > 0.0]
     unit = abs(drive.gear / drive.servo.scale)  # command per target
     most, rate = unit * min(limits, default=math.inf), unit * float(slots[SLOT["acceleration"]])
     fine = finely(first, slope, dt, most, rate)
-    return fine[:-1], np.diff(fine) / (dt / parts_of(dt))
+    speed = np.diff(fine) / (dt / parts_of(dt))
+    return (speed, np.zeros_like(speed)) if drive.servo.target is Target.INTEGRATED else (fine[:-1], speed)
 
 
 def _integral(first: np.ndarray, slope: np.ndarray, dt: float, t: np.ndarray) -> np.ndarray:
