@@ -117,7 +117,7 @@ class Halving:
         for rank, f in zip(on, fitter.map(tasks, lengths), strict=True):
             running[rank] = f
 
-    def _restart(self, base: Fitted, running: list[Fitted], ahead: Sequence[Fitted]) -> None:
+    def _restart(self, base: Fitted, running: list[Fitted], ahead: Sequence[Fitted] = ()) -> None:
         """Fit added bodies from the nominal linear parameters, where the residual is far from the noise.
 
         The fitted parameters of the base compensate for the missing body, and few iterations lead from there to it. Not where a

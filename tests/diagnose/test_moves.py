@@ -14,7 +14,7 @@ from diagnose.structure import halving
 from diagnose.structure.candidates import Candidate
 from diagnose.structure.moves import Moves
 from diagnose.structure.score import Screened
-from diagnose.thresholds import COARSE, FAR, LARGE, TWICE
+from diagnose.thresholds import COARSE, FAR, LARGE, SMALL, TWICE
 
 N = 1000
 LINEAR = effect("coulomb_friction", torque_Nm=0.1)
@@ -94,3 +94,21 @@ def test_an_added_body_is_not_fitted_anew_beside_a_neighbour_that_leaves_little(
     monkeypatch.setattr(halving, "multistart", lambda *a: asked.append(a))
     halving.Halving(state)._restart(SimpleNamespace(key=()), [near, far])
     assert len(asked) == restarts
+
+
+@pytest.mark.parametrize(("left", "begun"), [(0.9 * SMALL, 1), (1.1 * SMALL, 2)])
+def test_a_body_is_begun_last_and_not_where_another_effect_leaves_little(monkeypatch, left, begun):
+    base, asked = SimpleNamespace(chi2=1e4, key=()), []
+    found = {"coulomb_friction": SimpleNamespace(chi2=left * 1e4), "extra_flexible_mode": SimpleNamespace(chi2=9e3)}
+
+    def fitted(_, base, neighbours, floor, ahead=()):
+        names = [s.candidate.id for _, s in neighbours]
+        if names:
+            asked.append((names, len(ahead)))
+        return [found[name] for name in names]
+
+    monkeypatch.setattr(halving.Halving, "_fitted", fitted)
+    neighbours = [((), SimpleNamespace(candidate=SimpleNamespace(id=name))) for name in reversed(found)]
+    out = halving.Halving(SimpleNamespace(fitter=SimpleNamespace(above=lambda f, _: True))).run(base, neighbours, 0.0)
+    assert asked == [(["coulomb_friction"], 0), (["extra_flexible_mode"], 1)][:begun]
+    assert len(out) == begun

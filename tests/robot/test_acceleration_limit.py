@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from diagnose.robot.options import RobotOptions
+from diagnose.robot.servos.library import servo_laws
 from diagnose.robot.servos.motion import joint_problem, prepare
+from diagnose.robot.servos.screening import screen
+from diagnose.robot.servos.search import PROMISING
+from diagnose.robot.servos.starts import own_numbers, start_fit
+from diagnose.robot.servos.state import JointSearch, Structure
 from lab.robot.arm import three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf
 from mjsim.robot.closed_loop import closed_loop
@@ -71,6 +76,20 @@ def test_a_run_has_the_profile_of_its_slots(tmp_path, hold, limit):
         assert np.std(problem.error(p)) < 0.05 * without
     errors = [np.std(closed_loop(robot, log, effects).z - log.angle, axis=0) for effects in ((), carried)]
     assert np.all(errors[1] < 0.05 * errors[0])
+
+
+def test_its_screening_looks_beside_the_numbers_of_the_file(tmp_path):
+    """Without it the servo's gain falls to a fiftieth, beside which its profile makes the error grow."""
+    robot, log = load_robot(arm(tmp_path)), recorded("held", 6.0, 1)
+    problem = joint_problem(robot, [prepare(robot, log, held=False)], "joint1", split=True)
+    numbers = own_numbers(problem)
+    begun = Structure((), start_fit(problem, numbers))
+    assert begun.fit.slots[SLOT["kp"]] < 0.2 * problem.nominal[SLOT["kp"]]
+    laws = servo_laws(problem, begun.fit.slots)
+    s = JointSearch(problem, RobotOptions(), numbers, begun, begun, laws, 3)
+    promised, _, slots = next(x for x in screen(s, begun, laws) if x[1].id == "acceleration_limit")
+    assert promised > PROMISING * s.entry
+    assert slots[SLOT["kp"]] == problem.nominal[SLOT["kp"]]
 
 
 @pytest.mark.slow

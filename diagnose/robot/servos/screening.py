@@ -14,7 +14,7 @@ from diagnose.robot.servos.starts import THIN
 from diagnose.robot.servos.state import JointSearch, Structure, cleared, free_numbers, replaced
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["screen", "with_start"]
+__all__ = ["own_as_in_file", "screen", "with_start"]
 
 SMALLEST = 0.02  # of the size of a start: the least that a screening makes of it
 
@@ -35,11 +35,22 @@ def with_start(s: JointSearch, law: ServoLaw, start: dict[str, float], base: np.
     return out
 
 
+def own_as_in_file(s: JointSearch, slots: np.ndarray) -> np.ndarray:
+    """Slots with the joint's own numbers as in the file, where it has them: without a law they have taken its place."""
+    out = slots.copy()
+    for name in ("kp", "kv", "damping", "armature", "zero"):
+        given = float(s.problem.nominal[SLOT[name]])
+        out[SLOT[name]] = given if given > 0.0 or name == "zero" else out[SLOT[name]]
+    return out
+
+
 def screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tuple[float, ServoLaw, np.ndarray]]:
     """(promised gain less the price, law, slots of its best start), most first.
 
     A run at a start is one direction d of the error; what it explains beside the free numbers is (d'r)^2 / d'd, both projected
-    on the complement of their derivatives. A law that is linear in several numbers is screened along all of them.
+    on the complement of their derivatives. Where numbers of the joint have taken the place of a law, its direction tells nothing:
+    what a run leaves at a start beside the file's own numbers counts as well. A law that is linear in several numbers is screened
+    along all of them.
     """
     part = s.problem.windows(THIN)
     weights = s.weights[part.rows]
@@ -66,6 +77,10 @@ def screen(s: JointSearch, now: Structure, laws: Sequence[ServoLaw]) -> list[tup
                 slots[SLOT[name]] *= min(max(-float(d @ r0) / (size + 1e-300), SMALLEST), 1.0 / SMALLEST)
             if float(d @ r0) > 0 and _one_sided(law):
                 explained = 0.0  # the error would grow with it
+            given = own_as_in_file(s, slots)
+            beside = left - float(np.sum((each * part.error(given)[part.fitted]) ** 2))
+            if beside > explained:
+                explained, slots = beside, given
             if best is None or explained > best[0]:
                 best = explained, slots
         assert best is not None

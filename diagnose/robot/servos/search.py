@@ -17,7 +17,7 @@ from diagnose.robot.options import RobotOptions
 from diagnose.robot.servos.fit import Fit, Number, block_weights, covariance, fit
 from diagnose.robot.servos.library import PLAIN, ServoLaw, servo_laws
 from diagnose.robot.servos.motion import JointProblem
-from diagnose.robot.servos.screening import screen, with_start
+from diagnose.robot.servos.screening import own_as_in_file, screen, with_start
 from diagnose.robot.servos.starts import THIN, regressed
 from diagnose.robot.servos.state import QUICK, JointSearch, Structure, cleared, free_numbers, replaced
 from diagnose.thresholds import EQUIVALENT
@@ -203,22 +203,13 @@ def _finalists(
         laws = replaced(base.laws, law)
         if frozenset(x.key for x in laws) in s.visited:
             continue
-        starts = [cleared(base.laws, laws, x, s.problem.nominal) for x in (slots, _own_as_in_file(s, slots))]
+        starts = [cleared(base.laws, laws, x, s.problem.nominal) for x in (slots, own_as_in_file(s, slots))]
         again = _regressed_beside(s, base) if dry else None
         starts += [again] if again is not None else []
         trial = min((s.fitted(laws, x, QUICK, part) for x in starts), key=lambda x: x.fit.sse)
         out.append((s.independent_samples * math.log(max(trial.fit.sse, least)) + s.price(laws), law, trial))
     out.sort(key=lambda x: x[0])
     return [(law, trial) for k, (_, law, trial) in enumerate(out) if k < most or law.common]
-
-
-def _own_as_in_file(s: JointSearch, slots: np.ndarray) -> np.ndarray:
-    """Slots with the joint's own numbers as in the file, where it has them: without a law they have taken its place."""
-    out = slots.copy()
-    for name in ("kp", "kv", "damping", "armature", "zero"):
-        given = float(s.problem.nominal[SLOT[name]])
-        out[SLOT[name]] = given if given > 0.0 or name == "zero" else out[SLOT[name]]
-    return out
 
 
 def _regressed_beside(s: JointSearch, base: Structure) -> np.ndarray | None:
