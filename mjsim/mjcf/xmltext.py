@@ -63,6 +63,9 @@ def decoded(raw: bytes) -> tuple[str, str]:
     raise AssertionError("Latin-1 decodes any bytes")
 
 
+TAG = re.compile(rb"""[^"'>]*(?:(?:"[^"]*"|'[^']*')[^"'>]*)*>""")  # to its end, which is no > inside a quoted value
+
+
 class XmlText:
     """A well-formed XML text, but for ``--`` in its comments, and its elements, parsed anew after each edit."""
 
@@ -118,17 +121,10 @@ class XmlText:
         return roots[0]
 
     def _tag_end(self, start: int) -> int:
-        quote = 0
-        for i in range(start, len(self.data)):
-            c = self.data[i]
-            if quote:
-                if c == quote:
-                    quote = 0
-            elif c in b"\"'":
-                quote = c
-            elif c == ord(">"):
-                return i + 1
-        raise ValueError("unclosed tag")
+        found = TAG.match(self.data, start)
+        if found is None:
+            raise ValueError("unclosed tag")
+        return found.end()
 
     def _replace(self, start: int, end: int, new: str) -> None:
         self.data = self.data[:start] + new.encode() + self.data[end:]
