@@ -167,7 +167,7 @@ def test_a_robot_gives_the_same_kind_of_object(tmp_path):
     case = draw(1, "single", 3)
     path = tmp_path / "log.csv"
     write_log(case, path, 0)
-    found = simgap.diagnose(path, "arm3")
+    found = simgap.diagnose(path, "arm3", effects=["coulomb_friction"])
     assert isinstance(found, simgap.Diagnosis)
     assert set(found.by_joint()) == set(simgap.Model("arm3").joints)
     assert found.corrected_model().nv == 3

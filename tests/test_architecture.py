@@ -40,6 +40,12 @@ def name_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    """The syntax tree of a file, which several tests ask for."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 @functools.cache  # five tests ask for it
 def imported(path: Path) -> list[tuple[int, str]]:
     """(line, absolute module) of every import, also those inside functions."""
@@ -47,7 +53,7 @@ def imported(path: Path) -> list[tuple[int, str]]:
     package = name_of(path).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             out += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -155,7 +161,7 @@ def test_nothing_asks_for_an_effect_by_its_name():
         relative(path)
         for path in SOURCES
         if not relative(path).startswith(("mjsim/effects/", "lab/benchmark/", "lab/panel/"))  # laws, and truths of cases
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and named.fullmatch(node.value)
     }
     assert found == set(NAMES_AN_EFFECT)
@@ -211,7 +217,7 @@ NOT_IN_THE_TABLE = (
 def numeric_constants(path: Path) -> set[str]:
     """Names at the top of a module that are given a value with a number in it."""
     names = set()
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in tree_of(path).body:
         if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
             numbers = [
                 n for n in ast.walk(node.value)

@@ -133,11 +133,13 @@ def test_a_model_that_is_still_judged_has_not_its_final_name(folder):
     assert {p.name for p in folder.glob("out/*")} <= {"state.jsonl"}
 
 
+@pytest.mark.slow
 def test_the_traceback_of_a_fault_is_shown_on_request(folder):
     ended = run(folder, *DIAGNOSE, code=BROKEN.replace("CALL", "1").replace("ERROR", "ZeroDivisionError"), SIMGAP_TRACEBACK="1")
     assert "Traceback" in ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of the address space and /proc are Linux's")
 def test_a_limit_on_memory(folder):
     """A recording that is larger than what the process may still take."""

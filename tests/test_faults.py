@@ -98,6 +98,7 @@ def test_a_message_has_a_length(simgap):
     assert len(err) < 2200
 
 
+@pytest.mark.slow
 def test_a_missing_library_for_drawing_breaks_only_what_draws(tmp_path):
     """MUJOCO_GL names a library that is not there: a command that draws nothing runs, one that draws says what is missing."""
     log = recording(tmp_path / "log.csv")

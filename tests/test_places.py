@@ -133,7 +133,7 @@ def test_a_place_that_the_system_refuses(simgap, name):
         (("run", "step", "--duration", "2", "--out", "out"), 8192),
         pytest.param(("render", "step", "--out", "out/film.png"), 8192, marks=pytest.mark.slow),
         pytest.param(("check", "a.npz", "--model", "pendulum.xml", "--out", "out"), 8192, marks=pytest.mark.slow),
-        (("replay", "pendulum.xml", "a.npz", "--out", "out/p.csv"), 8192),
+        pytest.param(("replay", "pendulum.xml", "a.npz", "--out", "out/p.csv"), 8192, marks=pytest.mark.slow),
         pytest.param(("diagnose", "a.npz", *SHORT, "out"), 8192, marks=pytest.mark.slow),
         pytest.param(("fleet", "a.npz", "--workers", "1", *SHORT, "out"), 1024, marks=pytest.mark.slow),  # starts a cluster
         pytest.param(("demo", "--out", "out"), 8192, marks=pytest.mark.slow),  # a whole diagnosis, to a page and a model

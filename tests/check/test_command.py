@@ -128,6 +128,7 @@ def test_a_diagnosis_of_a_wrong_log_names_the_log(run, files, log, tmp_path):
     assert sorted(p.name for p in (tmp_path / "d").iterdir()) == ["corrected.xml", "diagnosis.json", "report.html"]
 
 
+@pytest.mark.slow
 def test_the_log_can_be_accepted_all_the_same(run, files, log, tmp_path):
     model, write = files
     code, out, err = run(

@@ -25,10 +25,15 @@ def columns(recording):
     return {column: np.array(getattr(recording, name)) for column, name in names.items()}
 
 
-@pytest.fixture(scope="module", params=[(PENDULUM, 1.0), (GEARED, 20.0)], ids=["pendulum", "geared"])
+WHICH = {"pendulum": (PENDULUM, 1.0), "geared": (GEARED, 20.0)}
+# of what takes a diagnosis or several checks
+AXES = pytest.mark.parametrize("axis", ["pendulum", pytest.param("geared", marks=pytest.mark.slow)], indirect=True)
+
+
+@pytest.fixture(scope="module", params=WHICH)
 def axis(request, tmp_path_factory):
     """(model, columns) of a servo whose friction the file lacks; the command of the geared one is in units of the actuator."""
-    template, gear = request.param
+    template, gear = WHICH[request.param]
     path = write(tmp_path_factory.mktemp("axis") / "servo.xml", template)
     friction = 0.02 if template == PENDULUM else 0.01
     return path, columns(record(model(template, friction=friction), seconds=12.0, gear=gear))
@@ -89,6 +94,7 @@ def test_a_log_without_a_command_is_refused_with_what_the_servo_needs(axis):
         simgap.check({"time_s": log["time_s"], "torque_Nm": log["command_rad"], "angle_rad": log["angle_rad"]}, path)
 
 
+@AXES
 def test_the_command_line_checks_a_servo(axis, tmp_path):
     path, log = axis
     for name, change, code in (("good", 1.0, 0), ("bad", -1.0, 1)):
@@ -107,6 +113,7 @@ def test_the_command_line_checks_a_servo(axis, tmp_path):
     assert "Angle." in page
 
 
+@AXES
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_diagnosis_begins_with_the_check(axis, tmp_path, sign):
     path, log = axis
@@ -122,6 +129,7 @@ def test_a_diagnosis_begins_with_the_check(axis, tmp_path, sign):
         assert "reverse the sign of angle" in said["next_experiment"]
 
 
+@AXES
 def test_what_the_motion_of_a_servo_can_show(axis):
     path, log = axis
     can = {e.family.split(" at ")[0]: e.identifiable for e in simgap.check(log, path).excitation}
@@ -136,6 +144,7 @@ def test_what_the_motion_of_a_servo_can_show(axis):
     assert "one way" in one_way["friction"].sentence
 
 
+@AXES
 def test_a_servo_that_is_ahead_of_its_model_may_have_a_feedforward(axis):
     path, log = axis
     late = round(simgap.check(log, path).measured["memory"]["axis"]["angle over command"]["delay"] / DT)

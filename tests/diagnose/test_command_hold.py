@@ -43,11 +43,21 @@ def axis(tmp_path_factory):
     return load_axis(write(tmp_path_factory.mktemp("hold") / "servo.xml", PENDULUM))
 
 
-@pytest.mark.parametrize(("hold", "friction"), [("held", 0.0), ("linear", 0.0), ("mean", 0.0), ("held", 0.05), ("linear", 0.05)])
+@pytest.mark.parametrize(
+    ("hold", "friction"),
+    [
+        ("held", 0.0),
+        ("linear", 0.05),
+        pytest.param("linear", 0.0, marks=pytest.mark.slow),
+        pytest.param("mean", 0.0, marks=pytest.mark.slow),
+        pytest.param("held", 0.05, marks=pytest.mark.slow),
+    ],
+)
 def test_the_hold_is_found_with_and_without_dry_friction(axis, hold, friction):
     assert shown_hold(axis, [log(hold, 1, friction=friction)], [log(hold, 2, friction=friction)], math.inf) == hold
 
 
+@pytest.mark.slow
 def test_a_velocity_feedforward_is_no_hold(axis):
     assert shown_hold(axis, [log("linear", 1, lead=LEAD)], [log("linear", 2, lead=LEAD)], math.inf) == "held"
 

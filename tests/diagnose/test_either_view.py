@@ -49,7 +49,7 @@ def by_force(recordings):
     return diagnose(NOMINAL, recordings[:1], recordings[1:], Options(jobs=1, judge="force", effects=ONLY))
 
 
-@pytest.mark.parametrize(("disturbance", "follows"), [(0.0, True), (0.3, False)])
+@pytest.mark.parametrize(("disturbance", "follows"), [(0.0, True), pytest.param(0.3, False, marks=pytest.mark.slow)])
 def test_a_free_run_follows_where_no_unknown_torque_makes_it_drift(disturbance, follows):
     pair = [log(1, disturbance), log(2, disturbance)]
     assert _follows_freely(NOMINAL, by_force(pair), pair[:1], pair[1:], Options(jobs=1)) is follows

@@ -30,6 +30,7 @@ def given(tmp_path_factory):
     return path, load_axis(path), log
 
 
+@pytest.mark.slow
 def test_a_refit_keeps_what_sets_the_scale_of_a_servo_log(given):
     path, axis, log = given
     cases = compare_nominal(path, axis, [log], [], 1).cases

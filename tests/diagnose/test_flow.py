@@ -98,6 +98,7 @@ def test_the_answer_does_not_depend_on_the_number_of_threads(with_coulomb, robot
     assert json.dumps(answer(one), default=float) == json.dumps(answer(two), default=float)
 
 
+@pytest.mark.slow
 def test_backlash_is_found(pair, robot):
     estimation, held_out = pair(BACKLASH)
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=FEW))
@@ -353,7 +354,7 @@ def test_what_the_angle_says_of_an_offset(pair, record):
     assert excluded_by_angle([prepare(dataclasses.replace(off, angle=None))]) == {}
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(s, marks=pytest.mark.slow) for s in range(2, 8))])
 def test_slow_noise_of_the_velocity_is_no_offset(record, seed):
     """Its mean was judged as that of white noise: in every second recording the sensor seemed to have an offset."""
     noise = scipy.signal.lfilter([1.0], [1.0, -0.95], 0.02 * np.random.default_rng(seed).standard_normal(20_000))
@@ -376,6 +377,7 @@ def test_what_only_the_held_out_recording_exercises_is_sought_in_all(robot, reco
     assert {r["role"] for r in result.recordings if r["file"] == loud.source} == {"estimation", "held-out"}
 
 
+@pytest.mark.slow
 def test_viscous_friction_that_the_nominal_model_has_not_is_named(robot, pair):
     """Bearings of the arm; where the nominal model has them it is one of its parameters, and no missing physics."""
     chain = robot.chain

@@ -57,6 +57,7 @@ def test_every_form_is_of_an_effect_of_the_contract():
         assert set(effect_class(cls.form_of).places) >= set(cls.places)
 
 
+@pytest.mark.slow
 def test_a_form_is_named_by_the_contract(robot, damped):
     only = ("coulomb_friction", "presliding_friction")
     found = diagnose(robot, damped[:1], damped[1:], Options(effects=only, jobs=1))

@@ -144,6 +144,7 @@ def test_a_part_of_a_log_may_begin_and_end_in_a_gap():
     assert with_input_in_gaps([nothing], []) == ([nothing], [], ())
 
 
+@pytest.mark.slow
 def test_friction_is_found_in_a_log_that_lost_rows(tmp_path):
     """With the input held in the gaps what follows them is off by more than the noise: unexplained, or a law with creep."""
     path = tmp_path / "arm.xml"

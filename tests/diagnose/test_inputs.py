@@ -107,6 +107,7 @@ def test_the_check_of_a_free_swing_asks_for_no_torque(free):
     assert "the drive is off" in check.understood["input"]
 
 
+@pytest.mark.slow
 def test_friction_of_a_free_swing_is_found_with_the_drive_off(free, tmp_path):
     logs, other = [swing(free, 1.6, 0.012, 3.0)], swing(free, 2.2, 0.012, 3.0)
     result = diagnose_recordings(logs, free, tmp_path, [other], FEW, progress=False, page=False)

@@ -28,7 +28,14 @@ def diagnosed(folder, of: PidCase, model: str = "nominal"):
     return result, given, truth
 
 
-@pytest.mark.parametrize(("begin", "machine"), [("rest", "pendulum"), ("motion", "pendulum"), ("motion", "geared")])
+@pytest.mark.parametrize(
+    ("begin", "machine"),
+    [
+        ("rest", "pendulum"),
+        pytest.param("motion", "pendulum", marks=pytest.mark.slow),
+        pytest.param("motion", "geared", marks=pytest.mark.slow),
+    ],
+)
 def test_it_is_named_from_a_start_at_rest_under_gravity_and_in_motion(tmp_path, begin, machine):
     result, _, truth = diagnosed(tmp_path, case(begin, machine=machine))
     assert [f.effect for f in result.findings] == ["integral_action"]
@@ -39,6 +46,7 @@ def test_it_is_named_from_a_start_at_rest_under_gravity_and_in_motion(tmp_path, 
     assert result.fit["corrected"].held_out_rms < 1.1 * result.noise_floor, "by plain MuJoCo"
 
 
+@pytest.mark.slow
 def test_a_file_with_ki_is_no_mismatch_and_other_gains_are_parameters(tmp_path):
     result, *_ = diagnosed(tmp_path / "same", case("rest"), model="true")
     assert result.verdict.value == "no_mismatch"
@@ -68,6 +76,7 @@ def test_the_sample_is_even_in_what_it_lacks():
     assert math.isclose(len({c.seed for c in cases}), 24)
 
 
+@pytest.mark.slow
 def test_it_is_tried_where_a_score_test_misjudges_it(tmp_path):
     """Gains fitted without it are twice the true ones, about which its response is nearly theirs."""
     of = PidCase(1, "pendulum", 100.0, "sines", "encoder", "rest", False, "integral", draw(24, 74101)[1].seed)

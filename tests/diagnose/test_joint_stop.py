@@ -57,9 +57,8 @@ def test_a_limited_torque_is_no_stop() -> None:
     assert [f.effect for f in result.findings] == ["actuator_saturation"]
 
 
-@pytest.mark.parametrize(
-    ("name", "angle"), [("upper_joint_stop", 0.25), pytest.param("lower_joint_stop", -0.3, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "angle"), [("upper_joint_stop", 0.25), ("lower_joint_stop", -0.3)])
 def test_a_stop_at_one_end_is_named_by_its_end(name: str, angle: float) -> None:
     weighed = NOMINAL + effect_class("gravity_load")(place="arm", torque_Nm=1.0, phase_rad=0.0)
     true = weighed + effect_class(name)(angle_rad=angle, time_constant_s=0.02, damping_ratio=0.6)

@@ -244,6 +244,7 @@ def command(files, out, *more):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_command_says_how_to_go_on_and_leaves_nothing_half_written(pair, tmp_path, monkeypatch):
     out, straight = tmp_path / "report", tmp_path / "straight"
     recordings = pair(effect("torque_offset", torque_Nm=0.05), seconds=1.0)

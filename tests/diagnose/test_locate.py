@@ -49,6 +49,7 @@ def test_json_and_page_hold_each(three):
     assert "0.05 s ahead" in page
 
 
+@pytest.mark.slow
 def test_a_recording_whose_blocks_are_held_out_comes_once(record, robot):
     result = diagnose(robot, [record(COULOMB, seconds=6.0)], (), FEW)
     assert [m.source for m in result.mismatches] == ["synthetic_0.csv"]

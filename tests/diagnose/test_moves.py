@@ -70,6 +70,7 @@ def test_starts_are_fitted_in_coarse_steps_and_the_best_in_those_of_the_view(fit
     assert fitter.view.step < COARSE
 
 
+@pytest.mark.slow
 def test_starts_keep_of_each_recording_what_belongs_to_the_other_effects(fitter_of, pair, monkeypatch):
     """A start in motion that was fitted without the effect compensates for it: a gap behind a motor was not found from there."""
     mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)

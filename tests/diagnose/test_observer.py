@@ -226,6 +226,7 @@ def test_secants_bring_a_rough_cost_as_low_in_fewer_runs(fitter):
     assert fitter.work - middle < 0.7 * spent
 
 
+@pytest.mark.slow
 def test_an_effect_is_found_although_free_runs_have_many_minima():
     """A pendulum that goes over the top: the nominal structure ends in a wrong minimum, about which score tests tell nothing."""
     dt = 0.004

@@ -37,6 +37,7 @@ def search_of(robot):
     return make
 
 
+@pytest.mark.slow
 def test_friction_that_varies_over_the_turn_comes_out_of_a_wrong_order_and_phase(search_of, pair):
     truth = {"torque_Nm": 0.15, "relative_amplitude": 0.4, "cycles_per_rev": 3.0, "phase_rad": -2.5}
     search = search_of(*pair(effect("position_dependent_friction", place="motor", **truth), amplitude=1.5))
@@ -152,6 +153,7 @@ def is_sought_on_whitened_errors_only(fitter, monkeypatch):
     fitter.close()
 
 
+@pytest.mark.slow
 def test_what_all_recordings_settle_is_noise_although_one_leaves_much_open(robot, fed_back, monkeypatch):
     """A null whose plain fit missed motion by eleven times the noise was searched on plain errors until the budget was spent."""
     first, other = fed_back

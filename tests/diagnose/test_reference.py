@@ -110,6 +110,7 @@ def test_recordings_of_ideal_friction_do_not_and_name_the_setting(nominal):
     assert cause.left < APART < cause.apart
 
 
+@pytest.mark.slow
 def test_the_difference_is_that_of_the_numerics_and_not_of_what_is_missing(nominal, monkeypatch):
     """Gravity follows the recorded angle in a fit: what is missing there is no difference between the two engines."""
     monkeypatch.setattr("diagnose.verdict.reference_stage.has_soft_friction", lambda model: False)

@@ -118,7 +118,7 @@ def test_where_a_part_would_tell_something_else_all_are_screened(robot, fitter, 
     assert screening_of(fitter, loose).every == 1
 
 
-@pytest.mark.parametrize("view", [ForceView(), MotionView()])
+@pytest.mark.parametrize("view", [pytest.param(ForceView(), marks=pytest.mark.slow), MotionView()])
 def test_errors_that_are_filtered_are_screened_in_full(robot, recordings, view):
     experiment = prepare(recordings[0])
     whitened = Fitter(robot, view, (experiment,), (experiment,), 1).relax(whitening=np.array([1.0, -0.5]))

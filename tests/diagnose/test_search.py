@@ -185,6 +185,7 @@ def test_a_torque_that_repeats_once_a_turn_is_a_weight(cycles):
         assert kept.torque_Nm == pytest.approx(1.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_what_the_angle_shows_is_taken_in_first(robot, pair):
     """A velocity that drifts from the angle has an offset, whatever else is missing."""
     hidden = (

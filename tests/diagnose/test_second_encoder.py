@@ -45,6 +45,7 @@ def test_a_delay_is_a_delay_and_no_backlash(robot):
     assert "Not needed beside it: wind-up of an elastic gear, backlash, hysteresis" in result.sentence()
 
 
+@pytest.mark.slow
 def test_a_spring_is_a_spring(robot):
     result = judged(robot, stiffness=1000.0)
     assert result.found.terms == ("compliance",)
@@ -57,6 +58,7 @@ def test_a_gap_is_a_gap(robot):
     assert result.found.values["backlash"] == pytest.approx(1e-3, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_delay_and_a_spring_are_both_found(robot):
     result = judged(robot, delay=4, stiffness=1000.0)
     assert set(result.found.terms) == {"time_delay", "compliance"}

@@ -41,6 +41,7 @@ def bench(tmp_path_factory):
     return Bench(model, given, axis, SimpleNamespace(), SimpleNamespace(cases=cases), out, 1), form, runs
 
 
+@pytest.mark.slow
 def test_numbers_and_starts_are_found_at_once(bench):
     b, form, runs = bench
     cases = b.nominal.cases

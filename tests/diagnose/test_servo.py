@@ -59,7 +59,8 @@ def told(seed, effects=(), **how):
     return diagnose(NOMINAL, [fitted], [held], Options(effects=effects))
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(0, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_answer_to_unknown_torques_is_named_nothing(seed):
     result = told(seed, unknown=0.4)
     assert not result.findings
@@ -82,12 +83,13 @@ def test_without_that_rule_it_would_be(monkeypatch):
     assert told(1, (*FEW, "time_delay"), unknown=0.4).findings
 
 
-@pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), (0.05, 1.0)])
+@pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), pytest.param(0.05, 1.0, marks=pytest.mark.slow)])
 def test_friction_beside_them_is_named(unknown, memory):
     result = told(5, FEW, unknown=unknown, memory=memory, dry=0.3)
     assert [f.effect for f in result.findings] == ["coulomb_friction"]
 
 
+@pytest.mark.slow
 def test_ripple_of_few_periods_is_named_where_it_is_most_of_the_error():
     """Three or four periods over the travel have no other orders beside them to stand out of."""
     result = told(5, FEW, unknown=0.02, ripple=0.3)

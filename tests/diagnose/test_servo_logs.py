@@ -78,7 +78,9 @@ def answer(nominal, template, *, options=None, gear=1.0, true=None, **log):
     return diagnose(nominal[template], logs[:1], logs[1:], options or Options(jobs=1, effects=FEW))
 
 
-@pytest.mark.parametrize(("template", "gear", "level"), [(PENDULUM, 1.0, 0.08), (GEARED, 20.0, 0.1)])
+@pytest.mark.parametrize(
+    ("template", "gear", "level"), [(PENDULUM, 1.0, 0.08), pytest.param(GEARED, 20.0, 0.1, marks=pytest.mark.slow)]
+)
 def test_coulomb_friction_is_named_with_its_value(nominal, template, gear, level):
     result = answer(nominal, template, gear=gear, true={"friction": level})
     assert result.verdict is Verdict.MISSING_PHYSICS
@@ -190,7 +192,7 @@ def test_the_files_are_judged_by_plain_mujoco(tmp_path):
     """The figures of nominal and corrected are those of the files on disk; the engine's stand beside them."""
     nominal = write(tmp_path / "pendulum.xml", PENDULUM)
     paths = []
-    for i, seconds in enumerate((12.0, 6.0)):
+    for i, seconds in enumerate((6.0, 4.0)):
         r = record(model(PENDULUM, friction=0.08), rate=100.0, seconds=seconds, seed=i)
         paths.append(tmp_path / f"log{i}.csv")
         columns = np.column_stack([r.time, r.command, r.angle])
@@ -228,7 +230,10 @@ def test_a_default_timestep_is_no_physics(tmp_path, friction, verdict):
         assert result.findings[0].parameters["torque_Nm"].value == pytest.approx(friction, rel=0.05)
 
 
-@pytest.mark.parametrize(("options", "simulator"), [("", True), ('<option timestep="1e-4" integrator="RK4"/>', False)])
+@pytest.mark.parametrize(
+    ("options", "simulator"),
+    [("", True), pytest.param('<option timestep="1e-4" integrator="RK4"/>', False, marks=pytest.mark.slow)],
+)
 def test_a_nominal_structure_that_leaves_half_as_much_says_whose_numerics_a_log_has(tmp_path, options, simulator):
     """Dry friction is missing, and leaves far more than noise by both engines."""
     path = tmp_path / "pendulum.xml"

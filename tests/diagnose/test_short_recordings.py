@@ -63,7 +63,7 @@ def steps(tmp_path_factory):
     return made
 
 
-@pytest.mark.parametrize("drive", ["servo", "motor"])
+@pytest.mark.parametrize("drive", [pytest.param("servo", marks=pytest.mark.slow), "motor"])
 def test_friction_and_inertia_of_step_responses(steps, drive, tmp_path):
     model, paths = steps(drive, 0)
     options = Options(jobs=1, effects=("coulomb_friction", "time_delay"))
@@ -77,7 +77,8 @@ def test_friction_and_inertia_of_step_responses(steps, drive, tmp_path):
             assert found.ci95[1] - found.ci95[0] < 0.05 * true
 
 
-@pytest.mark.parametrize("drive", ["servo", pytest.param("motor", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["servo", "motor"])
 def test_intervals_of_many_step_responses_hold_the_truth(steps, drive):
     """Of 32 intervals, 95 % of which hold the truth, fewer than 27 do by chance once in three hundred."""
     held = 0

@@ -49,6 +49,7 @@ def varying(v, q):
     return LEVEL * np.tanh(v / 0.01) * (1 + 0.3 * np.sin(5 * q))
 
 
+@pytest.mark.slow
 def test_a_smooth_law_of_friction_is_no_wave_over_the_angle(rotor):
     found = diagnose(rotor, [swing(smooth, 1)], [swing(smooth, 2)], Options(jobs=1, effects=EFFECTS))
     assert {f.effect for f in found.findings} <= {"coulomb_friction"}

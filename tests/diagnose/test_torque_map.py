@@ -141,6 +141,7 @@ def write(path, r):
     return path
 
 
+@pytest.mark.slow
 def test_it_is_written_and_replays(faded, tmp_path):
     (estimation, held_out), _ = faded
     one, two = write(tmp_path / "log.csv", estimation), write(tmp_path / "other.csv", held_out)
@@ -253,6 +254,7 @@ def test_what_one_stretch_alone_shows_is_no_reason_to_refuse_a_map(seed):
     assert solve(Regression(r, np.zeros(axis.count), J, D, roughness(shape), fold), float(r @ r)).cost < 0.1
 
 
+@pytest.mark.slow
 def test_a_map_over_the_speed_judged_by_force():
     axis = load_axis(shipped_model("emps"))
     result = diagnose(axis, [slide(0, 0.1)], [slide(1, 0.07)], Options(jobs=1, effects=("time_delay",)))

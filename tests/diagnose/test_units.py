@@ -35,7 +35,7 @@ HEAVY_AND_SLOW, LIGHT_AND_FAST = (1e3, 5.0), (1e-3, 0.2)
 @pytest.mark.parametrize(
     ("hidden", "mass", "pace"),
     [
-        pytest.param(COULOMB, *HEAVY_AND_SLOW, id="coulomb_friction, heavy"),
+        pytest.param(COULOMB, *HEAVY_AND_SLOW, id="coulomb_friction, heavy", marks=pytest.mark.slow),
         pytest.param(COULOMB, *LIGHT_AND_FAST, id="coulomb_friction, light", marks=pytest.mark.slow),
         pytest.param(DELAY, *HEAVY_AND_SLOW, id="time_delay, heavy", marks=pytest.mark.slow),
         pytest.param(RIPPLE, *LIGHT_AND_FAST, id="torque_ripple, light", marks=pytest.mark.slow),

@@ -92,6 +92,7 @@ def test_a_stand_in_for_how_the_simulator_steps_is_left_out(asked):
     assert all(r is not None for r in runs)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_in_the_recordings_stays(asked):
     less, before, after = asked(0.05, 0.5 * SMALL, in_log=0.05)
     assert less is None

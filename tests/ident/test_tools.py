@@ -120,7 +120,7 @@ def _slow_record(seed, colour, n=3000):
     ("colour", "structure"),
     [
         pytest.param([1], Structure.oe(3, 3, 1), id="white", marks=pytest.mark.slow),
-        pytest.param([1, -0.97], Structure.bj(3, 0, 1, 3, 1), id="coloured"),
+        pytest.param([1, -0.97], Structure.bj(3, 0, 1, 3, 1), id="coloured", marks=pytest.mark.slow),
         pytest.param([1, -0.97], Structure.oe(3, 3, 1), id="coloured, no noise model", marks=pytest.mark.slow),
     ],
 )

@@ -44,7 +44,7 @@ def read(path: Path, content: str) -> tuple[mujoco.MjModel, Axis]:
     return model.mjmodel, with_limit(with_softness(model.axis, model), model)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     solref=st.one_of(
         st.tuples(st.floats(0.005, 0.5), st.floats(0.1, 3.0)), st.tuples(st.floats(-1e5, -1.0), st.floats(-500.0, 0.0))

@@ -198,7 +198,7 @@ def test_a_damaged_correction_is_one_line(tmp_path, nominal, change, said):
 positive = st.floats(1e-2, 1e2)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(data=st.data())
 def test_any_chain_takes_any_effect_and_new_linear_parameters(tmp_path_factory, data):
     n = data.draw(st.integers(1, 4))

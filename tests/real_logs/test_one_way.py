@@ -29,6 +29,7 @@ def log(seed: int, mean: float, swing: float):
     return recording(RATE, u[start:], noisy[0][start:], noisy[1][start:] - q[start], f"{seed}.csv")
 
 
+@pytest.mark.slow
 def test_friction_that_one_direction_hides_is_no_all_clear():
     only = Options(jobs=1, effects=("coulomb_friction",))
     result = diagnose(NOMINAL, [log(1, 8.0, 2.0)], [log(2, 0.0, 8.0)], only)

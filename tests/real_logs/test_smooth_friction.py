@@ -39,7 +39,7 @@ def log(path, speed, seed):
 @pytest.mark.parametrize(
     ("speed", "options"),
     [
-        (0.1, Options(jobs=1, effects=("coulomb_friction",))),
+        pytest.param(0.1, Options(jobs=1, effects=("coulomb_friction",)), marks=pytest.mark.slow),
         pytest.param(0.1, Options(jobs=2), marks=pytest.mark.slow),
         pytest.param(0.5, Options(jobs=2), marks=pytest.mark.slow),
     ],

@@ -24,7 +24,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module", params=WIDTHS)
+@pytest.fixture(scope="module", params=[pytest.param(min(WIDTHS), marks=pytest.mark.slow), max(WIDTHS)])
 def wide(request: pytest.FixtureRequest, browser: Any, file: Path) -> Any:
     """The page in the narrowest and the widest window, all plots drawn; tests leave it as they found it."""
     with opened(browser, file, request.param) as watched:
@@ -62,6 +62,7 @@ def test_opens_from_disk_and_fits_the_window(browser: Any, file: Path, widths: t
     looks_right(browser, file, plots=5, widths=widths)
 
 
+@pytest.mark.slow
 def test_twenty_seconds_open_quickly(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     write_report(synthetic(40_000), path, corrected_diff=DIFF)

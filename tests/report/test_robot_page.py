@@ -70,6 +70,7 @@ def test_fits_each_window(browser: Any, still: Path, widths: tuple[int, ...]) ->
     looks_right(browser, still, plots=6, widths=widths)
 
 
+@pytest.mark.slow
 def test_every_joint_has_an_explorer_of_its_own(browser: Any, still: Path) -> None:
     with opened(browser, still) as w:
         w.see_all()

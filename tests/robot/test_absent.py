@@ -81,7 +81,8 @@ def test_a_joint_that_moved_unseen_is_named_by_command(tmp_path: Path) -> None:
     assert found.joint == "joint3"
 
 
-@pytest.mark.parametrize("effect", [pytest.param("stribeck_friction", marks=pytest.mark.slow), "torque_ripple"])
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["stribeck_friction", "torque_ripple"])
 def test_a_joint_that_rested_is_only_said_to_be_held(effect: str, tmp_path: Path) -> None:
     """A payload, another armature and an effect at a neighbour are no motion of the joint that is not logged."""
     text = RESTING
@@ -99,6 +100,7 @@ def test_a_joint_that_rested_is_only_said_to_be_held(effect: str, tmp_path: Path
     assert "joint3 is not in the log: it is taken to be held at 0 rad" in problem.sentence
 
 
+@pytest.mark.slow
 def test_a_diagnosis_says_that_the_absence_is_the_likely_cause(tmp_path: Path) -> None:
     log = run_robot(robot_scenario("arm3_nominal", duration_s=12.0, sample_time_s=0.01))
     path, _ = write_robot_log(log, tmp_path)

@@ -120,6 +120,7 @@ def test_bodies_that_overlap_at_every_sample_are_taken_for_the_models_shape(pres
     assert "world and column overlap at every sample" in said[0]
 
 
+@pytest.mark.slow
 def test_by_servo_contact_is_left_out_and_said(tmp_path: Path):
     servos = ServoRobot(three_axes(), (ServoJoint(60.0, 6.0), ServoJoint(90.0, 8.0), ServoJoint(50.0, 4.0)))
     free, under = tmp_path / "free.xml", tmp_path / "under.xml"

@@ -53,6 +53,7 @@ def test_links_lag_behind_motors_by_their_own_torque(case, tmp_path):
     np.testing.assert_array_equal(z[:, :2], m.z[:, :2])
 
 
+@pytest.mark.slow
 def test_a_flexible_joint_is_named_with_its_stiffness(case, tmp_path):
     found = one(case, tmp_path)
     assert found["found"] == [f"{FLEXIBLE}@joint3"]

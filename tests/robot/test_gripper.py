@@ -31,6 +31,7 @@ angle = 1e-5
 """
 
 
+@pytest.mark.slow
 def test_friction_beside_a_tied_finger_is_found_by_servo_and_corrected_xml_follows_the_log(tmp_path: Path) -> None:
     (tmp_path / "gripper.xml").write_text(GRIPPER)
     (tmp_path / "log.toml").write_text(TOML)

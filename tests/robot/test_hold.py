@@ -35,11 +35,20 @@ def log(robot, hold: str, friction: float = 0.0, seconds: float = 12.0) -> Robot
     return RobotRecording(t, robot.joints, DT, angle, command=command)
 
 
-@pytest.mark.parametrize(("hold", "friction"), [("held", 1.0), ("linear", 0.0), ("linear", 1.0), ("mean", 0.0)])
+@pytest.mark.parametrize(
+    ("hold", "friction"),
+    [
+        ("held", 1.0),
+        ("linear", 0.0),
+        pytest.param("linear", 1.0, marks=pytest.mark.slow),
+        pytest.param("mean", 0.0, marks=pytest.mark.slow),
+    ],
+)
 def test_the_hold_of_all_commands_is_found(robot, hold, friction):
     assert shown_hold(robot, [log(robot, hold, friction)]) == hold
 
 
+@pytest.mark.slow
 def test_long_logs_are_fitted_by_windows(robot, monkeypatch):
     for module in ("hold", "starts"):
         monkeypatch.setattr(f"diagnose.robot.servos.{module}.THIN", 600)

@@ -83,6 +83,7 @@ def test_it_is_written_at_the_actuator(tmp_path):
     assert joint_drives(load_robot(tmp_path / "twice.xml"))[1].slots[SLOT["integral"]] == 30.0
 
 
+@pytest.mark.slow
 def test_it_is_named_at_its_joint_and_stands_in_the_corrected_file(tmp_path):
     path, log = arm(tmp_path), recorded(24.0)
     columns = {"time_s": log.time}

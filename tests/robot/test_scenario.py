@@ -185,6 +185,7 @@ def test_an_axis_is_no_robot_and_an_engine_is_refused(tmp_path: Path) -> None:
     assert all(name in listed for name in shipped_robot_scenarios())
 
 
+@pytest.mark.slow
 def test_the_equations_of_a_robot_are_those_of_mujoco(gripper: Path) -> None:
     *rows, report = check_robot_model(load_robot(gripper))
     assert isinstance(report, Report)

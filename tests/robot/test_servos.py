@@ -153,12 +153,14 @@ def test_a_cable_is_no_weight_and_no_spring(folder):
     assert d.verdict is Verdict.MISSING_PHYSICS
 
 
+@pytest.mark.slow
 def test_a_robot_as_in_the_file_has_no_findings(folder):
     d = diagnosed(folder(NOMINAL, 4.0))
     assert d.verdict is Verdict.NO_MISMATCH
     assert not d.changed
 
 
+@pytest.mark.slow
 def test_a_payload_is_a_number_of_the_robot_and_no_physics(folder):
     arm = NOMINAL.arm.with_payload(0.5, NOMINAL.arm.links[-1].centre)
     where = folder(ServoRobot(arm, NOMINAL.servos), 4.0)
@@ -185,6 +187,7 @@ def test_one_delay_at_all_joints_is_said_to_be_perhaps_the_log(folder):
     assert any("have a delay of 60 ms in common" in n or "have a delay of 59" in n for n in d.notes)
 
 
+@pytest.mark.slow
 def test_a_scale_that_is_not_told_is_taken_from_like_servos_and_said(folder):
     like = ServoRobot(three_axes(), tuple(ServoJoint(60.0, 6.0) for _ in range(3)))
     where = folder(ServoRobot(three_axes(), tuple(ServoJoint(45.0, 5.0) for _ in range(3))))
@@ -268,7 +271,7 @@ def test_one_joint_and_all_joints_in_mujoco_run_alike(robot):
     ],
 )  # fmt: skip
 def test_a_law_acts_alike_in_the_sealed_plant_the_kernel_and_mujoco(robot, change, effect):
-    t = np.arange(0, 6.0, 0.01)
+    t = np.arange(0, 4.0, 0.01)
     command = command_for(NOMINAL, np.random.default_rng(4), t)
     q = simulate(NOMINAL.with_servo(1, **change), command, 0.01)
     r = RobotRecording(t, robot.joints, 0.01, q, command=command)

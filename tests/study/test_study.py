@@ -286,6 +286,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert ticks == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_a_worker_ends_with_the_run_that_started_it() -> None:
     """One whose parent was killed would wait for work for ever."""
     import subprocess
