@@ -15,7 +15,7 @@ from diagnose.structure.graph import Neighbour
 from diagnose.structure.score import unexplained_squares
 from diagnose.structure.screening import Screening, screening_of
 from diagnose.structure.state import State
-from diagnose.thresholds import FAR, HALVINGS, LARGE, SMALL, TWICE, UNEXPLAINED
+from diagnose.thresholds import FAIR, FAR, HALVINGS, LARGE, SMALL, TWICE, UNEXPLAINED
 from mjsim.effects import effect_class
 
 __all__ = ["NONLINEAR", "Halving"]
@@ -27,6 +27,10 @@ NONLINEAR = ("structure", "coupling")  # families whose response is not linear i
 
 def _adds_body(neighbour: Neighbour) -> bool:
     return effect_class(neighbour[1].candidate.id).family == NONLINEAR[0]
+
+
+def _closes_loop(neighbour: Neighbour) -> bool:
+    return effect_class(neighbour[1].candidate.id).closes_loop
 
 
 @dataclass
@@ -49,19 +53,34 @@ class Halving:
     def run(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float) -> list[Fitted]:
         """The neighbours, fitted; ``floor``: the gain of C over the base below which one is not fitted on.
 
-        A further body takes many times what another effect does, and may take more than the budget. It is begun last, and not
-        where another effect leaves little of the error: it is tried beside that one then. One behind a gap strikes in nearly
-        every sample: it comes after all, and only where the others leave more than noise.
+        A further body, and a further feedback, take many times what another effect does, and may take more than the budget. They
+        are begun last, and not where another effect leaves little of the error: they are tried beside that one then. A body
+        behind a gap strikes in nearly every sample: it comes after all, and only where the others leave more than noise.
         """
         struck = [n for n in neighbours if effect_class(n[1].candidate.id).rough and _adds_body(n)]
-        bodies = [n for n in neighbours if _adds_body(n) and n not in struck]
-        found = self._fitted(base, [n for n in neighbours if not _adds_body(n)], floor)
+        costly = [n for n in neighbours if (_adds_body(n) or _closes_loop(n)) and n not in struck]
+        found = self._fitted(base, [n for n in neighbours if n not in struck and n not in costly], floor)
+        found = self._from_nominal(base, found)
         if found and min(f.chi2 for f in found) < SMALL * base.chi2:
             return found
-        found = [*found, *self._fitted(base, bodies, floor, found)]
+        found = [*found, *self._fitted(base, costly, floor, found)]
         if found and struck and not self.state.fitter.above(min(found, key=lambda f: f.chi2), UNEXPLAINED):
             return found
         return [*found, *self._fitted(base, struck, floor, found)]
+
+    def _from_nominal(self, base: Fitted, found: list[Fitted]) -> list[Fitted]:
+        """The neighbours, the leading one fitted from the nominal linear parameters as well, where it still leaves much.
+
+        Those of the base have made up for the effects that it lacks, and may lead to another minimum than these. Not where
+        it takes less than a quarter off the squared error.
+        """
+        state, best = self.state, min(found, key=lambda f: f.chi2, default=base)
+        if state.fitter.late or not state.fitter.above(best, FAR) or best.chi2 > (1.0 - FAIR) * base.chi2:
+            return found
+        again = state.fitter.fit(state.fitter.hypothesis(best.effects, None, best.own))
+        if again.ok:
+            state.keep(again)
+        return [state.fits.best(f) for f in found]
 
     def _fitted(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float, ahead: Sequence[Fitted] = ()) -> list[Fitted]:
         """Neighbours that are fitted together, once those ``ahead`` were."""

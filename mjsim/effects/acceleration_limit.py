@@ -51,9 +51,11 @@ class AccelerationLimit(Effect):
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""
-        return (Range("acceleration", self.limit_rad_s2, 0.0, 2.0 * scales.acceleration, "twice those that were reached"),)
+        most = 4.0 * scales.acceleration  # which slopes through many samples of a slow log make too small
+        return (Range("acceleration", self.limit_rad_s2, 0.0, most, "four times those that were reached"),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
-        """Starts of a fit: below the largest acceleration of the motion, which runs past its target."""
-        return [{"limit_rad_s2": c * scales.acceleration} for c in (0.2, 0.4, 0.8)]
+        """Starts of a fit: about the largest acceleration of the motion, which runs past its target, and which a slow log does
+        not show."""
+        return [{"limit_rad_s2": c * scales.acceleration} for c in (0.25, 0.6, 1.5, 4.0)]

@@ -71,7 +71,7 @@ def test_it_is_named_among_the_whole_library(axis):
     assert set(names(axis, 1.2, ACCELERATION, rivals=())[0]) == {"acceleration_limit", "velocity_limit"}
 
 
-def test_more_than_twice_the_accelerations_that_were_reached_is_not_admissible(axis):
+def test_more_than_four_times_the_accelerations_that_were_reached_is_not_admissible(axis):
     logs = [[log(PENDULUM, "held", seed, 4.0, math.inf)] for seed in (1, 2)]
     nominal, fitted, held, _ = as_servo(axis, *logs)
     view, experiments = choose_view(fitted, None, nominal), split(fitted, held)

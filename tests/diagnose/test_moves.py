@@ -109,6 +109,7 @@ def test_a_body_is_begun_last_and_not_where_another_effect_leaves_little(monkeyp
         return [found[name] for name in names]
 
     monkeypatch.setattr(halving.Halving, "_fitted", fitted)
+    monkeypatch.setattr(halving.Halving, "_from_nominal", lambda _, base, found: found)
     neighbours = [((), SimpleNamespace(candidate=SimpleNamespace(id=name))) for name in reversed(found)]
     out = halving.Halving(SimpleNamespace(fitter=SimpleNamespace(above=lambda f, _: True))).run(base, neighbours, 0.0)
     assert asked == [(["coulomb_friction"], 0), (["extra_flexible_mode"], 1)][:begun]

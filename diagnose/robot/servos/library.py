@@ -265,9 +265,9 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
                  lambda x: {"limit_rad_s": (x["slew"], Quantity.VELOCITY)}, "The servo follows its command no faster than a limit.",
                  native={"slewmax": "slew"}, sane=lambda x: x["slew"] < 5 * s.fastest),
         ServoLaw("acceleration_limit", "actuator", (Number("acceleration", upper=20 * s.hardest),),
-                 tuple({"acceleration": c * s.hardest} for c in (0.2, 0.4, 0.8)),
+                 tuple({"acceleration": c * s.hardest} for c in (0.25, 0.6, 1.0, 2.0)),
                  lambda x: {"limit_rad_s2": (x["acceleration"], Quantity.ACCELERATION)},
-                 "The servo's target speeds up and slows down by no more than a limit.", sane=lambda x: x["acceleration"] < 2 * s.hardest),
+                 "The servo's target speeds up and slows down by no more than a limit.", sane=lambda x: x["acceleration"] < 4 * s.hardest),
     ]  # fmt: skip
 
 
