@@ -16,10 +16,11 @@ import numpy as np
 from diagnose.fit.command_hold import earlier
 from diagnose.problem.noise_model import ModelError
 from diagnose.robot.servos.fit import Fit, Number, block_weights, fit, independent
+from diagnose.robot.servos.library import PROFILE, servo_laws
 from diagnose.robot.servos.motion import JointProblem, Motion, joint_problem, moving, prepare
 from diagnose.robot.servos.starts import THIN, own_numbers, start_fit
 from diagnose.robot.servos.state import QUICK
-from diagnose.thresholds import MATERIAL
+from diagnose.thresholds import FAIR, MATERIAL
 from mjsim.hold import HOLDS
 from mjsim.robot.joint_kernel import SLOT
 from mjsim.robot.model import Robot
@@ -35,7 +36,7 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
     """The hold that lowers the squared error of held commands in the mean over the joints and raises it at none, by a material
     part each; "held" where none does.
 
-    The numbers of the file are refitted under each hold, dry friction beside them. Raises InputError.
+    The numbers of the file are refitted under each hold, dry friction or a limited acceleration beside them. Raises InputError.
     """
     motions = [prepare(robot, r, False, {}) for r in recordings]
     held = [p for n in moving(robot, recordings) if (p := _problem(robot, motions, n)) is not None]
@@ -74,7 +75,8 @@ class _Joint:
 
     @classmethod
     def of(cls, problem: JointProblem) -> _Joint:
-        """Fitted from the file's numbers, then with dry friction from a small part of the drive's torque."""
+        """Fitted from the file's numbers, then with dry friction from a small part of the drive's torque, or with a limited
+        acceleration where that takes a quarter off the squared error."""
         numbers = own_numbers(problem)
         first = start_fit(problem, numbers)
         if "friction" in {n.slot for n in numbers}:
@@ -82,9 +84,19 @@ class _Joint:
         slots = first.slots.copy()
         drive = slots[SLOT["kv" if problem.drive.velocity else "kp"]] * float(np.std(problem.first - problem.angle))
         slots[SLOT["friction"]] = 0.1 * drive
-        numbers = (*numbers, Number("friction"))
-        found = fit(problem, numbers, slots, block_weights(problem, first.error), QUICK, problem.windows(THIN))
-        return cls(problem, numbers, found, block_weights(problem, found.error))
+        weights, part = block_weights(problem, first.error), problem.windows(THIN)
+        beside = (*numbers, Number("friction"))
+        found = fit(problem, beside, slots, weights, QUICK, part)
+        if not problem.drive.velocity:  # a profile moves a joint by more than half a sample
+            law = next(x for x in servo_laws(problem, first.slots, (PROFILE,)) if x.id == PROFILE)
+            starts = [problem.nominal.copy() for _ in law.starts]
+            for start, values in zip(starts, law.starts, strict=True):
+                for name, value in values.items():
+                    start[SLOT[name]] = value
+            best = min((fit(problem, (*numbers, *law.numbers), x, weights, QUICK, part) for x in starts), key=lambda f: f.sse)
+            if best.sse < (1.0 - FAIR) * found.sse:
+                beside, found = best.numbers, best
+        return cls(problem, beside, found, block_weights(problem, found.error))
 
     def compared(self, problem: JointProblem) -> tuple[float, float]:
         """log(error held / error) of the same joint with its command changed, refitted, and the number of independent samples."""

@@ -17,12 +17,13 @@ from diagnose.robot.servos.motion import OWN, JointProblem
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
-__all__ = ["DELAY", "PAYLOAD", "PLAIN", "WEIGHT", "ServoLaw", "identifiers", "servo_laws"]
+__all__ = ["DELAY", "PAYLOAD", "PLAIN", "PROFILE", "WEIGHT", "ServoLaw", "identifiers", "servo_laws"]
 
 Slots = Mapping[str, float]
 Values = dict[str, tuple[float, Quantity]]
 DELAY = "time_delay"
 WEIGHT = "gravity_load"  # a number of the robot where the file has a weight about the joint
+PROFILE = "acceleration_limit"
 LOGGED = "position_late"  # form of a delay that is of the log
 PLAIN = "coulomb_friction"  # the law of the dry friction that a file has
 MOST_ORDERS = 24  # spatial orders that are tried
@@ -264,7 +265,7 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
         ServoLaw("velocity_limit", "actuator", (Number("slew", upper=20 * s.fastest),), tuple({"slew": c * s.fastest} for c in (0.5, 0.9)),
                  lambda x: {"limit_rad_s": (x["slew"], Quantity.VELOCITY)}, "The servo follows its command no faster than a limit.",
                  native={"slewmax": "slew"}, sane=lambda x: x["slew"] < 5 * s.fastest),
-        ServoLaw("acceleration_limit", "actuator", (Number("acceleration", upper=20 * s.hardest),),
+        ServoLaw(PROFILE, "actuator", (Number("acceleration", upper=20 * s.hardest),),
                  tuple({"acceleration": c * s.hardest} for c in (0.25, 0.6, 1.0, 2.0)),
                  lambda x: {"limit_rad_s2": (x["acceleration"], Quantity.ACCELERATION)},
                  "The servo's target speeds up and slows down by no more than a limit.", sane=lambda x: x["acceleration"] < 4 * s.hardest),
