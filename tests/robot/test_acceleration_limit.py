@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import mujoco
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from diagnose.robot.options import RobotOptions
+from diagnose.robot.servos.hold import shown_hold
 from diagnose.robot.servos.library import servo_laws
 from diagnose.robot.servos.motion import joint_problem, prepare
 from diagnose.robot.servos.screening import screen
@@ -90,6 +92,12 @@ def test_its_screening_looks_beside_the_numbers_of_the_file(tmp_path):
     promised, _, slots = next(x for x in screen(s, begun, laws) if x[1].id == "acceleration_limit")
     assert promised > PROMISING * s.entry
     assert slots[SLOT["kp"]] == problem.nominal[SLOT["kp"]]
+
+
+@pytest.mark.parametrize("hold", ["held", "linear"])
+def test_the_hold_is_found_beside_it(tmp_path, hold):
+    log = dataclasses.replace(recorded(hold, 6.0, 1, 2e-4), hold="held", hold_stated=False)
+    assert shown_hold(load_robot(arm(tmp_path)), [log]) == hold
 
 
 @pytest.mark.slow
