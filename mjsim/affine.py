@@ -219,7 +219,8 @@ def _start(
     n = f.shape[1]
     size = 2 * n + 5
     y, mode = np.zeros(size), np.zeros((3, n), np.int64)
-    y[:n], y[n : 2 * n] = x0[0], x0[1]
+    for i in range(n):  # a slice compiles texts of its errors as well
+        y[i], y[n + i] = x0[0, i], x0[1, i]
     y[2 * n], y[2 * n + 1] = y[0], y[n]
     y[size - 1], y[size - 3] = 1.0, before
     for i in range(n):
@@ -325,7 +326,7 @@ def _span(
     f, gap_law, levels = axis[0], axis[1], axis[5]
     for _ in range(n_sub):
         left = span / n_sub
-        skip = -1
+        skip = np.int64(-1)
         while left > 0.0:
             if _settle(levels, mode, forces, y, skip):
                 _build(axis, mode, a, forces, couplings)
@@ -385,7 +386,7 @@ def run(
         y[size - 2] = _held(u, k - shift if split <= 0.0 else k - shift - 1, before)
         if not _sample(axis, y, mode, work, out[k]):
             return 1, k
-        events = 0
+        events = np.int64(0)  # a literal would be compiled apart
         for part in range(3):
             if part > 0 and cuts[part] == late:
                 mid[k, : 2 * n + 2] = y[: 2 * n + 2]
