@@ -8,6 +8,7 @@ import importlib
 import math
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from mjsim.effects import registered
@@ -18,13 +19,7 @@ LAYERS = ("mjsim", "ident", "diagnose", "simgap", "lab")  # each may import thos
 LOAD_LAB = tuple(f"simgap/commands/{name}.py" for name in ("benchmark", "demo", "proof", "study"))
 # stages of a diagnosis: each may import those before it and itself, at run time and for types alike
 STAGES = ("data", "problem", "fit", "evidence", "structure", "explain", "verdict", "pipeline")
-GROUND = (
-    "mismatch",
-    "options",
-    "progress",
-    "result",
-    "thresholds",
-)  # every stage may import these, and they no stage
+GROUND = ("mismatch", "options", "progress", "result", "thresholds")  # every stage may import these, and they no stage
 SOURCES = sorted(
     p for layer in LAYERS for p in (ROOT / layer).rglob("*.py") if "speed" not in p.relative_to(ROOT).parts
 )  # those are scripts
@@ -46,6 +41,14 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All statements below a node, those inside functions and branches too."""
+    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for inner in getattr(node, name, ()):
+            yield inner
+            yield from statements(inner)
+
+
 @functools.cache  # five tests ask for it
 def imported(path: Path) -> list[tuple[int, str]]:
     """(line, absolute module) of every import, also those inside functions."""
@@ -53,7 +56,7 @@ def imported(path: Path) -> list[tuple[int, str]]:
     package = name_of(path).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    for node in ast.walk(tree_of(path)):
+    for node in statements(tree_of(path)):
         if isinstance(node, ast.Import):
             out += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -343,7 +346,7 @@ def test_all_names_exist():
 
 def faults_of_names(path):
     """What is wrong with a file's ``__all__``; a file that has public names needs one, and a text beside it."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     has_all = any(
         isinstance(n, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in n.targets) for n in tree.body
     )

@@ -98,11 +98,16 @@ def test_recordings_of_a_zip_are_named_by_their_paths_and_kept_apart(client, run
     words = again(run).words("diagnose")
     assert "--held-out=recordings/logs/b.csv" in words
     assert words[-2:] == ["--", "recordings/logs/a.csv"]
-    assert client.get(f"/api/runs/{run.id}/picture/logs/a.csv").json()["svg"].startswith("<svg ")
     client.post(f"/api/runs/{run.id}/settings", json={"left_out": ["logs/a.csv"]})
     assert again(run).words("check")[-1] == "recordings/logs/b.csv"
     assert client.put(f"/api/runs/{run.id}/recordings/x.zip", content=packed({"logs/c.csv": log})).status_code == 201
     assert again(run).recordings == ["logs/c.csv"]
+
+
+@pytest.mark.slow
+def test_a_recording_of_a_zip_has_a_picture(client, run, log):
+    client.put(f"/api/runs/{run.id}/recordings/x.zip", content=packed({"logs/a.csv": log}))
+    assert client.get(f"/api/runs/{run.id}/picture/logs/a.csv").json()["svg"].startswith("<svg ")
 
 
 def test_a_data_set_is_one_recording_or_its_episodes(tmp_path):

@@ -114,7 +114,7 @@ def test_the_command_line_checks_a_servo(axis, tmp_path):
 
 
 @AXES
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [pytest.param(1.0, marks=pytest.mark.slow), -1.0])
 def test_a_diagnosis_begins_with_the_check(axis, tmp_path, sign):
     path, log = axis
     found = simgap.diagnose(

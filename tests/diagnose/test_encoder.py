@@ -54,6 +54,7 @@ def test_ripple_gains_more_where_there_is_ripple(robot, record):
     assert encoder < 0.6 * effect
 
 
+@pytest.mark.slow
 def test_the_order_need_not_be_known_to_the_last_digit(robot, record):
     exact, _ = gains(robot, erring(record()), ripple())
     off, _ = gains(robot, erring(record()), ripple().with_values({"cycles_per_rev": ORDER * 1.005}))

@@ -167,6 +167,7 @@ def test_candidates_are_what_the_chain_offers(with_coulomb, robot):
         candidates(fitter, ("warp_drive",))
 
 
+@pytest.mark.slow
 def test_without_a_held_out_recording_blocks_are_held_out(record, robot):
     result = diagnose(robot, [record(COULOMB, seconds=4.0)], (), Options(jobs=1, effects=FEW))
     (finding,) = result.findings

@@ -91,7 +91,7 @@ def test_a_plan_that_cannot_be_made(tmp_path, pattern, robot, said):
 
 def test_a_record_of_each_kind(tmp_path):
     model = model_in(tmp_path)
-    write_log(tmp_path / "a" / "good.csv", 0.2, 0)
+    write_log(tmp_path / "a" / "good.csv", 0.2, 0, 2.4)
     (tmp_path / "a" / "bad.csv").write_text("time_s,torque_Nm\n0,x\n")
     bad, good = jobs(str(tmp_path / "a/*.csv"), model, Settings(effects=("coulomb_friction",)))
     record = record_of(bad, tmp_path)

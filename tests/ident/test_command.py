@@ -91,6 +91,7 @@ def test_a_missing_file_is_one_line(tmp_path):
     assert "no.csv" in str(result.exception)
 
 
+@pytest.mark.slow
 def test_a_range_of_orders_is_tried_and_pictured(log, tmp_path):
     out = tmp_path / "out"
     result = run(log, "--out", out, "--decimate", 1, "--cutoff", "none", "--scan", "1:4")
@@ -102,6 +103,7 @@ def test_a_range_of_orders_is_tried_and_pictured(log, tmp_path):
     assert "<h2>Orders</h2>" in (out / "identification.html").read_text()
 
 
+@pytest.mark.slow
 def test_another_level_answers_whether_it_is_linear(log, tmp_path, bj_truth):
     data = bj_truth.record(1200, 2)
     for name, law in (("linear", lambda y: y), ("bent", lambda y: y - 0.3 * np.tanh(y))):

@@ -146,6 +146,7 @@ def test_the_folder_holds_what_the_contract_says(rubbing):
     assert "&lt;" not in page  # markup that was escaped
 
 
+@pytest.mark.slow
 def test_a_payload_is_a_number_and_no_physics(case, tmp_path):
     folder = case(true=three_axes().with_payload(0.8, (0.2, 0.01, 0.02)))
     d = diagnose_robot_files(
@@ -158,6 +159,7 @@ def test_a_payload_is_a_number_and_no_physics(case, tmp_path):
     assert mass[3] == pytest.approx(2.4, rel=0.2)
 
 
+@pytest.mark.slow
 def test_what_mjcf_has_no_element_for_is_carried(case, tmp_path):
     offset = cases.Law("torque_offset", 2, {}, lambda q, v, T, t: np.full(len(q), -0.4))
     folder = case(offset)
