@@ -57,5 +57,5 @@ class AccelerationLimit(Effect):
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:
         """Starts of a fit: about the largest acceleration of the motion, which runs past its target, and which a slow log does
-        not show."""
-        return [{"limit_rad_s2": c * scales.acceleration} for c in (0.25, 0.6, 1.5, 4.0)]
+        not show. Where a command comes before the last one is reached, minima are a fifth apart."""
+        return [{"limit_rad_s2": 0.25 * 2.0 ** (k / 4) * scales.acceleration} for k in range(17)]

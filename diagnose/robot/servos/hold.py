@@ -93,7 +93,8 @@ class _Joint:
             for start, values in zip(starts, law.starts, strict=True):
                 for name, value in values.items():
                     start[SLOT[name]] = value
-            best = min((fit(problem, (*numbers, *law.numbers), x, weights, QUICK, part) for x in starts), key=lambda f: f.sse)
+            begun = min(starts, key=lambda x: float(np.sum(part.error(x)[part.fitted] ** 2)))
+            best = fit(problem, (*numbers, *law.numbers), begun, weights, QUICK, part)
             if best.sse < (1.0 - FAIR) * found.sse:
                 beside, found = best.numbers, best
         return cls(problem, beside, found, block_weights(problem, found.error))

@@ -266,7 +266,7 @@ def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
                  lambda x: {"limit_rad_s": (x["slew"], Quantity.VELOCITY)}, "The servo follows its command no faster than a limit.",
                  native={"slewmax": "slew"}, sane=lambda x: x["slew"] < 5 * s.fastest),
         ServoLaw(PROFILE, "actuator", (Number("acceleration", upper=20 * s.hardest),),
-                 tuple({"acceleration": c * s.hardest} for c in (0.25, 0.6, 1.0, 2.0)),
+                 tuple({"acceleration": 0.25 * 2 ** (k / 4) * s.hardest} for k in range(13)),
                  lambda x: {"limit_rad_s2": (x["acceleration"], Quantity.ACCELERATION)},
                  "The servo's target speeds up and slows down by no more than a limit.", sane=lambda x: x["acceleration"] < 4 * s.hardest),
     ]  # fmt: skip
