@@ -77,10 +77,11 @@ def _soft(axis: Axis) -> bool:
 
 
 def _open(result: Diagnosis, axis: Axis) -> bool:
-    """Whether friction is in the model or the answer, and the answer leaves more than noise or does not explain it."""
+    """Whether the answer leaves more than noise or does not explain it, and has a law of friction or of the speed, or the model
+    has one: friction that creeps is taken for one that grows with the speed."""
     physics = [effect_class(f.law) for f in result.findings if f.kind == "physics"]
-    friction = any(family == "friction" for family in (*(c.family for c in physics), *(e.family for e in axis.effects)))
-    return friction and _far(result)
+    families = {*(c.family for c in physics), *(e.family for e in axis.effects)}
+    return bool(families & {"friction", "speed"}) and _far(result)
 
 
 def _far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:

@@ -167,17 +167,23 @@ def diagnose_robot_recordings(
         from diagnose.robot.servos.hold import shown_hold
         from diagnose.robot.servos.pipeline import diagnose_servos
 
-        hold = shown_hold(robot, recordings) if is_assumed([*recordings, *held_out]) else "held"
+        assumed = is_assumed([*recordings, *held_out])
+        hold = shown_hold(robot, recordings) if assumed else "held"
+        found = None
+        if assumed and hold == "held":
+            found = diagnose_servos(robot, recordings, held_out, options, say)
+            hold = "held" if options.late else shown_hold(robot, recordings, found.searches)
         if hold != "held":
             recordings, held_out = with_hold(recordings, hold), with_hold(held_out, hold)
             taken = dataclasses.replace(taken_hold(hold, 1.0 / recordings[0].dt), recording=recordings[0].source)
             log = dataclasses.replace(log, problems=(*log.problems, taken))
             say(f"commands: {taken.sentence}")
-        found = diagnose_servos(robot, recordings, held_out, options, say)
+        if found is None or hold != "held":
+            found = diagnose_servos(robot, recordings, held_out, options, say)
         late = options.late
         out.mkdir(parents=True, exist_ok=True)
         with placed(corrected) as part:
-            result = _servos_by_mujoco(found, model, robot, part, (recordings, held_out), say)
+            result = _servos_by_mujoco(found, model, robot, part, (recordings, held_out), options, say)
     else:
         outcome = diagnose_robot(robot, recordings, held_out, options, say)
         late = options.late
@@ -203,9 +209,10 @@ def diagnose_robot_recordings(
 
 def _servos_by_mujoco(
     found: ServoOutcome, model: Path, robot: Robot, corrected: Path,
-    recordings: tuple[Sequence[RobotRecording], Sequence[RobotRecording]], say: Callable[[str], None],
+    recordings: tuple[Sequence[RobotRecording], Sequence[RobotRecording]], options: RobotOptions, say: Callable[[str], None],
 ) -> RobotDiagnosis:  # fmt: skip
     """Write the corrected file with numbers that suit MuJoCo's timestep, and judge it; recordings: fitted, held out."""
+    from simgap.robot_beside import beside_simulator
     from simgap.robot_polish import polish_servos
     from simgap.robot_servos import given_runs, judge_servos, with_file_at_noise
     from simgap.robot_written import write_corrected_servos
@@ -213,6 +220,7 @@ def _servos_by_mujoco(
     say("all joints together in MuJoCo")
     every = (*recordings[0], *recordings[1])
     given = given_runs(robot, every)
+    found = beside_simulator(with_file_at_noise(found, robot, given, every), model, robot, recordings, options, say)
     found = with_file_at_noise(found, robot, given, every)
     polish = polish_servos(model, robot, found, recordings[0])
     write_corrected_servos(model, robot, found, corrected, polish.slots)

@@ -14,8 +14,8 @@ from diagnose.result import FitFigures, Verdict
 from diagnose.robot.motion import LEAST_MOVED
 from diagnose.robot.pipeline import ORDER, summary
 from diagnose.robot.result import JointResult, RobotDiagnosis
-from diagnose.robot.servos.motion import resolution
 from diagnose.robot.servos.pipeline import ServoOutcome
+from diagnose.robot.servos.positions import resolution
 from diagnose.robot.servos.state import JointSearch
 from diagnose.robot.servos.whole import is_explained, judged, leaves_noise, predictable
 from diagnose.thresholds import FAIR
@@ -140,6 +140,7 @@ def _judged(
     errors = {s.problem.name: _joined(runs, recordings, s.problem.name, after) for s in searches}
     remains = {s.problem.name: predictable(s, errors[s.problem.name]) for s in searches}
     explained = {s.problem.name: is_explained(s, errors[s.problem.name], remains[s.problem.name]) for s in searches}
+    noise = {s.problem.name: leaves_noise(s, errors[s.problem.name]) for s in searches}
     if not all(explained[name] or joints[name].verdict is Verdict.UNEXPLAINED for name in joints):
         other, effects = load_robot(by_motion), carried_effects(by_motion)
         steps, finer = ([closed_loop(other, r, effects, finer=k) for r in recordings] for k in (1, 2))
@@ -150,7 +151,10 @@ def _judged(
                 remains[name] = predictable(s, e)
                 explained[name] = is_explained(s, e, remains[name])
     return {
-        s.problem.name: judged(s, joints[s.problem.name], explained[s.problem.name], remains[s.problem.name]) for s in searches
+        s.problem.name: judged(
+            s, joints[s.problem.name], explained[s.problem.name], remains[s.problem.name], noise=noise[s.problem.name]
+        )
+        for s in searches
     }
 
 

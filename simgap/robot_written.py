@@ -50,7 +50,8 @@ def write_corrected_servos(
     m = outcome.masses
     links = robot.nominal - robot.fixed + np.einsum("clk,c->lk", changes(robot, m.numbers), m.x)
     lifted = next(((n.nominal + float(m.x[k])) for k, n in enumerate(m.numbers) if n.kind == GRAVITY and m.x[k] != 0.0), None)
-    write_robot(model, robot, path, links, joints, carried, servos, lifted)
+    soft = {s.problem.name for s in outcome.searches if s.problem.is_soft}
+    write_robot(model, robot, path, links, joints, carried, servos, lifted, soft)
 
 
 def _line(s: JointSearch, p: np.ndarray, carried: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

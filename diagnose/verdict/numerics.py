@@ -52,9 +52,10 @@ def cause_of(nominal: Nominal, threads: int) -> Cause | None:
     targets = [judged(c, r) for c, r in zip(cases, engine, strict=True) if r is not None]
     if len(targets) < len(cases):
         return None
+    soft = any(b.softness for b in nominal.axis.chain.bodies)  # then the equations have the softness of the file
     for setting in SETTINGS:
         found = mended(nominal.plant.model, setting.id)
-        if found is None:
+        if found is None or (soft and setting.id == "soft_friction"):
             continue
         model, edits = found
         plant = dataclasses.replace(nominal.plant, model=model)

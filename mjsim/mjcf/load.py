@@ -75,7 +75,7 @@ def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[
     _linear_only(found, path, carried)
     _ignored_only(model, path, carried)
     _no_contact(model, path)
-    _at_rest(found, path, carried)
+    _at_rest(found, path)
     if carried is not None:
         axis = _carried_axis(found, carried, path)
     else:
@@ -193,11 +193,8 @@ def _no_contact(model: mujoco.MjModel, path: Path) -> None:
             raise outside(path, f"geoms {geoms[0]} and {geoms[1]} touch", 'set contype="0" conaffinity="0"')
 
 
-def _at_rest(found: Found, path: Path, carried: custom.Carried | None) -> None:
-    """Springs of the chain must be at rest where the angles are zero, and nothing else may push (fluid, gravity compensation).
-
-    In a corrected file gravity compensation stands for another weight.
-    """
+def _at_rest(found: Found, path: Path) -> None:
+    """Springs of the chain must be at rest where the angles are zero, and no fluid may push."""
     model = found.layout.model
     springs = [p.element for ps in found.on_coupling for p in ps if p.element.stiffness[0]]
     spring, scale = np.zeros(model.nv), np.zeros(model.nv)
@@ -211,8 +208,8 @@ def _at_rest(found: Found, path: Path, carried: custom.Carried | None) -> None:
     data = mujoco.MjData(model)
     data.qvel[:] = found.layout.base @ np.ones(found.layout.base.shape[1])
     mujoco.mj_forward(model, data)
-    if np.any(data.qfrc_fluid) or (np.any(data.qfrc_gravcomp) and carried is None):
-        raise outside(path, "fluid drag or gravity compensation acts", "set density and viscosity to zero")
+    if np.any(data.qfrc_fluid):
+        raise outside(path, "fluid drag acts", "set density and viscosity to zero")
 
 
 def _law(found: Found) -> BacklashLaw:

@@ -214,7 +214,7 @@ def _share(found: Found, a: int) -> np.ndarray:
 
 
 def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
-    """Constant torque at the motor and the weight on the last body, from the actuator's bias and MuJoCo's gravity."""
+    """Constant torque at the motor and the weight on the last body, of the actuator's bias and gravity less its compensation."""
     model, drive, n = found.layout.model, found.layout.drive, len(found.chain.bodies)
     bias = 0.0
     if drive.id >= 0 and drive.servo is None:
@@ -228,7 +228,7 @@ def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
     for k in range(samples):
         data.qpos[:] = model.qpos0 + to_q @ rigid * angle[k]
         mujoco.mj_forward(model, data)
-        force[k] = -to_q.T @ data.qfrc_bias
+        force[k] = to_q.T @ (data.qfrc_gravcomp - data.qfrc_bias)
     mean = force.mean(axis=0)
     small = 1e-9 * max(1.0, float(np.sum(model.body_mass)) * float(np.linalg.norm(model.opt.gravity)))
     sine, cosine = 2 * np.sin(angle) @ force / samples, 2 * np.cos(angle) @ force / samples

@@ -11,7 +11,7 @@ from mjsim.axis import Axis
 from mjsim.chain import Softness
 from mjsim.mjcf.load import Model
 
-__all__ = ["has_soft_friction", "with_softness"]
+__all__ = ["has_soft_friction", "holds", "with_softness"]
 
 HELD = 1e-3  # share of an acceleration that is left below the friction level, down to which a joint counts as held
 SETTLED = 0.5  # of a velocity that goes in a timestep, from which on friction counts as holding at once
@@ -37,6 +37,11 @@ def has_soft_friction(model: Model) -> bool:
     return any(p.element.friction and (p.element.kind, p.element.id) in soft for parts in model.found.on_body for p in parts)
 
 
+def holds(impedance: float, rate: float, timestep: float) -> bool:
+    """Whether dry friction of this impedance and rate [1/s] holds a joint at rest at a timestep [s]."""
+    return 1.0 - impedance <= HELD and impedance * rate * timestep >= SETTLED
+
+
 def _joint(m: mujoco.MjModel, name: str) -> int:
     return int(mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, name))
 
@@ -50,8 +55,7 @@ def _softness(model: mujoco.MjModel) -> dict[tuple[str, int], Softness]:
     joint, tendon = (int(k) for k in (mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF, mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON))
     out = {}
     for kind, index, (_, rate, impedance, _) in zip(data.efc_type, data.efc_id, data.efc_KBIP.reshape(-1, 4), strict=True):
-        held = 1.0 - impedance <= HELD and impedance * rate * m.opt.timestep >= SETTLED
-        if int(kind) in (joint, tendon) and not held:
+        if int(kind) in (joint, tendon) and not holds(float(impedance), float(rate), float(m.opt.timestep)):
             at = ("joint", int(m.dof_jntid[index])) if int(kind) == joint else ("tendon", int(index))
             out[at] = Softness(float(impedance), float(rate))
     return out

@@ -8,6 +8,9 @@ proximal map, so that a joint sticks exactly (J. J. Moreau, Unilateral contact a
 between
 events.
 
+Where "soft" s is not zero, dry friction below its level is that of MuJoCo's soft constraint, s (q'' + "soft_rate" q'), taken by
+the implicit midpoint rule as well: it lets a joint creep (`mjsim.robot.softness`).
+
 A law is absent where its slot is zero. All slots are at the joint: SI units, gears taken out. "couple_from" is 1 + the index of
 the joint that acts on this one. "late" is of the log and "acceleration" of
 the command ahead of the run, and neither is used here: see `diagnose.robot.servos.motion.JointProblem.run`.
@@ -28,14 +31,15 @@ SLOTS = (
     "friction", "asymmetry", "extra", "stribeck", "load", "load_back", "quadratic", "sublinear", "exponent", "bristle",
     "ripple_sin", "ripple_cos", "order", "rub_sin", "rub_cos", "rub_order", "weight_sin", "weight_cos", "spring", "preload",
     "drift", "drift_time", "cable_2", "cable_3", "cable_4", "cable_low", "cable_high", "payload", "scale",
-    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral", "lead", "acceleration",
+    "couple_from", "couple_torque", "couple_sign", "couple_speed", "late", "integral", "lead", "acceleration", "soft",
+    "soft_rate",
 )  # fmt: skip
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 (KP, KV, DAMPING, ARMATURE, ZERO, LIMIT, DELAY, LAG, DEAD, SLEW, STALL, NO_LOAD, FRICTION, ASYMMETRY, EXTRA, STRIBECK, LOAD,
 LOAD_BACK,
  QUADRATIC, SUBLINEAR, EXPONENT, BRISTLE, RIPPLE_S, RIPPLE_C, ORDER, RUB_S, RUB_C, RUB_ORDER, WEIGHT_S, WEIGHT_C, SPRING, PRELOAD,
  DRIFT, DRIFT_TIME, CABLE_2, CABLE_3, CABLE_4, CABLE_LOW, CABLE_HIGH, PAYLOAD, SCALE, COUPLE_FROM,
- COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL, LEAD, ACCELERATION) = range(len(SLOTS))  # fmt: skip
+ COUPLE_TORQUE, COUPLE_SIGN, COUPLE_SPEED, LATE, INTEGRAL, LEAD, ACCELERATION, SOFT, SOFT_RATE) = range(len(SLOTS))  # fmt: skip
 
 
 def empty() -> np.ndarray:
@@ -224,12 +228,11 @@ def run_joint(
                     up = down = 0.0
                 A = M / h + 0.5 * D + 0.25 * h * K
                 push = w * (M / h - 0.5 * D - 0.25 * h * K) + F - K * x
-                if push > up:
-                    new = (push - up) / A
-                elif push < -down:
-                    new = (push + down) / A
-                else:
-                    new = 0.0
+                rub = push
+                if p[SOFT] > 0.0:  # s ((new - w) / h + rate (new + w) / 2) with new = (push - rub) / A
+                    ahead, behind = 1.0 / h + 0.5 * p[SOFT_RATE], 0.5 * p[SOFT_RATE] - 1.0 / h
+                    rub = p[SOFT] * (ahead * push / A + behind * w) / (1.0 + p[SOFT] * ahead / A)
+                new = (push - min(max(rub, -down), up)) / A
                 way = 0.5 * h * (w + new)
                 if p[BRISTLE] > 0.0 and way != 0.0:
                     s = 1.0 if way > 0.0 else -1.0

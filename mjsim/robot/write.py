@@ -9,7 +9,7 @@ import json
 import math
 import tempfile
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -42,13 +42,15 @@ def write_robot(
     effects: Sequence[Mapping[str, Any]],
     servos: Sequence[NewServo] = (),
     gravcomp: float | None = None,
+    soft: Collection[str] = (),
 ) -> None:
     """Write a corrected copy of an MJCF.
 
     links (L, 10): inertial parameters of each link without what is fixed to it; joints: by joint name the values of armature,
     damping (of which the actuator's part stays at the actuator), frictionloss, stiffness, springref and quadratic damping [SI]
     to write; effects: what MJCF has no element for, as JSON values, read back by `carried_effects`; servos: actuators to
-    change; gravcomp: of every body that moves, None as in the file. Raises InputError where the file cannot be written, or
+    change; gravcomp: of every body that moves, None as in the file; soft: joints whose dry friction keeps the file's settings of
+    the solver, others get ones that hold at rest. Raises InputError where the file cannot be written, or
     holds a link or joint in an included file.
     """
     xml = XmlText.read(source)
@@ -61,7 +63,7 @@ def write_robot(
         values = dict(joints.get(name, {}))
         values = values | _beside(xml, source, robot, name, values)
         attributes = _attributes(values, degrees and _is_hinge(model, robot, name))
-        if values.get("frictionloss") or name in rubbing:
+        if name in rubbing or (values.get("frictionloss") and name not in soft):
             attributes |= _stiff(timestep)
         for key, text in attributes.items():
             xml.set(_joint(xml, source, robot, name), key, text)

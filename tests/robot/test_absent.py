@@ -10,7 +10,7 @@ import pytest
 from diagnose.check.types import LogVerdict
 from diagnose.robot.check.absent import moved_unseen
 from diagnose.robot.check.run import check_robot
-from diagnose.robot.servos.motion import smoothed
+from diagnose.robot.servos.positions import smoothed
 from lab.robot.servo_cases import nominal_robot
 from lab.robot.servo_plant import servo_mjcf
 from mjsim.robot.recording import RobotRecording, load_robot_recording

@@ -14,8 +14,9 @@ from diagnose.result import Verdict
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.picture import COLOURS, _hex, picture
 from diagnose.robot.servos.fit import Number, slots_of, start_of
-from diagnose.robot.servos.motion import joint_problem, prepare, resolution
+from diagnose.robot.servos.motion import joint_problem, prepare
 from diagnose.robot.servos.pipeline import diagnose_servos
+from diagnose.robot.servos.positions import resolution
 from lab.robot.arm import three_axes
 from lab.robot.servo_plant import ServoJoint, ServoRobot, command_for, servo_mjcf, simulate, write_servo_log
 from mjsim.errors import CheckError, InputError

@@ -12,7 +12,7 @@ import numpy as np
 from diagnose.check.spectrum import quantisation_step
 from diagnose.check.thresholds import CLIPPED_SHARE, EQUAL_NEIGHBOURS, RANGE_FIX, Z_TEST
 from diagnose.check.types import Problem, Severity
-from diagnose.robot.servos.motion import resolution
+from diagnose.robot.servos.positions import resolution
 from mjsim.signals import Limit, limits
 
 __all__ = ["MARKS", "beyond_limits", "clipped", "clipped_torque", "coarse", "held_rows", "in_motion", "refreshed"]

@@ -38,7 +38,7 @@ from diagnose.robot.check.faults import (
 )
 from diagnose.robot.check.relations import Relation, correlations, relate
 from diagnose.robot.contact import contact_notes, stretches
-from diagnose.robot.servos.motion import moves, smoothed
+from diagnose.robot.servos.positions import moves, smoothed
 from mjsim.quantity import Motion
 from mjsim.robot.closed_loop import closed_loop
 from mjsim.robot.drives import joint_drives

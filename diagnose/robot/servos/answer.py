@@ -22,7 +22,7 @@ from diagnose.thresholds import MOST
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT, SLOTS
 
-__all__ = ["AT_NOISE", "Scale", "answer", "changed", "scale_of", "scale_of_fit"]
+__all__ = ["AT_NOISE", "STARTS", "Scale", "answer", "changed", "scale_of", "scale_of_fit"]
 
 LEAST_LOAD = (
     0.2  # of the servo's torque: what the links must take for their masses to set the scale, and not an error of friction

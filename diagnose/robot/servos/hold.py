@@ -19,7 +19,7 @@ from diagnose.robot.servos.fit import Fit, Number, block_weights, fit, independe
 from diagnose.robot.servos.library import PROFILE, servo_laws
 from diagnose.robot.servos.motion import JointProblem, Motion, joint_problem, moving, prepare
 from diagnose.robot.servos.starts import THIN, own_numbers, start_fit
-from diagnose.robot.servos.state import QUICK
+from diagnose.robot.servos.state import QUICK, JointSearch
 from diagnose.thresholds import FAIR, MATERIAL
 from mjsim.hold import HOLDS
 from mjsim.robot.joint_kernel import SLOT
@@ -32,15 +32,19 @@ __all__ = ["shown_hold"]
 Change = Callable[[RobotRecording], RobotRecording]
 
 
-def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
+def shown_hold(robot: Robot, recordings: Sequence[RobotRecording], found: Sequence[JointSearch] = ()) -> str:
     """The hold that lowers the squared error of held commands in the mean over the joints and raises it at none, by a material
     part each; "held" where none does.
 
-    The numbers of the file are refitted under each hold, dry friction or a limited acceleration beside them. Raises InputError.
+    found: searches under held commands, whose structures are refitted under each hold; without them the numbers of the file are,
+    dry friction or a limited acceleration beside them. Raises InputError.
     """
     motions = [prepare(robot, r, False, {}) for r in recordings]
     held = [p for n in moving(robot, recordings) if (p := _problem(robot, motions, n)) is not None]
-    fits = [_Joint.of(p) for p in held]
+    known = {s.problem.name: s for s in found}
+    if known:
+        held = [known[p.name].problem.carried_to(p) for p in held if p.name in known]
+    fits = [_Joint.found(p, known[p.name]) if known else _Joint.of(p) for p in held]
     if not fits:
         return "held"
 
@@ -51,14 +55,15 @@ def shown_hold(robot: Robot, recordings: Sequence[RobotRecording]) -> str:
         for joint in fits:
             problem = _problem(robot, moved, joint.problem.name)
             assert problem is not None
+            problem = joint.problem.carried_to(problem)
             ratio, count = joint.compared(problem)
             logs.append(ratio)
             gain += count * ratio
         return float(np.mean(logs)), min(logs), gain
 
-    found = {hold: left(partial(dataclasses.replace, hold=hold)) for hold in HOLDS if hold != "held"}
-    best = max(found, key=lambda hold: found[hold][0])
-    ratio, least, gain = found[best]
+    by_hold = {hold: left(partial(dataclasses.replace, hold=hold)) for hold in HOLDS if hold != "held"}
+    best = max(by_hold, key=lambda hold: by_hold[hold][0])
+    ratio, least, gain = by_hold[best]
     if ratio < MATERIAL or least < -MATERIAL or gain < ModelError.prices.entry:
         return "held"
     return "held" if best == "mean" and left(earlier)[0] > ratio else best
@@ -98,6 +103,14 @@ class _Joint:
             if best.sse < (1.0 - FAIR) * found.sse:
                 beside, found = best.numbers, best
         return cls(problem, beside, found, block_weights(problem, found.error))
+
+    @classmethod
+    def found(cls, problem: JointProblem, s: JointSearch) -> _Joint:
+        """Fitted from the structure of a search."""
+        start = s.now.fit
+        weights = block_weights(problem, problem.error(start.slots))
+        found = fit(problem, start.numbers, start.slots, weights, QUICK, problem.windows(THIN))
+        return cls(problem, start.numbers, found, weights)
 
     def compared(self, problem: JointProblem) -> tuple[float, float]:
         """log(error held / error) of the same joint with its command changed, refitted, and the number of independent samples."""

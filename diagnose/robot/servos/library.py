@@ -14,6 +14,7 @@ import numpy as np
 from diagnose.robot.servos.bodies import PAYLOAD
 from diagnose.robot.servos.fit import Number
 from diagnose.robot.servos.motion import OWN, JointProblem
+from mjsim.effects.admissible import BETWEEN
 from mjsim.quantity import Motion, Quantity
 from mjsim.robot.joint_kernel import SLOT
 
@@ -84,7 +85,7 @@ class ServoLaw:
 @dataclass(frozen=True)
 class Scales:
     """Sizes of one joint: travel [rad | m], rms and largest speed, largest acceleration, error of the servo, torque of the links and
-    of the drive."""
+    of the drive; least: delay or lag [s] from which on one is not a matter of how the commands go between samples."""
 
     travel: float
     low: float
@@ -98,6 +99,7 @@ class Scales:
     span: float
     dt: float
     gear: float
+    least: float = 0.0
 
 
 def scales_of(problem: JointProblem, p: np.ndarray) -> Scales:
@@ -112,6 +114,7 @@ def scales_of(problem: JointProblem, p: np.ndarray) -> Scales:
         float(np.ptp(q)), float(np.min(q)), float(np.max(q)), float(np.sqrt(np.mean(v**2))) + 1e-9, float(np.max(np.abs(v))) + 1e-9,
         hardest + 1e-9, rms,
         float(np.sqrt(np.mean(problem.series[:, 4] ** 2))), float(gain) * rms, span, problem.dt, problem.drive.gear,
+        0.0 if problem.hold_stated else BETWEEN * problem.dt,
     )  # fmt: skip
 
 
@@ -229,12 +232,15 @@ def _friction(s: Scales) -> list[ServoLaw]:
 def _drive(s: Scales, velocity: bool) -> list[ServoLaw]:
     laws = [
         ServoLaw(DELAY, "actuator", (Number("delay", lower=1e-4 * s.dt, upper=0.5),), tuple({"delay": c * s.dt} for c in (0.5, 1.5, 4.0)),
-                 lambda x: {"delay_s": (x["delay"], Quantity.TIME)}, "The command acts later than it is logged."),
+                 lambda x: {"delay_s": (x["delay"], Quantity.TIME)}, "The command acts later than it is logged.",
+                 sane=lambda x: x["delay"] >= s.least),
         ServoLaw(DELAY, "sensor", (Number("late", lower=1e-4 * s.dt, upper=0.5),), tuple({"late": c * s.dt} for c in (0.5, 1.5, 4.0)),
                  lambda x: {"delay_s": (x["late"], Quantity.TIME)},
-                 "The position is logged later than the command: a fault of the log or a slow encoder, not of the servo.", form=LOGGED),
+                 "The position is logged later than the command: a fault of the log or a slow encoder, not of the servo.", form=LOGGED,
+                 sane=lambda x: x["late"] >= s.least),
         ServoLaw("actuator_lag", "actuator", (Number("lag", lower=0.01 * s.dt, upper=1.0),), tuple({"lag": c * s.dt} for c in (0.7, 3.0)),
-                 lambda x: {"time_constant_s": (x["lag"], Quantity.TIME)}, "The servo's target follows the command with a lag."),
+                 lambda x: {"time_constant_s": (x["lag"], Quantity.TIME)}, "The servo's target follows the command with a lag.",
+                 sane=lambda x: x["lag"] >= s.least),
         ServoLaw("actuator_saturation", "actuator", (Number("limit"),), tuple({"limit": c * s.drive} for c in (3.0, 1.5)),
                  lambda x: {"limit_Nm": (x["limit"], Quantity.TORQUE)}, "The torque of the servo is limited.", native={"forcerange": "limit"}),
         ServoLaw("torque_speed_limit", "actuator", (Number("stall"), Number("no_load", lower=0.5 * s.fastest, upper=50 * s.fastest)),

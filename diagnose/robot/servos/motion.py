@@ -12,9 +12,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diagnose.data.noise import white_noise_level
-from diagnose.robot.motion import BLOCKS, EVERY, LEAST_MOVED, derivative
+from diagnose.robot.motion import BLOCKS, EVERY
 from diagnose.robot.servos.bodies import GRAVITY, body_numbers, changes, gravcomp_of
+from diagnose.robot.servos.positions import moves, resolution, smoothed
 from mjsim.errors import InputError
 from mjsim.hold import between, delayed
 from mjsim.quantity import Motion as Kind
@@ -25,17 +25,15 @@ from mjsim.robot.joint_kernel import SLOT, run_joint
 from mjsim.robot.model import Robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.shares import SERIES, compensation, shares
+from mjsim.robot.softness import friction_softness
 from mjsim.robot.touching import Touching, touching
 from mjsim.trapezoid import profiled
 
-__all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moves", "moving", "prepare", "resolution"]
+__all__ = ["OWN", "JointProblem", "Motion", "joint_problem", "moving", "prepare"]
 
 COLUMN = {"inertia": 0, "bias": 1, "by_position": 2, "torque": 4}  # of a series, see `run_joint`
 DIVERGED = 1e3  # times the travel: the largest error of a run, whose square stays a number
 OWN = 10  # columns of a series that are of the joint itself; three of each joint follow
-ORDER = 4  # of the low-pass, run both ways
-FASTEST = 0.2  # of the sampling rate: the highest cutoff, where an eighth-order difference errs by 1e-3
-STANDS_OUT = 4.0  # power of the position over that of its noise, up to which it is kept
 STEP = 5e-3  # [s]: longest step of the kernel, a twentieth of the period of a servo of 10 Hz
 FEWEST_STEPS = 4  # per sample, of the kernel
 EDGE = 0.1  # [s]: what the low-pass reaches, before a contact or the end of a series that is moved in time; not counted
@@ -65,15 +63,6 @@ class Motion:
     touching: Touching
 
 
-def resolution(q: np.ndarray) -> float:
-    """Noise rms of an angle (N,): that of its sixth differences, at least that of its steps (step / sqrt 12)."""
-    change = np.abs(np.diff(q))
-    step = float(np.min(change[change > 1e-9 * (np.ptp(q) + 1e-300)], initial=math.inf))
-    steps = np.unique(np.round(change[change > 0] / step)) if math.isfinite(step) else np.zeros(0)
-    rounded = 0 < len(steps) < 0.5 * np.count_nonzero(change)
-    return max(white_noise_level(q), step / math.sqrt(12.0) if rounded else 0.0)
-
-
 def moving(robot: Robot, recordings: Sequence[RobotRecording]) -> tuple[str, ...]:
     """Joints that a servo drives, that have a command and a position in every recording and move in one at least."""
     drives = joint_drives(robot)
@@ -86,40 +75,6 @@ def moving(robot: Robot, recordings: Sequence[RobotRecording]) -> tuple[str, ...
     if not out:
         raise need_command(robot, recordings[0].source)
     return tuple(out)
-
-
-def moves(q: np.ndarray) -> bool:
-    """Whether a position (N,) travels more than its resolution explains."""
-    return bool(np.ptp(q) > LEAST_MOVED * resolution(q))
-
-
-def smoothed(
-    robot: Robot, r: RobotRecording, late: Mapping[str, float] = MappingProxyType({})
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity, acceleration (N, m) behind a zero-phase low-pass at the highest frequency that stands out of the noise;
-    those of joints in ``late`` are moved earlier by so many seconds."""
-    from scipy.signal import butter, sosfiltfilt, welch
-
-    raw = r.positions(robot)
-    for name, seconds in late.items():
-        j = robot.joints.index(name)
-        raw[:, j] = delayed(raw[:, j], -seconds / r.dt)
-    cutoff = 0.0
-    for name in r.joints:
-        q = r.angle[:, r.joints.index(name)]
-        if not moves(q):
-            continue
-        f, power = welch(q, 1 / r.dt, nperseg=min(len(q), 512), detrend="linear")
-        clear = np.flatnonzero(power > STANDS_OUT * 2 * r.dt * (resolution(q) ** 2 + 1e-300))
-        if len(clear):
-            cutoff = max(cutoff, float(f[clear[-1]]))
-    cutoff = min(max(cutoff, 0.02 / r.dt), FASTEST / r.dt)
-    low_pass = butter(ORDER, 2 * cutoff * r.dt, output="sos")
-    padding = 3 * (2 * len(low_pass) + 1)  # samples that sosfiltfilt adds at both ends
-    if len(raw) <= padding:
-        raise InputError(r.source, f"{len(raw)} samples", f"more than {padding}", "record longer")
-    z = sosfiltfilt(low_pass, raw, axis=0)
-    return z, derivative(z, r.dt), derivative(z, r.dt, second=True)
 
 
 def prepare(robot: Robot, recording: RobotRecording, held: bool, late: Mapping[str, float] = MappingProxyType({})) -> Motion:
@@ -155,7 +110,9 @@ class JointProblem:
     which series and weight have in them, and their covariance (C, C); felt (F,): those that the joint feels; shares (N, F, 5): of
     these, see `mjsim.robot.shares`;
     sources: file and role of each recording; rows (N,): index of each sample in the problem of all recordings; slide:
-    whether it is no hinge; joints (m): of the robot.
+    whether it is no hinge; joints (m): of the robot; softness: that its dry friction has or would have in the user's simulator,
+    see `friction_softness`; shift (N,): what that simulator's run of the whole robot is beyond the joint's own run, which is
+    compared with the rest of the measured position; hold_stated: whether somebody states how the commands go between samples.
     """
 
     joint: int
@@ -180,6 +137,24 @@ class JointProblem:
     masses_variance: np.ndarray
     slide: bool = False
     joints: tuple[str, ...] = ()
+    softness: tuple[float, ...] = (0.0, 0.0)
+    shift: np.ndarray | None = None
+    hold_stated: bool = False
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether its dry friction lets it creep, as the user's simulator does."""
+        return bool(self.nominal[SLOT["soft"]] > 0.0)
+
+    def carried_to(self, other: JointProblem) -> JointProblem:
+        """Another problem of the joint with the masses and the kind of dry friction of this one."""
+        return other.with_masses(self.masses, self.masses_variance).with_soft_friction(self.is_soft)
+
+    def with_soft_friction(self, soft: bool) -> JointProblem:
+        """The problem with dry friction as in the user's simulator, or with one that holds at rest."""
+        slots = self.nominal.copy()
+        slots[SLOT["soft"]], slots[SLOT["soft_rate"]] = self.softness if soft else (0.0, 0.0)
+        return dataclasses.replace(self, drive=dataclasses.replace(self.drive, slots=slots))
 
     @property
     def bears_weight(self) -> bool:
@@ -218,11 +193,14 @@ class JointProblem:
         q, v = self._run(p, shift, each)
         if p[SLOT["integral"]] > 0.0:
             size = WINDING * float(np.sqrt(np.mean(self.series[:, 4] ** 2))) + self.noise * float(p[SLOT["kp"]])
+            most = DIVERGED * float(np.ptp(self.angle))
             response = (self._run(p, shift + size, each)[0] - q) / size
             for k in range(len(self.sources)):
                 part = self.part(k)
                 counts = (self.fitted | self.held)[part]
                 g, e = response[part][counts], (self.angle - q)[part][counts]
+                if not max(size * np.max(np.abs(g), initial=0.0), np.max(np.abs(e), initial=0.0)) < most:
+                    continue  # it diverges
                 squares = float(g @ g)
                 shift[k] = float(np.clip(g @ e / squares, -size / WINDING**2, size / WINDING**2)) if squares > 0.0 else 0.0
             q, v = self._run(p, shift, each)
@@ -252,6 +230,7 @@ class JointProblem:
     def error(self, p: np.ndarray) -> np.ndarray:
         """Measured less simulated position (N,); a run that diverges has at most `DIVERGED` times the travel."""
         e, most = self.angle - self.run(p)[0], DIVERGED * float(np.ptp(self.angle))
+        e = e if self.shift is None else e - self.shift
         return np.where(np.abs(e) < most, e, most)
 
     def part(self, run: int) -> slice:
@@ -273,6 +252,7 @@ class JointProblem:
             self, starts=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), first=self.first[at], slope=self.slope[at],
             series=self.series[at], angle=self.angle[at], fitted=self.fitted[at], held=self.held[at],
             sources=tuple(self.sources[k] for k in runs), rows=self.rows[at], weight=self.weight[at], shares=self.shares[at],
+            shift=None if self.shift is None else self.shift[at],
         )  # fmt: skip
 
     def windows(self, most: int) -> JointProblem:
@@ -315,6 +295,7 @@ class JointProblem:
             fitted=fitted,
             held=whole.held[at], sources=tuple(whole.sources[k] for k, _ in chosen), rows=whole.rows[at],
             weight=whole.weight[at], shares=whole.shares[at],
+            shift=None if whole.shift is None else whole.shift[at],
         )  # fmt: skip
 
     def blocks(self, seconds: float) -> np.ndarray:
@@ -339,6 +320,7 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
     j = robot.joints.index(name)
     drive = joint_drives(robot)[j]
     assert drive is not None
+    softness = tuple(friction_softness(robot)[j].tolist())
     dt = motions[0].recording.dt
     firsts: list[np.ndarray] = []
     slopes: list[np.ndarray] = []
@@ -379,4 +361,5 @@ def joint_problem(robot: Robot, motions: Sequence[Motion], name: str, split: boo
         float(np.median([resolution(a) for a in angles])), tuple(sources), np.arange(len(q)),
         np.concatenate([m.series.weight[:, j] for m in motions]), felt, own,
         np.zeros(count), np.zeros((count, count)), robot.motions[j] is Kind.SLIDE, robot.joints,
+        softness, hold_stated=all(m.recording.hold_stated for m in motions),
     )  # fmt: skip

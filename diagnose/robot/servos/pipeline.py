@@ -28,6 +28,7 @@ from diagnose.robot.servos.clocks import clocks
 from diagnose.robot.servos.fit import Fit, Number
 from diagnose.robot.servos.motion import JointProblem, joint_problem, moving, prepare
 from diagnose.robot.servos.search import refit_with, search_joint
+from diagnose.robot.servos.softness import with_fitting_friction
 from diagnose.robot.servos.starts import own_numbers, start_fit
 from diagnose.robot.servos.state import JointSearch
 from diagnose.robot.servos.unfollowed import unfollowed_note
@@ -39,7 +40,7 @@ from mjsim.robot.recording import RobotRecording
 from mjsim.robot.rows import check_rows
 from mjsim.robot.touching import Touching
 
-__all__ = ["ServoOutcome", "diagnose_servos"]
+__all__ = ["ServoOutcome", "diagnose_servos", "search_beside"]
 
 IDLE = "The actuator of {name} has the further input {inputs}, of which a log holds nothing: it is taken as zero."
 FEWEST = 200  # samples of a joint in motion, fitted and held out each
@@ -48,11 +49,15 @@ SPREAD = 0.3  # standard deviation of the logarithm of a gain among servos of on
 
 @dataclass(frozen=True, eq=False)
 class ServoOutcome:
-    """The diagnosis, the searches by joint that `corrected.xml` is written from, and the masses that all joints carry."""
+    """The diagnosis, the searches by joint that `corrected.xml` is written from, and the masses that all joints carry.
+
+    contacts: what is said of samples with contact.
+    """
 
     diagnosis: RobotDiagnosis
     searches: tuple[JointSearch, ...]
     masses: Masses
+    contacts: tuple[str, ...] = ()
 
 
 def diagnose_servos(
@@ -96,11 +101,38 @@ def diagnose_servos(
         return _searched_again(problems, before, options, jobs, say)
 
     searches, masses = agree(robot, body_numbers(robot), searches, options, again, say)
+    return _answered(robot, searches, masses, contact_notes(robot, contacts), recordings, held_out, begun)
+
+
+def search_beside(
+    robot: Robot,
+    outcome: ServoOutcome,
+    shifts: Mapping[str, np.ndarray],
+    recordings: Sequence[RobotRecording],
+    held_out: Sequence[RobotRecording],
+    options: RobotOptions,
+    say: Callable[[str], None] = lambda line: None,
+    jobs: int = 2,
+) -> ServoOutcome:
+    """The outcome of all joints searched again under the same masses, beside the user's simulator.
+
+    shifts: by joint what the simulator's run of the whole robot is beyond the joint's own run (N,) [rad | m].
+    """
+    begun = time.perf_counter()
+    problems = [dataclasses.replace(s.problem, shift=shifts[s.problem.name]) for s in outcome.searches]
+    searches = _searched_again(problems, outcome.searches, options, jobs, say)
+    return _answered(robot, searches, outcome.masses, outcome.contacts, recordings, held_out, begun)
+
+
+def _answered(
+    robot: Robot, searches: Sequence[JointSearch], masses: Masses, contacts: tuple[str, ...],
+    recordings: Sequence[RobotRecording], held_out: Sequence[RobotRecording], begun: float,
+) -> ServoOutcome:  # fmt: skip
     scales = {s.problem.name: scale_of(s) for s in searches}
     borrowed = _borrow(searches, scales)
     diagnosis = _told(robot, searches, scales, borrowed, masses, recordings, held_out, begun)
-    diagnosis = dataclasses.replace(diagnosis, notes=(*contact_notes(robot, contacts), *diagnosis.notes))
-    return ServoOutcome(diagnosis, searches, masses)
+    diagnosis = dataclasses.replace(diagnosis, notes=(*contacts, *diagnosis.notes))
+    return ServoOutcome(diagnosis, tuple(searches), masses, contacts)
 
 
 def _searched(
@@ -119,7 +151,8 @@ def _searched(
 
     with ThreadPoolExecutor(jobs) as pool:
         numbers, starts = _starts(problems, lambda f, *xs: list(pool.map(f, *xs)))
-        return tuple(pool.map(one, problems, numbers, starts))
+        chosen = list(pool.map(with_fitting_friction, problems, numbers, starts))
+        return tuple(pool.map(one, [p for p, _ in chosen], numbers, [start for _, start in chosen]))
 
 
 def _by_clock(

@@ -1,8 +1,8 @@
 """Which effects one servo joint has: forward selection, refinement, exchange and removal, each step held to unseen samples.
 
 A law is screened by the share of the error that a run at one of its starts explains beside the free parameters; the few best are
-fitted with all numbers free. One enters when it gains on the fitted samples (extended BIC), is physical, takes enough off the
-held-out squared error and passes the paired block tests at a level that counts all laws of all joints.
+fitted with all numbers free. One enters when it gains on all samples (extended BIC) and on the fitted ones, is physical, takes
+enough off the held-out squared error and passes the paired block tests at a level that counts all laws of all joints.
 """
 
 from __future__ import annotations

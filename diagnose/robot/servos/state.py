@@ -143,8 +143,8 @@ class JointSearch:
 
     def why_not(self, step: Step, law: ServoLaw, ease: float = 1.0) -> str:
         """The test that refuses a step; empty when none does."""
-        if step.gain < self.entry / ease:
-            return f"gains {step.gain:.1f} on the fitted samples, {self.entry / ease:.1f} needed"
+        if not (step.gain > 0.0 and step.total > self.entry / ease):
+            return f"gains {step.gain:.1f} on the fitted samples, {step.total:.1f} on all; {self.entry / ease:.1f} needed"
         if step.held.relative_gain < self.options.material / ease:
             taken, needed = 100 * step.held.relative_gain, 100 * self.options.material
             return f"takes {taken:.1f} % off the held-out squared error, {needed:g} % needed"

@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot.result import JointResult
-from diagnose.robot.servos.answer import AT_NOISE
+from diagnose.robot.servos.answer import AT_NOISE, STARTS
 from diagnose.robot.servos.fit import Fit
 from diagnose.robot.servos.remains import black_box, tells
 from diagnose.robot.servos.state import JointSearch
@@ -55,17 +55,29 @@ def lowered(nominal: FitFigures, corrected: FitFigures) -> bool:
     return after < before
 
 
-def judged(s: JointSearch, result: JointResult, explained: bool, remains: tuple[float, float]) -> JointResult:
+def judged(
+    s: JointSearch, result: JointResult, explained: bool, remains: tuple[float, float], *, noise: bool = False
+) -> JointResult:
     """The result of a joint with the verdict that its closed-loop figures allow; ``result.fit`` holds these figures.
 
+    noise: whether the closed-loop error is at the noise.
+
     ``unexplained`` where corrected.xml does not lower the held-out error that it changes, or where its error is neither at the
-    noise nor at that of a black-box model. Findings are kept.
+    noise nor at that of a black-box model. A joint that is ``unexplained`` by itself, along the smoothed motion of the others, is
+    explained where the whole robot leaves noise. Findings are kept.
     """
-    if result.verdict is Verdict.UNEXPLAINED:
-        return result
     changes = result.verdict is not Verdict.NO_MISMATCH
     nominal, corrected = result.fit["nominal"], result.fit["corrected"]
     factor, unit = 1e3, "mm" if s.problem.slide else "mrad"
+    if result.verdict is Verdict.UNEXPLAINED:
+        if not (noise and lowered(nominal, corrected)):
+            return result
+        why = (
+            f"All joints together in MuJoCo, corrected.xml leaves {factor * corrected.held_out_rms:.3g} {unit} rms on held-out "
+            "samples, which is noise."
+        )
+        verdict = Verdict.MISSING_PHYSICS if result.findings else Verdict.PARAMETERS_ONLY
+        return dataclasses.replace(result, verdict=verdict, summary=f"{STARTS[verdict]} {why}")
     if changes and not lowered(nominal, corrected):
         why = (
             f"All joints together in MuJoCo, corrected.xml does not lower the held-out error of this joint "
