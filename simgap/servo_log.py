@@ -10,6 +10,7 @@ from diagnose.check import LogCheck
 from diagnose.fit.command_hold import is_assumed, shown_hold, taken_hold, with_hold
 from diagnose.result import Diagnosis, Verdict
 from diagnose.robot.check.axis import check_servo_axis
+from diagnose.thresholds import UNEXPLAINED
 from mjsim.axis import Axis
 from mjsim.recording import Recording
 from mjsim.robot.model import load_robot
@@ -38,9 +39,11 @@ def checked_servo(
 def hold_beside(
     result: Diagnosis, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], seconds: float
 ) -> str:
-    """The hold of a command that shows once the effects of an unexplained mismatch are there; "held" where none does."""
+    """The hold of a command that shows once effects are there that leave more than noise; "held" where none does."""
     assumed = nominal.chain.servo is not None and is_assumed([*recordings, *held_out])
-    if result.verdict is not Verdict.UNEXPLAINED or not result.findings or not assumed or not seconds > 0:
+    more = result.noise_floor > 0 and result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2
+    left = result.verdict is Verdict.UNEXPLAINED or more
+    if not left or not result.findings or not assumed or not seconds > 0:
         return "held"
     return shown_hold(corrected_axis(nominal, result), recordings, held_out, seconds)
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
 from diagnose.fit.command_hold import is_assumed, shown_hold
+from diagnose.result import Verdict
 from mjsim.hold import within
 from mjsim.mjcf import load_axis
 from mjsim.recording import Recording
+from simgap import servo_log
 from tests.mjsim.servo_logs import PENDULUM, command, model, write
 
 DT, FINER, SECONDS = 0.02, 20, 16.0
@@ -67,3 +70,16 @@ def test_a_stated_hold_stays():
     assert is_assumed([given])
     assert not is_assumed([given, dataclasses.replace(given, hold_stated=True)])
     assert not is_assumed([dataclasses.replace(given, hold="linear")])
+
+
+@pytest.mark.parametrize(
+    ("verdict", "rms", "asked"),
+    [(Verdict.UNEXPLAINED, 1.0, True), (Verdict.MISSING_PHYSICS, 1.3, True), (Verdict.MISSING_PHYSICS, 1.0, False)],
+)
+def test_the_hold_is_asked_for_again_where_effects_leave_more_than_noise(monkeypatch, axis, verdict, rms, asked):
+    fit = SimpleNamespace(rms=rms * 2e-4)
+    result = SimpleNamespace(verdict=verdict, findings=("velocity_limit",), fit={"corrected": fit}, noise_floor=2e-4)
+    monkeypatch.setattr(servo_log, "corrected_axis", lambda nominal, _: nominal)
+    monkeypatch.setattr(servo_log, "is_assumed", lambda _: True)
+    monkeypatch.setattr(servo_log, "shown_hold", lambda *_: "linear")
+    assert servo_log.hold_beside(result, axis, [], [], 1.0) == ("linear" if asked else "held")
