@@ -31,24 +31,31 @@ CURB = 1e-6
 
 
 @compiled()
+def _copy(source: np.ndarray, start: int, target: np.ndarray, to: int, count: int) -> None:
+    """Copy ``count`` numbers; a slice that is set compiles the texts of its errors as well."""
+    for i in range(count):
+        target[to + i] = source[start + i]
+
+
+@compiled()
 def _polynomials(
     theta: np.ndarray, n: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A, B, C, D, F, I, K out of theta."""
     pos = 0
     a = np.ones(n[0] + 1)
-    a[1:] = theta[pos : pos + n[0]]
+    _copy(theta, pos, a, 1, n[0])
     pos += n[0]
     b = theta[pos : pos + n[1]].copy()
     pos += n[1]
     c = np.ones(n[2] + 1)
-    c[1:] = theta[pos : pos + n[2]]
+    _copy(theta, pos, c, 1, n[2])
     pos += n[2]
     d = np.ones(n[3] + 1)
-    d[1:] = theta[pos : pos + n[3]]
+    _copy(theta, pos, d, 1, n[3])
     pos += n[3]
     f = np.ones(n[4] + 1)
-    f[1:] = theta[pos : pos + n[4]]
+    _copy(theta, pos, f, 1, n[4])
     pos += n[4]
     i = theta[pos : pos + n[5]].copy()
     pos += n[5]
@@ -221,7 +228,7 @@ def encode(theta: np.ndarray, n: np.ndarray, free: np.ndarray, mapped: bool, rad
             order, pos = n[which], _place(n, which)
             if order and free[pos]:
                 poly = np.ones(order + 1)
-                poly[1:] = theta[pos : pos + order]
+                _copy(theta, pos, poly, 1, order)
                 x[pos : pos + order] = to_reflection(poly, radius[which])
     return x
 
@@ -235,7 +242,7 @@ def decode(x: np.ndarray, n: np.ndarray, free: np.ndarray, mapped: bool, radius:
             order, pos = n[which], _place(n, which)
             if order and free[pos]:
                 poly, _ = from_reflection(x[pos : pos + order], radius[which])
-                theta[pos : pos + order] = poly[1:]
+                _copy(poly, 1, theta, pos, order)
     return theta
 
 
