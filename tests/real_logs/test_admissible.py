@@ -18,6 +18,7 @@ from mjsim.effects import Scales, effect_class, registered
 SCALES = Scales(
     torque=1.0, max_torque=3.0, velocity=2.0, max_velocity=6.0, deflection=1e-3, inertia=0.02, stiffness=1e3, travel=4.0,
     input=1.0, max_input=3.0, output=2.0, dt=1e-3, duration=10.0, turns=(2.0, 3.0), steps=(0.6,), move=0.5,
+    acceleration=20.0,
 )  # fmt: skip
 
 
