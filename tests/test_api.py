@@ -119,6 +119,7 @@ def test_an_mcap_file_is_read_by_the_library_of_its_makers(log, tmp_path):
     assert told["velocity_rad_s"] == pytest.approx(log["velocity_rad_s"][5])
 
 
+@pytest.mark.slow
 def test_a_log_of_the_model_itself_without_noise():
     """Nothing is left of the nominal model: no error to divide by."""
     t = np.arange(0, 3, DT)

@@ -240,6 +240,7 @@ def test_a_file_outside_of_the_run_is_refused(client, run):
     assert "is not there" in error(client.post(f"/api/runs/{run}/start", json={"command": "render"}))
 
 
+@pytest.mark.slow
 def test_a_wrong_recording_is_told_in_one_line_of_the_page(client, run):
     client.post(f"/api/runs/{run}/settings", json={"model": "pendulum"})
     client.put(f"/api/runs/{run}/recordings/a.csv", content=b"<b>,y\n1,2\n")

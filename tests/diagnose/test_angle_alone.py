@@ -56,6 +56,7 @@ def test_an_error_of_twice_the_noise_of_an_angle_is_motion(times, told):
         fitter.close()
 
 
+@pytest.mark.slow
 def test_a_mode_is_named_although_what_it_leaves_is_coloured():
     """The friction beside it is no candidate here: a residual of many times the noise is left, and is not whitened away."""
     logs = [log(s, MODE, FRICTION) for s in (0, 1)]

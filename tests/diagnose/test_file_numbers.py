@@ -45,6 +45,7 @@ def test_a_refit_keeps_what_sets_the_scale_of_a_servo_log(given):
         assert "kp" in refit.values
 
 
+@pytest.mark.slow
 def test_a_known_gain_that_the_file_has_otherwise_is_refitted(given):
     path, axis, log = given
     (case,) = compare_nominal(path, axis, [dataclasses.replace(log, known={"kp": 9.0})], [], 1).cases

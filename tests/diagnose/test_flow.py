@@ -186,6 +186,7 @@ def slide(friction, seed, speed):
     return Recording(run.time, logged, None, 5e-8 * np.round(run.angle / 5e-8), 1e-3, source=f"slide_{seed}.csv", loop="closed")
 
 
+@pytest.mark.slow
 def test_asymmetric_friction_of_a_slide_judged_by_force():
     friction = effect("asymmetric_friction", torque_Nm=20.0, asymmetry_Nm=3.0)
     axis = load_axis(shipped_model("emps"))

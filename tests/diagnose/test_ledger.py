@@ -278,6 +278,7 @@ def test_interrupted_before_the_first_fit_nothing_is_there(files, tmp_path, monk
     assert not (tmp_path / "report").exists()
 
 
+@pytest.mark.slow
 def test_bad_input_leaves_no_state(files, tmp_path):
     axis = load_axis(shipped_model("robot_axis1"))
     assert axis.chain.couplings[0].damping < 0

@@ -87,7 +87,8 @@ def test_a_terminal_shows_one_moving_line(monkeypatch, capsys):
     assert "Traceback" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("quiet", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("quiet", [False, True])
 def test_the_command_is_quiet_when_asked(pair, tmp_path, quiet):
     for name, r in zip(("log.csv", "other.csv"), pair(effect("coulomb_friction", torque_Nm=0.1), seconds=0.5), strict=True):
         rows = np.column_stack([r.time, r.torque, r.velocity, r.angle])

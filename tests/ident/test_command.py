@@ -145,6 +145,7 @@ def test_a_machines_model_names_the_columns(log, tmp_path):
     assert json.loads(result.stdout)["output"] == {"name": "velocity", "unit": "m/s"}
 
 
+@pytest.mark.slow
 def test_a_failure_in_the_middle_leaves_no_half_written_set(log, tmp_path, monkeypatch):
     from pathlib import Path
 

@@ -155,7 +155,9 @@ def _behind_motor(text: str, tmp_path: Path, seconds: float) -> Row:
     return compare(case, path, u, DT, batched)
 
 
-@pytest.mark.parametrize("name", ["pendulum", pytest.param("pendulum, RK4", marks=pytest.mark.slow), "slide"])
+@pytest.mark.parametrize(
+    "name", ["pendulum", pytest.param("pendulum, RK4", marks=pytest.mark.slow), pytest.param("slide", marks=pytest.mark.slow)]
+)
 def test_a_gap_behind_the_motor_of_a_users_model_is_stepped_as_found(name: str, tmp_path: Path) -> None:
     row = _behind_motor(RIGID[name], tmp_path, 2.0)
     assert {c.engine: c.status for c in row.cells} == dict.fromkeys(("kernel", "accurate", "batch", "literal"), Status.HOLDS)

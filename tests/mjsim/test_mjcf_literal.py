@@ -155,6 +155,7 @@ def test_signal_effects_are_laid_around_plain_mujoco(tmp_path, nominal, torque, 
     assert relative(run_signals(model, torque[:4000], DT).velocity, simulate(axis, torque[:4000], DT).velocity) <= 2e-5
 
 
+@pytest.mark.slow
 def test_scaling_torque_and_gap_together_scales_the_motion(tmp_path, nominal, torque):
     runs = []
     for scale in (1.0, 0.2):

@@ -39,7 +39,7 @@ def log(robot, hold: str, friction: float = 0.0, seconds: float = 12.0) -> Robot
     ("hold", "friction"),
     [
         ("held", 1.0),
-        ("linear", 0.0),
+        pytest.param("linear", 0.0, marks=pytest.mark.slow),
         pytest.param("linear", 1.0, marks=pytest.mark.slow),
         pytest.param("mean", 0.0, marks=pytest.mark.slow),
     ],

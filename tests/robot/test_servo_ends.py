@@ -23,7 +23,8 @@ def rubbing(tmp_path_factory):
     return out
 
 
-@pytest.mark.parametrize("late", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [True, False])
 def test_the_budget_of_time_ends_the_search(rubbing, late):
     options = RobotOptions(joints=("joint2",), effects=("coulomb_friction",), **({"until": 0.0} if late else {}))
     d = diagnose_robot_files([rubbing / "a.csv"], rubbing / "arm.xml", rubbing / "out", [rubbing / "b.csv"], options, page=False)
