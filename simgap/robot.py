@@ -214,7 +214,7 @@ def _servos_by_mujoco(
     """Write the corrected file with numbers that suit MuJoCo's timestep, and judge it; recordings: fitted, held out."""
     from simgap.robot_beside import beside_simulator
     from simgap.robot_polish import polish_servos
-    from simgap.robot_servos import given_runs, judge_servos, with_file_at_noise
+    from simgap.robot_servos import coarse_joints, given_runs, judge_servos, with_file_at_noise
     from simgap.robot_written import write_corrected_servos
 
     say("all joints together in MuJoCo")
@@ -222,7 +222,7 @@ def _servos_by_mujoco(
     given = given_runs(robot, every)
     found = beside_simulator(with_file_at_noise(found, robot, given, every), model, robot, recordings, options, say)
     found = with_file_at_noise(found, robot, given, every)
-    polish = polish_servos(model, robot, found, recordings[0])
+    polish = polish_servos(model, robot, found, recordings[0], coarse_joints(found, robot, given, every))
     write_corrected_servos(model, robot, found, corrected, polish.slots)
     with tempfile.TemporaryDirectory() as work:
         by_motion = Path(work) / "by_motion.xml"

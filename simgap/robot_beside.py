@@ -33,27 +33,27 @@ from simgap.robot_written import write_corrected_servos
 __all__ = ["beside_simulator"]
 
 ROUNDS = 3  # searches beside the simulator at most: each takes the difference out to first order
-CLEAR = (Verdict.NO_MISMATCH, Verdict.PARAMETERS_ONLY)
 
 
 def beside_simulator(
     outcome: ServoOutcome, model: Path, robot: Robot, recordings: tuple[Sequence[RobotRecording], Sequence[RobotRecording]],
     options: RobotOptions, say: Callable[[str], None],
 ) -> ServoOutcome:  # fmt: skip
-    """The outcome of further searches, as long as the two runs of a joint with an effect, or without explanation, are apart.
+    """The outcome of further searches, as long as the two runs of a joint that is not as in the file are apart.
 
     recordings: fitted, held out. Apart: by more than a fifth of the noise variance, beside what the search took out before. The
     outcome as it is where no joint is, where the robot diverges and where the budget is used up.
     """
     for _ in range(ROUNDS):
         joints = outcome.diagnosis.joints
-        if options.late or all(r.verdict in CLEAR for r in joints.values()):
+        if options.late or all(r.verdict is Verdict.NO_MISMATCH for r in joints.values()):
             return outcome
         runs = _runs(outcome, model, robot, (*recordings[0], *recordings[1]))
         if runs is None:
             return outcome
         shifts = {s.problem.name: _shift(s, runs[s.problem.name]) for s in outcome.searches}
-        apart = [s.problem.name for s in outcome.searches if joints[s.problem.name].verdict not in CLEAR and _is_apart(s, shifts)]
+        differ = [s for s in outcome.searches if joints[s.problem.name].verdict is not Verdict.NO_MISMATCH]
+        apart = [s.problem.name for s in differ if _is_apart(s, shifts)]
         if not apart:
             return outcome
         say(f"again, beside MuJoCo: {', '.join(apart)}")

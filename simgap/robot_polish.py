@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,19 +48,23 @@ class Polish:
     notes: tuple[str, ...]
 
 
-def polish_servos(model: Path, robot: Robot, outcome: ServoOutcome, recordings: Sequence[RobotRecording]) -> Polish:
+def polish_servos(
+    model: Path, robot: Robot, outcome: ServoOutcome, recordings: Sequence[RobotRecording], coarse: Collection[str] = ()
+) -> Polish:
     """The numbers with the least closed-loop error on the fitted samples of ``recordings``, from those of the diagnosis on.
 
-    Without change where the closed loop errs no more than the joints one at a time do, and where it diverges.
+    coarse: joints of which the file stands by the equations, and not as MuJoCo steps it; they are fitted too. Without change
+    where the closed loop errs no more than the joints one at a time do, and where it diverges.
     """
-    searches = [s for s in outcome.searches if outcome.diagnosis.joints[s.problem.name].verdict.value != "no_mismatch"]
+    joints = outcome.diagnosis.joints
+    searches = [s for s in outcome.searches if s.problem.name in coarse or joints[s.problem.name].verdict.value != "no_mismatch"]
     now: Slots = {s.problem.name: s.now.fit.slots for s in searches}
     run = _Runs(model, robot, outcome, recordings)
     errors = run(now)
     if errors is None or _loss(searches, errors) < (1 + ENOUGH) * _loss(
         searches, {s.problem.name: s.now.fit.error for s in searches}
     ):
-        return Polish(now, ())
+        return Polish({name: slots for name, slots in now.items() if name not in coarse}, ())
     for _ in range(ROUNDS):
         before = _loss(searches, errors)
         for damping in DAMPINGS:

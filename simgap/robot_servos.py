@@ -24,7 +24,7 @@ from mjsim.robot.model import Robot, load_robot
 from mjsim.robot.recording import RobotRecording
 from mjsim.robot.write import carried_effects
 
-__all__ = ["given_runs", "judge_servos", "with_file_at_noise"]
+__all__ = ["coarse_joints", "given_runs", "judge_servos", "with_file_at_noise"]
 
 AT_NOISE_AS_GIVEN = "The file as given leaves noise, all joints together in MuJoCo."
 
@@ -56,6 +56,19 @@ def with_file_at_noise(
         outcome.diagnosis, verdict=worst, summary=summary(worst, joints, told), joints=joints, changed=tuple(told)
     )
     return dataclasses.replace(outcome, diagnosis=d)
+
+
+def coarse_joints(
+    outcome: ServoOutcome, robot: Robot, runs: Sequence[ClosedLoop], recordings: Sequence[RobotRecording]
+) -> tuple[str, ...]:
+    """Joints with no mismatch of which the file leaves more than noise as MuJoCo steps it, and the joint's fit clearly less."""
+    out = []
+    for s in outcome.searches:
+        error = _joined(runs, recordings, s.problem.name, robot)
+        stands = outcome.diagnosis.joints[s.problem.name].verdict is Verdict.NO_MISMATCH
+        if stands and np.isfinite(error).all() and not leaves_noise(s, error) and _is_lowered(s, error):
+            out.append(s.problem.name)
+    return tuple(out)
 
 
 def _is_lowered(s: JointSearch, error: np.ndarray) -> bool:

@@ -30,12 +30,12 @@ def write_corrected_servos(
 ) -> None:
     """Write the corrected MJCF: gains, armature, damping, dry friction and springs in their elements, the rest carried.
 
-    slots: by joint its numbers (K,), those of the diagnosis by default.
+    slots: by joint its numbers (K,), those of the diagnosis by default; without them a joint with no mismatch stays as it is.
     """
     joints: dict[str, dict[str, float]] = {}
     servos, carried = [], []
     for s in outcome.searches:
-        if outcome.diagnosis.joints[s.problem.name].verdict.value == "no_mismatch":
+        if outcome.diagnosis.joints[s.problem.name].verdict.value == "no_mismatch" and s.problem.name not in (slots or {}):
             continue
         p = (slots or {}).get(s.problem.name, s.now.fit.slots)
         joints[s.problem.name], own = _joint_values(robot, s, p)
