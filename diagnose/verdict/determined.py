@@ -3,12 +3,13 @@
 An effect whose size has an interval that contains zero, or with a number that the recording cannot show (`Effect.admissible`),
 gives way to a simpler form of it, to its limit, to a structure without it, or to nothing, whichever the criterion prefers. Where
 the criterion asks for it nevertheless, it stays out: what it explained is then left unexplained. So does an effect by which the
-held-out error falls no more than it may by chance under the best of as many hypotheses as were tried (Bonferroni).
+held-out error falls no more than it may by chance under the best of as many hypotheses as were tried (Bonferroni), and one that
+cannot be told from an effect that is too small to be shown: a drive that acts half a millisecond late is no dead band.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,7 +20,7 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Status
 from diagnose.structure.search import Search
 from diagnose.structure.state import Refusal
-from diagnose.thresholds import FAMILY
+from diagnose.thresholds import EQUIVALENT, FAMILY
 from diagnose.verdict.decide import p_values
 from mjsim.effects import Effect
 
@@ -30,10 +31,13 @@ def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
     """The best structure without undetermined effects, and a sentence for each that was left out or replaced."""
     said: list[str] = []
     refused: set[str] = set()
+    small: dict[str, Outside] = {}
     while True:  # each turn refuses an effect for good, and there are finitely many
-        found: list[Open | Outside | Chance] = [*out_of_range(best, search.fitter)] if best.ok else []
+        found: list[Open | Outside | Chance | Alike] = [*out_of_range(best, search.fitter)] if best.ok else []
+        small |= {o.effect.key: o for o in found if isinstance(o, Outside) and o.range.value < o.range.low}
         found += open_sizes(best, search.fitter.noise) if best.ok else ()
         found += () if found else _by_chance(search, best)
+        found += () if found else _alike(search, best, small)
         if not found:
             break
         first = found[0]
@@ -57,6 +61,26 @@ class Chance:
     hypotheses: int
 
 
+@dataclass(frozen=True)
+class Alike:
+    """An effect in whose place one that is too small to be shown explains as much."""
+
+    effect: Effect
+    small: Outside
+
+
+def _alike(search: Search, best: Fitted, small: Mapping[str, Outside]) -> list[Alike]:
+    """Effects of a structure that cannot be told from those that were refused for being small, by structure."""
+    found = []
+    for effect in best.effects:
+        rest = set(best.key) - {effect.key}
+        for key, one in small.items():
+            other = search.fits.get(tuple(sorted(rest | {key})))
+            if other is not None and search.context.ahead(best, other) <= EQUIVALENT:
+                found.append(Alike(effect, one))
+    return found
+
+
 def _by_chance(search: Search, best: Fitted) -> list[Chance]:
     """The effects of a structure whose gain on held-out data may be chance, the likeliest first."""
     if not best.ok or not best.effects:
@@ -78,7 +102,7 @@ def _refuse(search: Search, poorer: Fitted, found: Chance) -> None:
             search.state.refusals.setdefault(key, Refusal(key, poorer.key, veto))
 
 
-def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance, refused: Collection[str]) -> Fitted | None:
+def _poorer(search: Search, best: Fitted, found: Open | Outside | Chance | Alike, refused: Collection[str]) -> Fitted | None:
     """The structure of the least criterion without the effect, or any that was refused; None where none can be fitted.
 
     In place of one whose numbers the recording cannot show a rival of the search stands as well, if it is significant.
@@ -115,12 +139,17 @@ def _admissible(search: Search, refused: Collection[str], least: Fitted) -> list
     return [f for f in fits if not out_of_range(f, search.fitter)]
 
 
-def _sentence(best: Fitted, poorer: Fitted, found: Open | Outside | Chance) -> str:
+def _sentence(best: Fitted, poorer: Fitted, found: Open | Outside | Chance | Alike) -> str:
     name = found.effect.name().replace("_", " ").capitalize()
     instead = [e.name().replace("_", " ") for e in poorer.effects if e.key not in best.key]
     place = f"{' and '.join(instead)} is fitted in its place" if instead else "it is left out"
     if isinstance(found, Chance):
         why = f"over {found.hypotheses} hypotheses its gain on held-out data has p = {found.p_value:.2g}, which is chance"
+    elif isinstance(found, Alike):
+        r, other = found.small.range, found.small.effect.name().replace("_", " ")
+        why = (
+            f"{other} explains as much by a {r.what} of {r.value:.3g}, which is too small to be shown: below {r.low:.3g}, {r.why}"
+        )
     elif isinstance(found, Open):
         low, high = found.ci95
         why = f"the 95 % interval of its {found.name}, [{low:.3g}, {high:.3g}], contains zero"
