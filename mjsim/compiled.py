@@ -29,12 +29,11 @@ except ImportError:  # a system that is not POSIX
     fcntl = None  # type: ignore[assignment]
 
 from numba import njit
-from numba.core import analysis, event
+from numba.core import event
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.ccallback import CFunc
 from numba.core.runtime import rtsys
 
-from mjsim.live_map import compute_live_map
 from mjsim.notices import compiling
 
 __all__ = ["callback", "compiled", "kept_at"]
@@ -149,39 +148,33 @@ class _Unkept(NullCache):
         """Nothing is locked."""
 
 
-class _Quicker(event.Listener):
-    """While numba compiles, Python's collector of cycles rests, for numba makes millions of objects that live until it ends, and
-    live variables are found by `compute_live_map`.
+class _Uncollected(event.Listener):
+    """Python's collector of cycles rests while numba compiles, which makes millions of objects that live until it ends.
 
     numba sends both events while it holds its lock for compiling, so that one thread at a time is here.
     """
 
     def __init__(self) -> None:
         self.depth, self.was = 0, False
-        self.of_numba: Any = None
 
     def on_start(self, started: Any) -> None:
-        """The first of the functions that are being compiled, each for the one before, begins."""
+        """The first of the functions that are being compiled, each for the one before, stops the collector."""
         if self.depth == 0:
-            self.was, self.of_numba = gc.isenabled(), analysis.compute_live_map
+            self.was = gc.isenabled()
             gc.disable()
-            analysis.compute_live_map = compute_live_map
         self.depth += 1
 
     def on_end(self, ended: Any) -> None:
-        """The last one, compiled or failed, puts both back; one that failed is not kept."""
+        """The last one, compiled or failed, starts it again where it ran before; one that failed is not kept."""
         function = ended.data["dispatcher"]
         if isinstance(function._cache, _Kept) and tuple(ended.data["args"]) not in function.overloads:
             function._cache.free()
         self.depth -= 1
-        if self.depth > 0:
-            return
-        analysis.compute_live_map = self.of_numba
-        if self.was:
+        if self.depth == 0 and self.was:
             gc.enable()
 
 
-event.register("numba:compile", _Quicker())
+event.register("numba:compile", _Uncollected())
 
 
 def _cache(function: Callable[..., Any]) -> _Kept | _Unkept:

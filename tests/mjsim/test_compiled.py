@@ -8,16 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from numba import config, njit
-from numba.core import analysis, event
+from numba.core import event
 from numba.core.errors import TypingError
 
 from mjsim import compiled as module
 from mjsim.compiled import compiled, kept_at
 from mjsim.effects import coulomb_friction_with_creep as creep
-from mjsim.live_map import compute_live_map
 
 NEW = """
 import ctypes
@@ -53,7 +51,6 @@ def test_what_is_on_disk_is_loaded_without_the_tables_of_the_compiler():
     assert run("-c", code) == "False"
 
 
-@pytest.mark.slow
 def test_functions_and_callbacks_are_compiled_after_others_were_loaded_and_kept(tmp_path: Path):
     module = tmp_path / "new.py"
     module.write_text(NEW)
@@ -208,33 +205,3 @@ def test_what_cannot_be_compiled_frees_its_lock(tmp_path: Path, monkeypatch):
     assert wrong._cache._locks == []
     assert kept_at(wrong).startswith(str(tmp_path))
     assert list(tmp_path.rglob("*.lock")) == []
-
-
-def test_live_variables_are_those_that_numba_finds(monkeypatch):
-    """Of a function with loops, branches and what is never read, and of all that it calls."""
-    of_numba, compared = analysis.compute_live_map, []
-
-    def both(*given):
-        found = compute_live_map(*given)
-        compared.append((found, of_numba(*given)))
-        return found
-
-    monkeypatch.setattr(module, "compute_live_map", both)
-
-    def law(x):
-        total, unread = 0.0, 1.0
-        for k in range(len(x)):
-            if x[k] > 1.0:
-                continue
-            while total < 10.0:
-                total += x[k] ** 2
-                if total == 5.5:
-                    return -1.0
-            unread = total  # noqa: F841
-        return total + np.linalg.norm(x)
-
-    assert njit(law)(np.array([1.0, 2.0])) == pytest.approx(10.0 + np.sqrt(5.0))
-    assert len(compared) > 10
-    assert all(found == expected for found, expected in compared)
-    assert any(len(found) > 10 for found, _ in compared)
-    assert analysis.compute_live_map is of_numba
