@@ -34,7 +34,7 @@ def determined(search: Search, best: Fitted) -> tuple[Fitted, tuple[str, ...]]:
     small: dict[str, Outside] = {}
     while True:  # each turn refuses an effect for good, and there are finitely many
         found: list[Open | Outside | Chance | Alike] = [*out_of_range(best, search.fitter)] if best.ok else []
-        small |= {o.effect.key: o for o in found if isinstance(o, Outside) and o.range.value < o.range.low}
+        small |= {o.effect.key: o for o in found if isinstance(o, Outside) and o.range.is_below}
         found += open_sizes(best, search.fitter.noise) if best.ok else ()
         found += () if found else _by_chance(search, best)
         found += () if found else _alike(search, best, small)

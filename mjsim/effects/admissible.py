@@ -29,18 +29,27 @@ def servo_stiffness(scales: Scales) -> float:
 @final
 @dataclass(frozen=True)
 class Range:
-    """A quantity of an effect, in words, its value and the range [low, high] that the recording allows, and why, in words."""
+    """A quantity of an effect, in words, its value and the range [low, high] that the recording allows, and why, in words.
+
+    timing: whether it is a time that below ``low`` is a matter of how the log is sampled.
+    """
 
     what: str
     value: float
     low: float
     high: float
     why: str
+    timing: bool = False
 
     @property
     def holds(self) -> bool:
         """Whether the value is in the range, to 1 %."""
         return self.low * 0.99 <= self.value <= self.high * 1.01
+
+    @property
+    def is_below(self) -> bool:
+        """Whether it is a time too short to be shown."""
+        return self.timing and not self.holds and self.value < self.low
 
 
 def wave(cycles: float, scales: Scales) -> tuple[Range, ...]:
@@ -84,4 +93,4 @@ def wait(what: str, time: float, most: float, why: str, scales: Scales) -> tuple
     """Of a delay or a lag [s], up to a time that a reason gives: longer than what an input that nobody states leaves open."""
     least = 0.0 if scales.hold_stated else BETWEEN * scales.dt
     open_ = "" if scales.hold_stated else ", from a quarter of a sample on: nobody states how the input goes between samples"
-    return (Range(what, time, least, max(most, least), f"{why}{open_}"),)
+    return (Range(what, time, least, max(most, least), f"{why}{open_}", timing=True),)

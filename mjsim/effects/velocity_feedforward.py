@@ -50,7 +50,9 @@ class VelocityFeedforward(Effect):
         """What a recording shows of it: a command may act a sample earlier by the way that it goes between samples."""
         lead = self.gain_Nms_rad / servo_stiffness(scales)
         return (
-            Range("lead", lead, scales.dt, math.inf, "a sample, by which a command may be ahead that is not held as assumed"),
+            Range(
+                "lead", lead, scales.dt, math.inf, "a sample, by which a command may be ahead that is not held as assumed", True
+            ),
         )
 
     @classmethod

@@ -8,14 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnose.evidence.admissible import Outside
 from diagnose.evidence.held_out import Comparison
 from diagnose.evidence.intervals import Open
 from diagnose.problem.noise_model import KnownNoise
+from diagnose.thresholds import EQUIVALENT
 from diagnose.verdict import determined as determined_module
 from diagnose.verdict import findings as findings_module
-from diagnose.verdict.determined import determined
+from diagnose.verdict.determined import _alike, _sentence, determined
 from diagnose.verdict.findings import findings, merged, nominal_effect
 from mjsim.effects import effect_class
+from mjsim.effects.admissible import Range
 from mjsim.quantity import Quantity
 
 COULOMB = effect_class("coulomb_friction")(torque_Nm=0.1)
@@ -191,3 +194,19 @@ def test_parameters_of_a_nominal_effect_that_no_sample_shows_are_left_out(robot)
     found = nominal_effect(search.fitter, best, STRIBECK)
     assert list(found.parameters) == ["torque_Nm"]
     assert found.nominal == STRIBECK.values
+
+
+@pytest.mark.parametrize(("ahead", "refused"), [(EQUIVALENT, True), (1.001 * EQUIVALENT, False)])
+def test_an_effect_that_cannot_be_told_from_one_too_small_to_be_shown_is_not_named(ahead, refused):
+    """The structure with the small effect in its place is as good, by the criterion, to within what tells rivals apart."""
+    dead, lead = (SimpleNamespace(key=f"{x}@actuator", name=lambda x=x: x, place="actuator") for x in ("dead", "lead"))
+    small = {lead.key: Outside(lead, Range("lead", 6e-5, 2e-3, math.inf, "a sample", timing=True))}
+    best = SimpleNamespace(key=("dead@actuator", "rub@motor"), effects=(dead,))
+    search = SimpleNamespace(
+        fits={("lead@actuator", "rub@motor"): "rival"}, context=SimpleNamespace(ahead=lambda f, other: ahead)
+    )
+    found = _alike(search, best, small)
+    assert [(a.effect, a.small.effect) for a in found] == ([(dead, lead)] if refused else [])
+    assert _alike(search, best, {}) == []
+    if refused:
+        assert "too small to be shown: below 0.002, a sample" in _sentence(best, SimpleNamespace(effects=(), key=()), found[0])

@@ -63,8 +63,7 @@ def steps(tmp_path_factory):
     return made
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drive", ["servo", "motor"])
+@pytest.mark.parametrize("drive", [pytest.param("servo", marks=pytest.mark.slow), "motor"])
 def test_friction_and_inertia_of_step_responses(steps, drive, tmp_path):
     model, paths = steps(drive, 0)
     options = Options(jobs=1, effects=("coulomb_friction", "time_delay"))
