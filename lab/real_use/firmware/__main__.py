@@ -75,6 +75,8 @@ def right(r: dict[str, Any]) -> bool:
     if r["exit"]:
         return False
     found, clean = [tuple(f) for f in r["found"]], r["verdict"] in CLEAN
+    if r["moved"] == 0.0:  # what the machine has was not reached
+        return clean and not found
     if r["machine"] == "arm":
         same = sorted(found) == sorted(map(tuple, r["where"]))
         return same and (clean if not r["where"] else r["verdict"] == "missing_physics")
@@ -94,7 +96,7 @@ def false(r: dict[str, Any]) -> bool:
 def clear(r: dict[str, Any]) -> bool:
     """Whether nothing is said to be missing although physics is."""
     missing = bool(ARM[r["kind"]]) if r["machine"] == "arm" else SINGLE[r["kind"]] != (frozenset(),)
-    return not r["exit"] and missing and r["verdict"] in CLEAN
+    return not r["exit"] and missing and r["moved"] > 0.0 and r["verdict"] in CLEAN
 
 
 def _names(r: dict[str, Any]) -> list[str]:
