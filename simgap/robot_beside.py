@@ -41,8 +41,9 @@ def beside_simulator(
 ) -> ServoOutcome:  # fmt: skip
     """The outcome of further searches, as long as the two runs of a joint that is not as in the file are apart.
 
-    recordings: fitted, held out. Apart: by more than a fifth of the noise variance, beside what the search took out before. The
-    outcome as it is where no joint is, where the robot diverges and where the budget is used up.
+    recordings: fitted, held out. Apart: by what adds a 25th to the variance of the noise, and of the joint's error where that is
+    larger, beside what the search took out before. The outcome as it is where no joint is, where the robot diverges and where the
+    budget is used up.
     """
     for _ in range(ROUNDS):
         joints = outcome.diagnosis.joints
@@ -86,7 +87,8 @@ def _shift(s: JointSearch, run: np.ndarray) -> np.ndarray:
 
 
 def _is_apart(s: JointSearch, shifts: dict[str, np.ndarray]) -> bool:
-    """Whether a shift differs from the one that the search had."""
+    """Whether a shift differs from the one that the search had, by a part of the noise and of the error that the joint has."""
     p = s.problem
     more = shifts[p.name] if p.shift is None else shifts[p.name] - p.shift
-    return float(np.sqrt(np.mean(more[p.fitted | p.held] ** 2))) > APART * p.noise
+    moved, error = (float(np.sqrt(np.mean(x[p.fitted | p.held] ** 2))) for x in (more, s.now.fit.error))
+    return moved > APART * max(p.noise, error)
