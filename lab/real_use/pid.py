@@ -30,7 +30,7 @@ from diagnose.options import Options
 from lab.real_use import design
 from lab.real_use.logs import wave_of
 from lab.real_use.machines import JOINT, Numbers, nominal, text
-from lab.real_use.run import measured, read, run_missing, said
+from lab.real_use.run import between_marks, measured, read, run_missing, said
 from lab.real_use.score import MISSES, Count
 from mjsim.errors import InputError
 from mjsim.mjcf.compile import caught_warnings
@@ -308,13 +308,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.into is None:
         print("\n".join([*map(line, records), "", table(records)]))
         return 0
-    before, _, rest = options.into.read_text(encoding="utf-8").partition(BEGIN)
-    _, found, after = rest.partition(END)
-    if not found:
-        print(f"{options.into}: no markers {BEGIN} and {END}", file=sys.stderr)
-        return 2
-    options.into.write_text(f"{before}{BEGIN}\n\n{table(records)}\n{END}{after}", encoding="utf-8")
-    return 0
+    return between_marks(options.into, BEGIN, END, table(records))
 
 
 if __name__ == "__main__":

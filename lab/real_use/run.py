@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import resource
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +23,7 @@ from lab.real_use.machines import Numbers, nominal, text, true_numbers
 from mjsim.errors import InputError
 from simgap.pipeline import diagnose_files
 
-__all__ = ["measured", "read", "run_case", "run_missing", "said", "write_files"]
+__all__ = ["between_marks", "measured", "read", "run_case", "run_missing", "said", "write_files"]
 
 Record = dict[str, Any]
 
@@ -146,3 +147,14 @@ def run_missing(
         with path.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(record) + "\n")
         yield record
+
+
+def between_marks(page: Path, begin: str, end: str, text: str) -> int:
+    """Put a text between two marks of a page; an exit code, 2 with a line on stderr where the page has no such marks."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, found, after = rest.partition(end)
+    if not found:
+        print(f"{page}: no markers {begin} and {end}", file=sys.stderr)
+        return 2
+    page.write_text(f"{before}{begin}\n\n{text}\n{end}{after}", encoding="utf-8")
+    return 0

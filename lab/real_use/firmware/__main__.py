@@ -18,7 +18,7 @@ from diagnose.verdict.numerics import IDS
 from lab.real_use.firmware.design import ARM, SINGLE, Case, draw
 from lab.real_use.firmware.machine import log_of, write_log
 from lab.real_use.firmware.truth import machines
-from lab.real_use.run import measured, read, run_missing
+from lab.real_use.run import between_marks, measured, read, run_missing
 from lab.real_use.score import Count
 from mjsim.errors import InputError
 from simgap.pipeline import diagnose_files
@@ -158,13 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.into is None:
         print("\n".join([*map(line, records), "", table(records)]))
         return 0
-    before, _, rest = options.into.read_text(encoding="utf-8").partition(BEGIN)
-    _, found, after = rest.partition(END)
-    if not found:
-        print(f"{options.into}: no markers {BEGIN} and {END}", file=sys.stderr)
-        return 2
-    options.into.write_text(f"{before}{BEGIN}\n\n{table(records)}\n{END}{after}", encoding="utf-8")
-    return 0
+    return between_marks(options.into, BEGIN, END, table(records))
 
 
 if __name__ == "__main__":
