@@ -41,9 +41,9 @@ def beside_simulator(
 ) -> ServoOutcome:  # fmt: skip
     """The outcome of further searches, as long as the two runs of a joint that is not as in the file are apart.
 
-    recordings: fitted, held out. Apart: by what adds a 25th to the variance of the noise, and of the joint's error where that is
-    larger, beside what the search took out before. The outcome as it is where no joint is, where the robot diverges and where the
-    budget is used up.
+    recordings: fitted, held out. Two runs are apart where the mean square of their difference, beside the shift of the search
+    before, exceeds 4 % of the variance of the noise, and of the joint's error where that is larger. The outcome stays as it is
+    where no joint is apart, where the robot diverges and where the budget is used up.
     """
     for _ in range(ROUNDS):
         joints = outcome.diagnosis.joints

@@ -13,23 +13,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lab.real_use.design import draw
-from lab.real_use.run import read, run_case, run_missing, write_files
+from lab.real_use.run import between_marks, read, run_case, run_missing, write_files
 from lab.real_use.score import line, tables
 
 __all__ = ["main"]
 
 
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
-
-
-def _put(path: Path, text: str) -> int:
-    before, _, rest = path.read_text(encoding="utf-8").partition(BEGIN)
-    _, found, after = rest.partition(END)
-    if not found:
-        print(f"{path}: no markers {BEGIN} and {END}", file=sys.stderr)
-        return 2
-    path.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
-    return 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command == "table":
         records = list(read(options.records).values())
         if options.into is not None:
-            return _put(options.into, tables(records))
+            return between_marks(options.into, BEGIN, END, tables(records))
         print("\n".join([*map(line, records), ""] if options.lines else []) + tables(records))
         return 0
     cases = [c for c in draw(options.count, options.seed) if options.cases is None or c.number in options.cases]
