@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diagnose.check import LogCheck
-from diagnose.fit.command_hold import is_assumed, shown_hold, taken_hold, with_hold
+from diagnose.fit.command_hold import hold_instead, is_assumed, shown_hold, taken_hold, with_hold
 from diagnose.result import Diagnosis, Verdict
 from diagnose.robot.check.axis import check_servo_axis
 from diagnose.thresholds import UNEXPLAINED
 from mjsim.axis import Axis
 from mjsim.recording import Recording
 from mjsim.robot.model import load_robot
-from simgap.found import corrected_axis
+from simgap.found import as_fitted, corrected_axis, physics_found
 
 __all__ = ["checked_servo", "hold_beside", "with_taken"]
 
@@ -39,13 +39,22 @@ def checked_servo(
 def hold_beside(
     result: Diagnosis, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], seconds: float
 ) -> str:
-    """The hold of a command that shows once effects are there that leave more than noise; "held" where none does."""
+    """The hold of a command that shows once effects are there that leave more than noise, or explains as much as one of them.
+
+    "held" where none does.
+    """
     assumed = nominal.chain.servo is not None and is_assumed([*recordings, *held_out])
-    more = result.noise_floor > 0 and result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2
-    left = result.verdict is Verdict.UNEXPLAINED or more
-    if not left or not result.findings or not assumed or not seconds > 0:
+    if not result.findings or not assumed or not seconds > 0:
         return "held"
-    return shown_hold(corrected_axis(nominal, result), recordings, held_out, seconds)
+    more = result.noise_floor > 0 and result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2
+    found = corrected_axis(nominal, result)
+    if result.verdict is Verdict.UNEXPLAINED or more:
+        shown = shown_hold(found, recordings, held_out, seconds)
+        if shown != "held":
+            return shown
+    physics = physics_found(result)
+    fewer = [nominal.with_values(as_fitted(result)).with_effects([e for e in physics if e is not one]) for one in physics]
+    return hold_instead(found, fewer, recordings, held_out, seconds) if fewer else "held"
 
 
 def with_taken(log: LogCheck | None, hold: str, recordings: Sequence[Recording]) -> LogCheck | None:

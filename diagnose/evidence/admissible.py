@@ -34,4 +34,7 @@ def scales_of(fitter: Fitter, effect: Effect) -> Scales:
 
 def out_of_range(f: Fitted, fitter: Fitter) -> tuple[Outside, ...]:
     """The ranges that supposed effects of a structure leave."""
-    return tuple(Outside(e, r) for e in f.effects for r in e.admissible(scales_of(fitter, e)) if not r.holds)
+    servo = f.axis.chain.servo
+    kp = servo.kp if servo is not None and servo.kp > 0 else 0.0
+    scales = {e: dataclasses.replace(scales_of(fitter, e), servo=kp) for e in f.effects}
+    return tuple(Outside(e, r) for e, own in scales.items() for r in e.admissible(own) if not r.holds)

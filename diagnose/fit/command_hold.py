@@ -4,6 +4,9 @@ A controller that interpolates its setpoints acts half a sample earlier than one
 the interval before it, a whole sample earlier. No drive is early, so that an error which falls where the command acts earlier is
 the hold's, as long as it grows again for what is earlier still: a lead without end is a law's, such as a velocity feedforward.
 The numbers of the model are refitted under each hold, and once more beside dry friction, which most joints have.
+
+An effect that was found under the assumed hold is compared with the other holds as well: what acts half a sample early is also a
+small velocity feedforward.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import effective_share
 from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.problem.noise_model import ModelError
-from diagnose.thresholds import FAIR
+from diagnose.thresholds import EQUIVALENT, FAIR
 from mjsim.axis import Axis
 from mjsim.effects import Effect, registered
 from mjsim.effects.native import DryFriction
@@ -33,7 +36,7 @@ from mjsim.hold import HOLDS
 from mjsim.recording import Recording
 from mjsim.robot.recording import RobotRecording
 
-__all__ = ["earlier", "is_assumed", "shown_hold", "taken_hold", "with_hold"]
+__all__ = ["earlier", "hold_instead", "is_assumed", "shown_hold", "taken_hold", "with_hold"]
 
 R = TypeVar("R", Recording, RobotRecording)
 WORDS = {"linear": "goes in straight lines between samples", "mean": "is logged as the mean over the interval before a row"}
@@ -67,6 +70,28 @@ def shown_hold(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[R
                 continue
         return best
     return "held"
+
+
+def hold_instead(
+    found: Axis, fewer: Sequence[Axis], recordings: Sequence[Recording], held_out: Sequence[Recording], seconds: float
+) -> str:
+    """The hold under which a structure with an effect less explains as much as ``found`` does under a held command.
+
+    "held" where none does. ``fewer``: the structures with an effect less. As much: the criterion, which counts the effect, is
+    not ahead by more than what is held to be equivalent. ``seconds``: the most that it takes.
+    """
+    until = time.monotonic() + seconds
+    whole = _refitted(found, recordings, held_out, until)[:1]
+    if not whole:
+        return "held"
+    left = {
+        hold: min((x[0].cost for axis in fewer for x in [_refitted(axis, *held, until)] if x), default=math.inf)
+        for hold in WORDS
+        for held in [(with_hold(recordings, hold), with_hold(held_out, hold))]
+    }
+    best = min(left, key=lambda hold: left[hold])
+    ahead = whole[0].independent * math.log(left[best] / whole[0].cost) - ModelError.prices.entry
+    return best if ahead <= EQUIVALENT else "held"
 
 
 def taken_hold(hold: str, rate: float) -> Problem:

@@ -21,7 +21,9 @@ WARMS_UP = 10.0  # ratio of the friction of a cold and a warm machine: viscosity
 
 
 def servo_stiffness(scales: Scales) -> float:
-    """Force that the servo asks for over its error [N m/rad | N/m]: about its kp."""
+    """Force that the servo asks for over its error [N m/rad | N/m]: its kp as fitted, or about that by the recording."""
+    if scales.servo > 0:
+        return scales.servo
     force = scales.asked[0] if scales.asked else scales.max_torque
     return force / (PEAK * (scales.following or 0.01 * scales.travel))
 

@@ -25,7 +25,7 @@ class Scales:
     the duration where it does not reverse; stops: (side, angle [rad | m], time constant [s]) of each end of the travel at which the
     motion is turned back as at a stop, side -1 or +1; None where this was not looked for; hold_stated: whether it is known how
     the input goes between samples; band: highest frequency [Hz] that is compared; acceleration: largest of the body at the place
-    [rad/s^2 | m/s^2].
+    [rad/s^2 | m/s^2]; servo: stiffness of a position servo as fitted [N m/rad | N/m], 0 where none is known.
     """
 
     torque: float
@@ -52,3 +52,4 @@ class Scales:
     hold_stated: bool = True
     band: float = math.inf
     acceleration: float = 0.0
+    servo: float = 0.0

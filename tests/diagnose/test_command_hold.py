@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from diagnose.fit.command_hold import is_assumed, shown_hold
+from diagnose.fit.command_hold import hold_instead, is_assumed, shown_hold
 from diagnose.result import Verdict
+from mjsim.effects import effect_class
 from mjsim.hold import within
 from mjsim.mjcf import load_axis
 from mjsim.recording import Recording
@@ -65,6 +66,13 @@ def test_a_velocity_feedforward_is_no_hold(axis):
     assert shown_hold(axis, [log("linear", 1, lead=LEAD)], [log("linear", 2, lead=LEAD)], math.inf) == "held"
 
 
+@pytest.mark.parametrize(("hold", "lead", "taken"), [("linear", 0.0, "linear"), ("held", LEAD, "held")])
+def test_a_hold_takes_the_place_of_an_effect_that_explains_no_more(axis, hold, lead, taken):
+    logs = [log(hold, 1, lead=lead)], [log(hold, 2, lead=lead)]
+    ahead = effect_class("velocity_feedforward")(place="actuator", gain_Nms_rad=10.0 * max(lead, DT / 2))
+    assert hold_instead(axis.with_effects([ahead]), [axis], *logs, math.inf) == taken
+
+
 def test_a_stated_hold_stays():
     given = log("linear", 1)
     assert is_assumed([given])
@@ -80,6 +88,7 @@ def test_the_hold_is_asked_for_again_where_effects_leave_more_than_noise(monkeyp
     fit = SimpleNamespace(rms=rms * 2e-4)
     result = SimpleNamespace(verdict=verdict, findings=("velocity_limit",), fit={"corrected": fit}, noise_floor=2e-4)
     monkeypatch.setattr(servo_log, "corrected_axis", lambda nominal, _: nominal)
+    monkeypatch.setattr(servo_log, "physics_found", lambda _: [])
     monkeypatch.setattr(servo_log, "is_assumed", lambda _: True)
     monkeypatch.setattr(servo_log, "shown_hold", lambda *_: "linear")
     assert servo_log.hold_beside(result, axis, [], [], 1.0) == ("linear" if asked else "held")

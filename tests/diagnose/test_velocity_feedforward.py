@@ -68,6 +68,8 @@ def test_a_lead_of_less_than_a_sample_is_not_admissible(tmp_path):
     fitter.close()
     for lead, admissible in ((0.2 * DT, False), (10.0 * DT, True)):
         assert all(r.holds for r in feedforward(lead * kp).admissible(scales)) == admissible
+    fitted = dataclasses.replace(scales, servo=4.0 * kp)  # the fitted stiffness counts, and not that by the recording
+    assert not all(r.holds for r in feedforward(2.0 * DT * kp).admissible(fitted))
 
 
 def test_it_is_named(tmp_path):
