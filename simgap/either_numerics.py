@@ -77,11 +77,14 @@ def _soft(axis: Axis) -> bool:
 
 
 def _open(result: Diagnosis, axis: Axis) -> bool:
-    """Whether the answer leaves more than noise or does not explain it, and has a law of friction or of the speed, or the model
-    has one: friction that creeps is taken for one that grows with the speed."""
-    physics = [effect_class(f.law) for f in result.findings if f.kind == "physics"]
-    families = {*(c.family for c in physics), *(e.family for e in axis.effects)}
-    return bool(families & {"friction", "speed"}) and _far(result)
+    """Whether the numerics of dry friction may be what the answer lacks, or what it names.
+
+    It leaves more than noise or does not explain it, and has a law of friction or of the speed, or the model has one: friction
+    that creeps is taken for one that grows with the speed. Or a law of friction takes the place of the model's own.
+    """
+    found = {effect_class(f.law).family for f in result.findings if f.kind == "physics"}
+    own = {e.family for e in axis.effects}
+    return bool((found | own) & {"friction", "speed"}) and _far(result) or "friction" in found & own
 
 
 def _far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:

@@ -169,3 +169,11 @@ def test_the_samples_that_count_are_those_of_the_fit(searched):
 def test_soft_friction_of_any_body_is_soft(soft):
     axis = SimpleNamespace(chain=SimpleNamespace(bodies=[SimpleNamespace(softness=s) for s in soft]))
     assert _soft(axis) is (1.0 in soft)
+
+
+def test_friction_in_place_of_the_models_own_asks_for_the_other_kind():
+    """A law of friction with a creep stands in for a soft one, and leaves nothing."""
+    law = SimpleNamespace(kind="physics", law="coulomb_friction_with_creep", parameters={})
+    found = result(Verdict.MISSING_PHYSICS, findings=(law,))
+    assert _open(found, FRICTION)
+    assert not _open(found, NONE)
