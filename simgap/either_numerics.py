@@ -84,7 +84,7 @@ def _open(result: Diagnosis, axis: Axis) -> bool:
     """
     found = {effect_class(f.law).family for f in result.findings if f.kind == "physics"}
     own = {e.family for e in axis.effects}
-    return bool((found | own) & {"friction", "speed"}) and _far(result) or "friction" in found & own
+    return (bool((found | own) & {"friction", "speed"}) and _far(result)) or "friction" in found & own
 
 
 def _far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:

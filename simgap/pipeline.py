@@ -165,8 +165,8 @@ def diagnose_recordings(
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     with following(progress, ledger.recalled) as say:
         nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)
-        hold = hold_beside(result, nominal, recordings, held_out, options.since(began).seconds)
-        if hold != "held":
+        hold = hold_beside(result, nominal, recordings, held_out, options.since(began), say)
+        if hold != recordings[0].hold:
             say(Step("search", f"again, since the command {WORDS[hold]}"))
             recordings, held_out, log = with_hold(recordings, hold), with_hold(held_out, hold), with_taken(log, hold, recordings)
             nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, None)

@@ -39,7 +39,11 @@ from mjsim.robot.recording import RobotRecording
 __all__ = ["earlier", "hold_instead", "is_assumed", "shown_hold", "taken_hold", "with_hold"]
 
 R = TypeVar("R", Recording, RobotRecording)
-WORDS = {"linear": "goes in straight lines between samples", "mean": "is logged as the mean over the interval before a row"}
+WORDS = {
+    "held": "is held between samples",
+    "linear": "goes in straight lines between samples",
+    "mean": "is logged as the mean over the interval before a row",
+}
 
 
 def is_assumed(recordings: Sequence[R]) -> bool:
@@ -86,7 +90,7 @@ def hold_instead(
         return "held"
     left = {
         hold: min((x[0].cost for axis in fewer for x in [_refitted(axis, *held, until)] if x), default=math.inf)
-        for hold in WORDS
+        for hold in ("linear", "mean")
         for held in [(with_hold(recordings, hold), with_hold(held_out, hold))]
     }
     best = min(left, key=lambda hold: left[hold])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from diagnose.fit.command_hold import hold_instead, is_assumed, shown_hold
+from diagnose.options import Options
 from diagnose.result import Verdict
 from mjsim.effects import effect_class
 from mjsim.hold import within
@@ -80,15 +81,64 @@ def test_a_stated_hold_stays():
     assert not is_assumed([dataclasses.replace(given, hold="linear")])
 
 
+def found(verdict=Verdict.MISSING_PHYSICS, rms=1.0, held_out=None):
+    fit = SimpleNamespace(rms=rms * 2e-4, held_out_rms=(held_out or rms) * 2e-4)
+    return SimpleNamespace(verdict=verdict, fit={"corrected": fit}, noise_floor=2e-4)
+
+
+@pytest.fixture
+def beside(monkeypatch, axis):
+    """`hold_beside` of a log of an axis, with what it asks for in the place of fits."""
+    given = log("held", 1)
+
+    def ask(result, physics=(), **answers):
+        monkeypatch.setattr(servo_log, "corrected_axis", lambda nominal, _: nominal)
+        monkeypatch.setattr(servo_log, "as_fitted", lambda _: {})
+        monkeypatch.setattr(servo_log, "physics_found", lambda _: list(physics))
+        for name in ("shown_hold", "hold_instead", "_searched_hold"):
+            monkeypatch.setattr(servo_log, name, lambda *_, name=name: answers.get(name, "held"))
+        hold = answers.get("own", "held")
+        stated = dataclasses.replace(given, hold=hold, hold_stated=answers.get("stated", False))
+        return servo_log.hold_beside(result, axis, [stated], [stated], Options())
+
+    return ask
+
+
+EFFECT = effect_class("velocity_feedforward")(place="actuator", gain_Nms_rad=0.1)
+
+
 @pytest.mark.parametrize(
     ("verdict", "rms", "asked"),
     [(Verdict.UNEXPLAINED, 1.0, True), (Verdict.MISSING_PHYSICS, 1.3, True), (Verdict.MISSING_PHYSICS, 1.0, False)],
 )
-def test_the_hold_is_asked_for_again_where_effects_leave_more_than_noise(monkeypatch, axis, verdict, rms, asked):
-    fit = SimpleNamespace(rms=rms * 2e-4)
-    result = SimpleNamespace(verdict=verdict, findings=("velocity_limit",), fit={"corrected": fit}, noise_floor=2e-4)
-    monkeypatch.setattr(servo_log, "corrected_axis", lambda nominal, _: nominal)
-    monkeypatch.setattr(servo_log, "physics_found", lambda _: [])
-    monkeypatch.setattr(servo_log, "is_assumed", lambda _: True)
-    monkeypatch.setattr(servo_log, "shown_hold", lambda *_: "linear")
-    assert servo_log.hold_beside(result, axis, [], [], 1.0) == ("linear" if asked else "held")
+def test_the_hold_is_asked_for_again_where_effects_leave_more_than_noise(beside, verdict, rms, asked):
+    asked_for = "linear" if asked else "held"
+    assert beside(found(verdict, rms), [EFFECT], shown_hold="linear") == asked_for
+    assert beside(found(verdict, rms), _searched_hold="linear") == asked_for
+    assert beside(found(verdict, rms), [EFFECT], shown_hold="linear", stated=True) == "held"
+
+
+def test_a_hold_is_compared_with_an_effect_where_one_was_found(beside):
+    assert beside(found(), [EFFECT], hold_instead="linear") == "linear"
+    assert beside(found(), hold_instead="linear") == "held"
+
+
+def test_a_hold_that_was_found_gives_way_to_one_that_leaves_less(beside):
+    far = found(Verdict.UNEXPLAINED, 3.0)
+    assert beside(far, own="linear", _searched_hold="held") == "held"
+    assert beside(far, own="linear", shown_hold="mean", hold_instead="mean", _searched_hold="linear") == "linear"
+
+
+@pytest.mark.parametrize(("rms", "held_out", "taken"), [(0.86, 0.86, "linear"), (0.86, 0.87, "held"), (0.87, 0.86, "held")])
+def test_a_short_search_has_to_leave_a_quarter_less_of_all_samples(monkeypatch, axis, rms, held_out, taken):
+    efforts = []
+
+    def search(nominal, recordings, held, options, say, surpassed):
+        efforts.append(options.effort)
+        assert held[0].hold == recordings[0].hold
+        return found(rms=rms if recordings[0].hold == "linear" else 1.0, held_out=held_out)
+
+    monkeypatch.setattr(servo_log, "diagnose", search)
+    logs = [log("held", 1)]
+    assert servo_log._searched_hold(found(), axis, logs, logs, Options(effort=2.0), lambda _: None) == taken
+    assert efforts == [0.5, 0.5]
