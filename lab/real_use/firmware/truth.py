@@ -14,7 +14,8 @@ from lab.real_use.firmware.machine import Machine, Passive, log_of
 
 __all__ = ["machines"]
 
-EDGE = 0.003  # [rad/s] below which an applied friction is proportional to the speed
+LEAST = 1e-9  # [N m | N] of a friction, which MuJoCo takes for none at zero
+HOLDS = (0.99, 0.999)  # solimp of a friction that creeps by little
 
 
 def machines(case: Case) -> tuple[Machine, Machine, list[tuple[str, str]]]:
@@ -62,12 +63,16 @@ def _size(case: Case, given: Machine, rng: np.random.Generator) -> tuple[float, 
 
 
 def _friction(level: Callable[[np.ndarray, mujoco.MjData], np.ndarray]) -> Passive:
-    """Friction of a level that depends on the speed and the state, against the motion, at the first joint."""
+    """Friction of a level [N m | N] that depends on the speed and the state, against the motion, at the first joint.
 
-    def force(_: mujoco.MjModel, d: mujoco.MjData) -> np.ndarray:
-        out = np.zeros(len(d.qvel))
-        out[0] = -(level(d.qvel, d) * np.tanh(d.qvel / EDGE))[0]
-        return out
+    It is the joint's ``frictionloss``, set at each step, with solver parameters under which it holds at rest.
+    """
+
+    def force(m: mujoco.MjModel, d: mujoco.MjData) -> np.ndarray:
+        m.dof_frictionloss[0] = max(float(level(d.qvel, d)[0]), LEAST)
+        m.dof_solref[0] = (2.0 * m.opt.timestep, 1.0)
+        m.dof_solimp[0, :2] = HOLDS
+        return np.zeros(m.nv)
 
     return force
 
