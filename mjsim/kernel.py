@@ -10,10 +10,11 @@ for each mode that occurs; the matrices are read off the same rates, and RK4 onl
 ``bodies``: n zeros, floats where body 0 has limits, else integers; kind, and of a tuple the length, are constants of the compiled
 code, so that every loop over bodies unrolls; an array of any length has one code (`mjsim.system.UNROLLED`).
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
-``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 5)
+``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 7)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
 and backward; kind 5: soft friction, its parameters impedance,
-rate and both levels; kind 6: soft limits of body 0, `mjsim.chain.Limit`), first parameter, state index or -1. ``p``: parameters.
+rate and both levels; kind 6: soft limits of body 0, `mjsim.chain.Limit`), first parameter, state index or -1, whether it sees
+the model's own angle, whether it is a torque of the drive. ``p``: parameters.
 ``servo`` (6): of the drive at body 0, in its torques: stiffness and damping towards the input, force limit, stall torque, its
 loss per speed, half dead band (`mjsim.system.System.servo`); a drive by torque has none of them.
 ``mode`` (6, n): friction mode, gap mode, whether the body has friction; of body 0 only: side of the force limit at which the
@@ -41,6 +42,8 @@ KIND_TWIST, KIND_COUPLING, KIND_BODY, KIND_INERTIA, KIND_FRICTION, KIND_SOFT, KI
 GATED, UNGATED, NO_PULL = 0, 1, 2
 SLOTS = 61  # modes whose propagators are kept at a time
 MAX_EVENTS = 64  # per sample; past that the step is taken as it is (chatter)
+MAX_ROUNDS = 20  # of the input whose own torque laws see, in inverse dynamics of one body
+SAME = 1e-12  # relative change at which that input is found
 STEADY = 0.01  # relative change of how far a sliding bristle is bent, past which a step is cut after all
 
 
@@ -316,10 +319,11 @@ def _rates_of(
         for j in range(n - 1):
             if f[5, j] > 0.0 and mode[1, j] * w[4, j] < 0.0:
                 w[4, j] = 0.0
+    pull = _pull(servo, gain, u, x[0, 0], x[1, 0], mode)
     for i in range(n):
         force = -f[1, i] * x[1, i]
         if i == 0:
-            force += _pull(servo, gain, u, x[0, 0], x[1, 0], mode)
+            force += pull
         else:
             force += w[4, i - 1]
         if i < n - 1:
@@ -359,7 +363,7 @@ def _rates_of(
         if n > 1:
             z[4] = w[7, 0] * w[4, 0] if i == 0 else w[4, i - 1]
         else:
-            z[4] = 0.0
+            z[4] = pull
         z[5] = x[0, i] + w[14 if el[e, 5] else 13, i]
         z[6] = u
         z[7] = x[2, si] if si >= 0 else 0.0
@@ -377,6 +381,8 @@ def _rates_of(
                 w[10, i] += mode[0, i] * z[8]
             elif kind == KIND_BODY:
                 w[1, i] += z[8]
+                if el[e, 6] == 1:
+                    pull += z[8]
                 if si >= 0:
                     w[8, si] = z[9]
                     w[9, si] = z[10]
@@ -1197,6 +1203,52 @@ def integrate(
 
 
 @compiled(error_model="numpy")
+def _needed(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    x: np.ndarray, t: float, u: float, a: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
+) -> float:  # fmt: skip
+    """Input beyond u that gives body 0 an acceleration a, where laws see the drive's torque at u."""
+    _rates(bodies, f, gap_law, gain, servo, el, p, x, t, u, mode, w, z)
+    v = x[1, 0]
+    for e in range(el.shape[0]):
+        if el[e, 0] == KIND_SOFT and el[e, 1] == 0:  # that of the forces with the input, which the acceleration tells
+            at = el[e, 3]
+            soft = p[at] * (w[1, 0] + p[at + 1] * w[11, 0] * v)
+            w[10, 0] -= min(max(soft, -p[at + 3]), p[at + 2])
+            soft = p[at] / (1.0 - p[at]) * w[11, 0] * (a + p[at + 1] * v)
+            w[10, 0] += min(max(soft, -p[at + 3]), p[at + 2])
+        if el[e, 0] == KIND_LIMIT:
+            side = _beyond(el, p, x, w)
+            if side != 0:
+                w[1, 0] += _held_by_limit(p, el[e, 3], side, x[0, 0], v, a, f[0, 0])
+    return (w[11, 0] * a - w[1, 0] + w[10, 0]) / gain
+
+
+@compiled(error_model="numpy")
+def _consistent(
+    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    x: np.ndarray, t: float, u: float, a: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
+) -> float:  # fmt: skip
+    """The input that gives the one body an acceleration a, its own effect on the laws included; u: that without it.
+
+    A fixed point by Aitken's extrapolation from a drive without torque: exact after one round for laws in proportion to it.
+    """
+    for k in range(MAX_ROUNDS):
+        first = u + _needed(bodies, f, gap_law, gain, servo, el, p, x, t, u, a, mode, w, z)
+        change = first - u
+        if not abs(change) > SAME * (abs(first) + abs(u)):
+            break
+        if k == 0:
+            u = (servo[0] * x[0, 0] + servo[1] * x[1, 0]) / gain
+            first = u + _needed(bodies, f, gap_law, gain, servo, el, p, x, t, u, a, mode, w, z)
+            change = first - u
+        second = first + _needed(bodies, f, gap_law, gain, servo, el, p, x, t, first, a, mode, w, z)
+        bend = second - first - change
+        u = second if bend == 0.0 else u - change * change / bend
+    return u
+
+
+@compiled(error_model="numpy")
 def drive(
     bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     q0: np.ndarray, v0: np.ndarray, a0: np.ndarray, dt: float, n_sub: int, t0: float, rest: np.ndarray, out: np.ndarray
@@ -1235,19 +1287,9 @@ def drive(
             if f[5, j] > 0.0:
                 d = f[2, j] * x[0, j] - x[0, j + 1]
                 mode[1, j] = 1 if d > f[5, j] else (-1 if d < -f[5, j] else 0)
-        _rates(bodies, f, gap_law, gain, servo, el, p, x, t, 0.0, mode, w, z)
-        for e in range(el.shape[0]):
-            if el[e, 0] == KIND_SOFT and el[e, 1] == 0:  # that of the forces with the input, which the acceleration tells
-                at = el[e, 3]
-                soft = p[at] * (w[1, 0] + p[at + 1] * w[11, 0] * x[1, 0])
-                w[10, 0] -= min(max(soft, -p[at + 3]), p[at + 2])
-                soft = p[at] / (1.0 - p[at]) * w[11, 0] * (a0[k] + p[at + 1] * x[1, 0])
-                w[10, 0] += min(max(soft, -p[at + 3]), p[at + 2])
-            if el[e, 0] == KIND_LIMIT:
-                side = _beyond(el, p, x, w)
-                if side != 0:
-                    w[1, 0] += _held_by_limit(p, el[e, 3], side, x[0, 0], v0[k], a0[k], f[0, 0])
-        out[k] = (w[11, 0] * a0[k] - w[1, 0] + w[10, 0]) / gain
+        out[k] = _needed(bodies, f, gap_law, gain, servo, el, p, x, t, 0.0, a0[k], mode, w, z)
+        if n == 1:  # a law may take the torque of the drive itself
+            out[k] = _consistent(bodies, f, gap_law, gain, servo, el, p, x, t, out[k], a0[k], mode, w, z)
         if not np.isfinite(out[k]):
             return 1, k
         if k == total - 1:

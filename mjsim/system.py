@@ -170,7 +170,7 @@ class _Elements:
     """Rows of the kernel's elements as they are gathered, and what they add to the stiffness and damping of the bodies."""
 
     bodies: tuple[Body, ...]
-    rows: list[tuple[int, int, int, int, int, int]] = field(default_factory=list)
+    rows: list[tuple[int, int, int, int, int, int, int]] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     n_states: int = 0
     spatial: float = 0.0
@@ -206,7 +206,8 @@ class _Elements:
                 return
             self.friction[site] = True
         own_angle = isinstance(port, P.BodyTorque) and port.spatial == 0
-        self.rows.append((_KIND[type(port)], site, 0 if fixed else port.law.address, len(self.values), state, own_angle))
+        driven = isinstance(port, P.BodyTorque) and port.drive
+        self.rows.append((_KIND[type(port)], site, 0 if fixed else port.law.address, len(self.values), state, own_angle, driven))
         self.values.extend(fixed or port.p)
 
     def _soften(self, site: int, fixed: tuple[float, float, float, float] | None) -> bool:
@@ -216,7 +217,7 @@ class _Elements:
             return False
         soft = body.softness
         self.damping[site] += soft.impedance * soft.rate * body.inertia
-        self.rows.append((_SOFT, site, 0, len(self.values), -1, False))
+        self.rows.append((_SOFT, site, 0, len(self.values), -1, False, False))
         self.values.extend((soft.impedance, soft.rate, *fixed[:2]))
         return True
 
@@ -225,7 +226,7 @@ class _Elements:
         inertia, most = self.bodies[0].inertia, max(limit.impedance[:2])
         self.stiff[0] += inertia * most**2 * limit.stiffness
         self.damping[0] += inertia * most * limit.damping
-        self.rows.append((LIMIT, 0, 0, len(self.values), -1, True))
+        self.rows.append((LIMIT, 0, 0, len(self.values), -1, True, False))
         self.values.extend((limit.lower, limit.upper, limit.stiffness, limit.damping, *limit.impedance))
 
     def _stiffen(self, port: P.CouplingTorque | P.BodyTorque, site: int, ratios: np.ndarray) -> None:
@@ -253,6 +254,11 @@ def _numbers_of(chain: Chain) -> np.ndarray:
     return f
 
 
+def _rank(port: _Element) -> tuple[int, bool]:
+    """Order of the elements: by kind, the torques of the drive ahead of the torques that may follow from it."""
+    return _KIND[type(port)], not (isinstance(port, P.BodyTorque) and port.drive)
+
+
 def assemble(axis: Axis) -> System:
     """Gather the ports of all effects of an axis. Raises NotApplicableError when an effect has no place to act at."""
     chain, ports = axis.chain, [port for effect in axis.effects for port in effect.ports(axis.chain)]
@@ -262,7 +268,7 @@ def assemble(axis: Axis) -> System:
             ports = [_on_far_body(port, split.body, len(chain.bodies) - 1) for port in ports]
     f = _numbers_of(chain)
     elements = _Elements(chain.bodies)
-    for element in sorted((p for p in ports if isinstance(p, _Element)), key=lambda p: _KIND[type(p)]):
+    for element in sorted((p for p in ports if isinstance(p, _Element)), key=_rank):
         elements.add(element, f[2])
     limit = next((p.limit for p in ports if isinstance(p, P.JointLimit)), chain.bodies[0].limit)
     if limit is not None:
@@ -279,7 +285,7 @@ def assemble(axis: Axis) -> System:
         chain=chain,
         f=f,
         gap_law=gap_law.value,
-        elements=np.array(sorted(elements.rows, key=lambda row: row[0]), np.int64).reshape(-1, 6),
+        elements=np.array(sorted(elements.rows, key=lambda row: row[0]), np.int64).reshape(-1, 7),
         parameters=np.array(elements.values or [0.0]),
         has_friction=elements.friction,
         n_states=elements.n_states,

@@ -28,8 +28,8 @@ def _deflection(
 
 @compiled()
 def _margin(
-    ev: int, mj: np.ndarray, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
-    mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
+    ev: int, mj: np.ndarray, f: np.ndarray, gap_law: int, gain: float, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float,
+    u: float, mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
     qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, smooth: np.ndarray, applied: np.ndarray, armature: np.ndarray,
     m0: np.ndarray,
 ) -> float:  # pragma: no cover  # fmt: skip
@@ -40,7 +40,9 @@ def _margin(
             return 1.0
         if mode[0, ev] != 0:
             return mode[0, ev] * x[1, ev]
-        _forward(mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, applied, armature, m0)
+        _forward(
+            mj, f, gap_law, gain, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, applied, armature, m0
+        )
         return min(level[0, ev] - smooth[ev], smooth[ev] + level[1, ev])
     j = (ev - n) % n
     if j == n - 1 or f[5, j] <= 0.0:
@@ -51,13 +53,13 @@ def _margin(
         return side * d - f[5, j] if mode[1, j] != 0 else f[5, j] - abs(d)
     if gap_law != NO_PULL or mode[1, j] == 0:
         return 1.0
-    _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
+    _laws(f, gap_law, gain, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
     return side * torque[j] if abs(mode[1, j]) == 1 else -side * torque[j]
 
 
 @compiled()
 def _margins(
-    mj: np.ndarray, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
+    mj: np.ndarray, f: np.ndarray, gap_law: int, gain: float, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
     mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
     qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, smooth: np.ndarray, applied: np.ndarray, armature: np.ndarray,
     m0: np.ndarray, out: np.ndarray,
@@ -65,6 +67,6 @@ def _margins(
     """All event functions."""
     for ev in range(3 * f.shape[1]):
         out[ev] = _margin(
-            ev, mj, f, gap_law, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, smooth, applied,
+            ev, mj, f, gap_law, gain, el, p, x, t, u, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, smooth, applied,
             armature, m0,
         )  # fmt: skip

@@ -58,7 +58,7 @@ def _run(
         for i in range(n):
             out[k, i], out[k, n + i] = x[0, i], x[1, i]
         if eventful or staged:
-            _laws(f, gap_law, el, p, x, t, u[k], mode, applied, extra, level, slope, torque, z)
+            _laws(f, gap_law, gain, el, p, x, t, u[k], mode, applied, extra, level, slope, torque, z)
             for j in range(n - 1):
                 out[k, 2 * n + j] = 0.0 if abs(mode[1, j]) == 2 else torque[j]
         else:
@@ -85,7 +85,7 @@ def _run(
                         if mode[2, i] == 1 and x[1, i] == 0.0 and i != skip:
                             mode[0, i] = 0
                             _forward(
-                                mj, f, gap_law, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
+                                mj, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
                                 qpos, qvel, ctrl, applied, armature, m0,
                             )  # fmt: skip
                             if smooth[i] > level[0, i]:
@@ -99,15 +99,15 @@ def _run(
                         reach = h if attempt == 0 else low
                         ahead = xn if attempt == 0 else xt
                         _advance(
-                            mj, staged, f, gap_law, el, p, x, ahead, reach, t, uk, lag, tau, n_s, mode, level, slope, torque, z,
-                            extra, wk, qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
+                            mj, staged, f, gap_law, gain, el, p, x, ahead, reach, t, uk, lag, tau, n_s, mode, level, slope,
+                            torque, z, extra, wk, qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
                         )  # fmt: skip
                         if not eventful or events >= MAX_EVENTS:
                             break
                         up = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-reach / tau)
                         _margins(
-                            mj, f, gap_law, el, p, ahead, t + reach, up, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
-                            smooth, applied, armature, m0, g1,
+                            mj, f, gap_law, gain, el, p, ahead, t + reach, up, mode, level, slope, torque, z, extra, qpos, qvel,
+                            ctrl, smooth, applied, armature, m0, g1,
                         )  # fmt: skip
                         near = False
                         for ev in range(n_margin):
@@ -128,13 +128,13 @@ def _run(
                                     if guess > lo and guess < hi:
                                         mid = guess
                                 _advance(
-                                    mj, staged, f, gap_law, el, p, x, xt, mid, t, uk, lag, tau, n_s, mode, level, slope, torque,
-                                    z, extra, wk, qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
+                                    mj, staged, f, gap_law, gain, el, p, x, xt, mid, t, uk, lag, tau, n_s, mode, level, slope,
+                                    torque, z, extra, wk, qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
                                 )  # fmt: skip
                                 um = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-mid / tau)
                                 gm = _margin(
-                                    ev, mj, f, gap_law, el, p, xt, t + mid, um, mode, level, slope, torque, z, extra, qpos, qvel,
-                                    ctrl, smooth, applied, armature, m0,
+                                    ev, mj, f, gap_law, gain, el, p, xt, t + mid, um, mode, level, slope, torque, z, extra,
+                                    qpos, qvel, ctrl, smooth, applied, armature, m0,
                                 )  # fmt: skip
                                 if gm < 0.0:
                                     hi, ghi = mid, gm
@@ -151,13 +151,13 @@ def _run(
                             hit, reach = ev, hi
                             h = hi
                             _advance(
-                                mj, staged, f, gap_law, el, p, x, xn, h, t, uk, lag, tau, n_s, mode, level, slope, torque, z,
-                                extra, wk, qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
+                                mj, staged, f, gap_law, gain, el, p, x, xn, h, t, uk, lag, tau, n_s, mode, level, slope, torque,
+                                z, extra, wk, qpos, qvel, qacc, ctrl, applied, armature, m0, timestep,
                             )  # fmt: skip
                             up = uk if tau <= 0.0 else uk + (lag - uk) * np.exp(-h / tau)
                             _margins(
-                                mj, f, gap_law, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
-                                smooth, applied, armature, m0, g1,
+                                mj, f, gap_law, gain, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel,
+                                ctrl, smooth, applied, armature, m0, g1,
                             )  # fmt: skip
                         if hit >= 0 or not near:
                             break
@@ -167,13 +167,13 @@ def _run(
                             if mode[2, i] == 0 or mode[0, i] == 0:
                                 continue
                             _forward(
-                                mj, f, gap_law, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
+                                mj, f, gap_law, gain, el, p, x, t, lag if tau > 0.0 else uk, mode, level, slope, torque, z, extra,
                                 qpos, qvel, ctrl, applied, armature, m0,
                             )  # fmt: skip
                             s0 = mode[0, i] * qacc[i]
                             _forward(
-                                mj, f, gap_law, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
-                                applied, armature, m0,
+                                mj, f, gap_law, gain, el, p, xn, t + h, up, mode, level, slope, torque, z, extra, qpos, qvel,
+                                ctrl, applied, armature, m0,
                             )  # fmt: skip
                             dip = _dips(mode[0, i] * x[1, i], s0, mode[0, i] * xn[1, i], mode[0, i] * qacc[i], h)
                             if dip > 0.0:
@@ -196,8 +196,8 @@ def _run(
                             x[1, hit], mode[0, hit] = 0.0, 0
                         else:
                             _forward(
-                                mj, f, gap_law, el, p, x, t, lag, mode, level, slope, torque, z, extra, qpos, qvel, ctrl, applied,
-                                armature, m0,
+                                mj, f, gap_law, gain, el, p, x, t, lag, mode, level, slope, torque, z, extra, qpos, qvel, ctrl,
+                                applied, armature, m0,
                             )  # fmt: skip
                             mode[0, hit] = 1 if smooth[hit] > 0.5 * (level[0, hit] - level[1, hit]) else -1
                             skip = hit
@@ -208,7 +208,7 @@ def _run(
                         else:
                             mode[1, j] = 1 if _deflection(f, el, p, x, j, t, z) > 0.0 else -1
                             if gap_law == NO_PULL:
-                                _laws(f, gap_law, el, p, x, t, lag, mode, applied, extra, level, slope, torque, z)
+                                _laws(f, gap_law, gain, el, p, x, t, lag, mode, applied, extra, level, slope, torque, z)
                                 if mode[1, j] * torque[j] < 0.0:
                                     mode[1, j] *= 2
                     else:

@@ -39,7 +39,7 @@ _mj: Any = _call_pair
 
 @compiled()
 def _laws(
-    f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float, mode: np.ndarray,
+    f: np.ndarray, gap_law: int, gain: float, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float, mode: np.ndarray,
     applied: np.ndarray, extra: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray
 ) -> None:  # pragma: no cover  # fmt: skip
     """What MuJoCo lacks at one state: torques (n) beside the native ones, change of mass (n), internal rates in slope rows 1, 2.
@@ -109,7 +109,7 @@ def _laws(
                 applied[i] -= mode[0, i] * p[first + (0 if mode[0, i] > 0 else 1)]
             continue
         z[0], z[1], z[2], z[3], z[5], z[6] = t, x[0, i], x[1, i], mode[0, i], x[0, i], u
-        z[4] = 0.0
+        z[4] = gain * u
         if n > 1:
             j = 0 if i == 0 else i - 1
             z[4] = 0.0 if abs(mode[1, j]) == 2 else (slope[0, 0] * torque[0] if i == 0 else torque[j])
@@ -162,13 +162,13 @@ def _switch(
 
 @compiled()
 def _forward(
-    mj: np.ndarray, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
+    mj: np.ndarray, f: np.ndarray, gap_law: int, gain: float, el: np.ndarray, p: np.ndarray, x: np.ndarray, t: float, u: float,
     mode: np.ndarray, level: np.ndarray, slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray,
     qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, applied: np.ndarray, armature: np.ndarray, m0: np.ndarray
 ) -> None:  # pragma: no cover  # fmt: skip
     """MuJoCo's forward dynamics at a state, laws included."""
     n = f.shape[1]
-    _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
+    _laws(f, gap_law, gain, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
     _mass(f, mode, extra, armature, m0)
     for i in range(n):
         qpos[i] = x[0, i]
@@ -179,15 +179,15 @@ def _forward(
 
 @compiled()
 def _advance(
-    mj: np.ndarray, staged: bool, f: np.ndarray, gap_law: int, el: np.ndarray, p: np.ndarray, x: np.ndarray, xn: np.ndarray,
-    h: float, t: float, u: float, lag: float, tau: float, n_s: int, mode: np.ndarray, level: np.ndarray, slope: np.ndarray,
-    torque: np.ndarray, z: np.ndarray, extra: np.ndarray, wk: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray,
-    ctrl: np.ndarray, applied: np.ndarray, armature: np.ndarray, m0: np.ndarray, timestep: np.ndarray
+    mj: np.ndarray, staged: bool, f: np.ndarray, gap_law: int, gain: float, el: np.ndarray, p: np.ndarray, x: np.ndarray,
+    xn: np.ndarray, h: float, t: float, u: float, lag: float, tau: float, n_s: int, mode: np.ndarray, level: np.ndarray,
+    slope: np.ndarray, torque: np.ndarray, z: np.ndarray, extra: np.ndarray, wk: np.ndarray, qpos: np.ndarray, qvel: np.ndarray,
+    qacc: np.ndarray, ctrl: np.ndarray, applied: np.ndarray, armature: np.ndarray, m0: np.ndarray, timestep: np.ndarray
 ) -> None:  # pragma: no cover  # fmt: skip
     """One step of length h from x to xn: mj_step, or where laws act its four stages around mj_forward."""
     n = f.shape[1]
     if not staged:
-        _laws(f, gap_law, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
+        _laws(f, gap_law, gain, el, p, x, t, u, mode, applied, extra, level, slope, torque, z)
         _mass(f, mode, extra, armature, m0)
         for i in range(n):
             qpos[i] = x[0, i]
@@ -212,6 +212,7 @@ def _advance(
             mj,
             f,
             gap_law,
+            gain,
             el,
             p,
             xn,

@@ -59,7 +59,7 @@ class IntegralAction(Effect):
         """Where the law acts."""
         need_servo(chain, position=True)
         g = chain.gain
-        return (BodyTorque(0, torque, (g * self.gain_Nm_rad_s, g * self.start_Nm, g), state=True),)
+        return (BodyTorque(0, torque, (g * self.gain_Nm_rad_s, g * self.start_Nm, g), state=True, drive=True),)
 
     def native(self, chain: Chain) -> Native:
         """Values of MJCF's own elements that stand for it."""

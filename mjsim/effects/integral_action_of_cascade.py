@@ -65,7 +65,7 @@ class IntegralActionOfCascade(Effect):
         need_servo(chain, position=True)
         g = chain.gain
         p = (g * self.gain_Nm_rad_s, g * self.start_Nm, g, g * self.weight_Nm_rad)
-        return (BodyTorque(0, torque, p, state=True),)
+        return (BodyTorque(0, torque, p, state=True, drive=True),)
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
         """What a recording shows of it."""

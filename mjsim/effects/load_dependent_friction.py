@@ -1,6 +1,7 @@
 """Load-dependent friction: a level in proportion to the torque that the mesh transmits.
 
-tau_f = c |T| sign(v), T the transmitted torque on the body's own side
+tau_f = c |T| sign(v), T the transmitted torque: that of the coupling at the body, on the body's own side; on an axis of one rigid
+body that of the drive through its gear, ahead of friction, integral action included
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mjsim.effects.base import Effect, NotApplicableError, Scales, need_body, parameter
+from mjsim.effects.base import Effect, Scales, need_body, need_drive, parameter
 from mjsim.effects.law import LOAD, law
 from mjsim.effects.ports import Friction, Port
 from mjsim.effects.registry import register
@@ -49,7 +50,7 @@ class LoadDependentFriction(Effect):
     def ports(self, chain: Chain) -> tuple[Port, ...]:
         """Where the law acts."""
         if not chain.couplings:
-            raise NotApplicableError("a rigid axis has no coupling whose load could be transmitted")
+            need_drive(chain)
         return (Friction(need_body(chain, self.place), level, (self.coefficient,)),)
 
     @classmethod

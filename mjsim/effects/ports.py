@@ -72,7 +72,8 @@ class Friction:
 class BodyTorque:
     """A torque on a body (positive drives it forward): ``out[0]`` [N m | N]; with an internal state, see the module's text.
 
-    ``load``: whether it is that of the load, which acts on the far part of a body that is split (`SplitInertia`).
+    ``load``: whether it is that of the load, which acts on the far part of a body that is split (`SplitInertia`); ``drive``:
+    whether the drive makes it, so that it is part of the torque that a chain of one body transmits.
     """
 
     body: int
@@ -82,6 +83,7 @@ class BodyTorque:
     spatial: float = 0.0
     timed: bool = False
     load: bool = False
+    drive: bool = False
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,26 @@ def test_a_miss_is_named_and_ends_with_check_error(
     assert (tmp_path / "crosscheck.json").is_file()
 
 
+def test_load_dependent_friction_of_one_rigid_body_agrees_in_every_engine(tmp_path: Path) -> None:
+    """On an axis of one body its load is the torque of the drive."""
+    path = tmp_path / "own.xml"
+    path.write_text(RIGID["pendulum"], encoding="utf-8")
+    own, u = load_axis(path), chirp(2.0)
+    (case,), skipped = effect_cases(own, u, names={"load_dependent_friction"})
+    assert case.name == "load_dependent_friction@motor"
+    assert [key for key, _ in skipped] == ["load_dependent_friction@gearbox"]
+    assert np.std(simulate(case.axis, u, DT).velocity - simulate(own, u, DT).velocity) > 1e-3 * np.std(
+        simulate(own, u, DT).velocity
+    )
+    ((batched,),) = rollout([case.axis], [Drive(u, DT)], engine=Engine.ACCURATE)
+    assert isinstance(batched, ode.Trajectory)
+    row = compare(case, path, u, DT, batched)
+    assert {c.engine: c.status for c in row.cells} == {
+        **dict.fromkeys(("kernel", "accurate", "batch"), Status.HOLDS),
+        "literal": Status.ABSENT,
+    }
+
+
 @pytest.mark.slow
 def test_the_whole_crosscheck_holds(tmp_path: Path) -> None:
     *rows, report = list(check_all())
