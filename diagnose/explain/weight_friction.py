@@ -23,7 +23,9 @@ __all__ = ["follows_weight", "load_effects"]
 def load_effects(effect: Effect) -> tuple[str, ...]:
     """Identifiers of the effects of the same family that grow with the transmitted torque."""
     own = type(effect)
-    return tuple(cls.id for cls in registered().values() if cls.by_load and cls.family == own.family and cls is not own)
+    if own.by_load:
+        return ()
+    return tuple(dict.fromkeys(cls.name() for cls in registered().values() if cls.by_load and cls.family == own.family))
 
 
 def follows_weight(effect: Effect, others: Sequence[Effect], chain: Chain, angle: np.ndarray, speed: float) -> float:

@@ -10,10 +10,11 @@ from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.result import Finding, NominalEffect
 from diagnose.structure.graph import merged as compounds
+from diagnose.structure.graph import simplified
 from diagnose.structure.search import Search
 from diagnose.thresholds import EQUIVALENT, NEARLY_ALL, SEGMENT
 from diagnose.verdict.decide import equivalents, estimates, p_values
-from mjsim.effects import Effect
+from mjsim.effects import Effect, NotApplicableError, effect_class
 
 __all__ = ["element_of", "findings", "merged", "nominal_effect"]
 
@@ -57,7 +58,7 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
                     "delta_chi2": gain,
                     "hypotheses": float(search.tested),
                 },
-                equivalents=(*alike, *_by_weight(search.fitter, best, effect)),
+                equivalents=(*alike, *(n for n in _by_weight(search, best, effect) if n not in alike)),
                 equivalent_errors={name: error for name, error in alike.items() if math.isfinite(error)},
             )
         )
@@ -65,15 +66,34 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
     return tuple(out)
 
 
-def _by_weight(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
-    """Friction by the load, where the friction that was found follows the torque of a weight over the angle."""
+def _by_weight(search: Search, best: Fitted, effect: Effect) -> tuple[str, ...]:
+    """Friction by the load, where what was found follows the torque of a weight over the angle and it does as much."""
+    fitter = search.fitter
     chain, r = fitter.nominal.chain, fitter.experiments[0].recording
     if chain.couplings or r.angle is None:
         return ()
     others = [e for e in (*best.carried, *best.effects) if e.key != effect.key]
     some = r.angle[:: max(1, len(r.angle) // SEGMENT)]
     alike = follows_weight(effect, others, chain, some, fitter.scales["motor"].velocity)
-    return load_effects(effect) if max(alike, 0.0) ** 2 > NEARLY_ALL else ()
+    if max(alike, 0.0) ** 2 <= NEARLY_ALL:
+        return ()
+    return tuple(name for name in load_effects(effect) if _does_as_much(search, best, effect, name))
+
+
+def _does_as_much(search: Search, best: Fitted, effect: Effect, name: str) -> bool:
+    """Whether friction by the load beside the mean level of a friction over the angle leaves as little as that friction."""
+    fitter, cls = search.fitter, effect_class(name)
+    load = cls(place=effect.place, **cls.starts(fitter.scales_for(cls, effect.place))[0])
+    try:
+        load.ports(fitter.nominal.chain)
+    except NotApplicableError:
+        return False
+    for simpler in simplified(fitter, best, effect):
+        f = fitter.fit(fitter.hypothesis((*simpler, load), best.linear, best.own), iterations=10)
+        if f.ok and search.context.ahead(best, f) <= EQUIVALENT:
+            search.keep(f)
+            return True
+    return False
 
 
 def nominal_effect(fitter: Fitter, best: Fitted, effect: Effect) -> NominalEffect:

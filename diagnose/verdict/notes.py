@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from diagnose.check.unused import unused_channels
@@ -107,13 +107,33 @@ def _of_the_numbers(outcome: Outcome) -> Iterator[str]:
     experiments = (*outcome.search.fitter.experiments, *outcome.search.fitter.held_out)
     servo = outcome.search.fitter.nominal.chain.servo is not None
     yield from unused_channels((e.recording for e in experiments), servo=servo)
-    loads = {f.effect: [n for n in f.equivalents if n in registered() and effect_class(n).by_load] for f in outcome.found}
-    for effect, names in loads.items():
-        if names and not outcome.search.fitter.nominal.chain.couplings:
+    if not outcome.search.fitter.nominal.chain.couplings:
+        yield from _of_the_load(outcome.found)
+
+
+def _of_the_load(found: Sequence[Finding]) -> Iterator[str]:
+    """What tells friction by the load from friction over the angle, where either may be: on a rigid axis with a weight."""
+    for f in found:
+        names = [n for n in (e.split("@")[0] for e in f.equivalents) if n in registered()]
+        by_load = [n.replace("_", " ") for n in names if effect_class(n).by_load]
+        over_angle = [n.replace("_", " ") for n in names if _over_angle(n)]
+        said = f.effect.replace("_", " ").capitalize()
+        if by_load:
             yield (
-                f"{effect.replace('_', ' ').capitalize()} follows the torque of the weight over the angle: "
-                f"{names[0].replace('_', ' ')} makes the same motion. Another load (a known mass added) tells them apart."
+                f"{said} follows the torque of the weight over the angle: {by_load[0]} makes the same motion. Another load (a "
+                "known mass added) tells them apart."
             )
+        elif effect_class(f.effect).by_load and over_angle:
+            yield (
+                f"{said}: the torque of the drive follows the angle in these recordings, so that {over_angle[0]} makes the same "
+                "motion. Another load (a known mass added), or moves that are fast enough for the inertia, tell them apart."
+            )
+
+
+def _over_angle(name: str) -> bool:
+    """Whether an effect is friction that repeats over the angle."""
+    cls = effect_class(name)
+    return cls.family == "friction" and any(s.name == "cycles_per_rev" for s in cls.specs())
 
 
 def _of_the_residual(outcome: Outcome, options: Options) -> Iterator[str]:

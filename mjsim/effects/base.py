@@ -147,7 +147,7 @@ class Effect(abc.ABC):
     is another effect or none, the amplitudes unless given), ``angle_of`` (place
     whose angle a periodic law follows, its own when empty), ``form_of`` (the contract identifier that it is named by, where it is
     another law for the same effect), ``called`` (the contract identifier that it is named by, where the effect of that identifier
-    acts on other chains), ``rigid`` (whether it is looked for only on an axis that the model takes for one rigid body), ``once`` (whether its places cannot be told apart, so that a model has it at one of them
+    acts on other chains or is a part of it), ``rigid`` (whether it is looked for only on an axis that the model takes for one rigid body), ``once`` (whether its places cannot be told apart, so that a model has it at one of them
     only), ``shown_by_angle`` (whether a measured velocity contradicts the measured angle by it), ``taken_for`` (identifiers of
     such effects that make the same change of a velocity: where the angle shows one, this effect explains nothing without it), ``by_load``
     (whether it grows with the transmitted torque), ``linear`` (whether its torque is linear in each of its numbers, so that a fit moves none

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from diagnose.verdict import determined as determined_module
 from diagnose.verdict import findings as findings_module
 from diagnose.verdict.determined import _alike, _sentence, determined
 from diagnose.verdict.findings import findings, merged, nominal_effect
+from mjsim.axis import Body, Chain
 from mjsim.effects import effect_class
 from mjsim.effects.admissible import Range
 from mjsim.quantity import Quantity
@@ -210,3 +212,38 @@ def test_an_effect_that_cannot_be_told_from_one_too_small_to_be_shown_is_not_nam
     assert _alike(search, best, {}) == []
     if refused:
         assert "too small to be shown: below 0.002, a sample" in _sentence(best, SimpleNamespace(effects=(), key=()), found[0])
+
+
+WAVE = effect_class("position_dependent_friction")(torque_Nm=0.3, relative_amplitude=0.5, cycles_per_rev=2.0, phase_rad=0.0)
+
+
+@pytest.mark.parametrize(
+    ("alike", "behind", "ok", "named"),
+    [
+        (0.95, EQUIVALENT, True, ("load_dependent_friction",)), (0.95, 1.01 * EQUIVALENT, True, ()), (0.95, 0.0, False, ()),
+        (0.85, 0.0, True, ()),
+    ],
+)  # fmt: skip
+def test_friction_by_the_load_is_an_equivalent_where_it_leaves_as_little(monkeypatch, alike, behind, ok, named):
+    """Where friction over the angle follows a weight, its square by more than 0.8, the data are asked, within 10 in C."""
+    rigid = SimpleNamespace(chain=Chain((Body("motor", 0.1, 0.05, "j"),), ()), effects=())
+    search, best = search_of(rigid), structure(WAVE, DELAY)
+    recording = SimpleNamespace(angle=np.zeros(8))
+    search.fitter.experiments, search.fitter.scales = (
+        [SimpleNamespace(recording=recording)],
+        {"motor": SimpleNamespace(velocity=1.0)},
+    )
+    search.fitter.scales_for = lambda cls, place: SimpleNamespace(torque=1.0)
+    load = effect_class("load_dependent_friction")(coefficient=0.1)
+    best.carried = ()
+    search.fits["next"] = structure(COULOMB, load, DELAY, criterion=behind, ok=ok)
+    asked = []
+    search.fitter.hypothesis = lambda effects, linear=None, own=None: asked.append(effects)
+    monkeypatch.setattr(findings_module, "follows_weight", lambda *_: alike)
+    assert findings_module._by_weight(search, best, WAVE) == named
+    assert [sorted(e.id for e in effects) for effects in asked] == (
+        [["coulomb_friction", "load_dependent_friction", "time_delay"]] if alike > 0.9 else []
+    )
+    undriven = dataclasses.replace(rigid.chain, driven=False)
+    search.fitter.nominal = SimpleNamespace(chain=undriven, effects=())
+    assert findings_module._by_weight(search, best, WAVE) == (), "nothing drives it: its load is nothing"
