@@ -126,6 +126,7 @@ class _Search:
         fit = SimpleNamespace(x=np.zeros(0), status=Status.CONVERGED)
         return SimpleNamespace(
             effects=effects, key=tuple(e.key for e in effects), chi2=chi2, n=100, ok=True, hypothesis=hypothesis, fit=fit,
+            axis=SimpleNamespace(chain=SimpleNamespace(servo=None)),
             standard_errors=lambda noise: np.zeros(0),
         )  # fmt: skip
 
