@@ -51,6 +51,8 @@ def by_either_numerics(
             second = diagnose(other.axis, recordings, held_out, within, say, None, other.corrections(), behind)
             if not behind(second):
                 better.append((other, second))
+                if next(_others(other, second), None) is None:
+                    break
         return bool(better)
 
     first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections(), surpassed)
@@ -61,15 +63,21 @@ def by_either_numerics(
 
 
 def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:
-    """Other numerics that the answer leaves open, and in words what they are."""
+    """Other numerics that the answer leaves open, and in words what they are, the likelier first."""
     if given.simulator and given.shows_simulator and not _far(first, FAR):
         return
-    if given.shifts and (_far(first) or sum(f.kind == "physics" for f in first.findings) > 1):
-        kind = "exact numerics" if given.simulator else "the numerics of the simulator"
-        yield kind, dataclasses.replace(given, simulator=not given.simulator)
-    if given.other is not None and _open(first, given.axis):
-        kind = "holds at rest" if _soft(given.axis) else "is soft, as in MuJoCo"
-        yield f"dry friction that {kind}", by_other_friction(given)
+    steps = given.shifts and (_far(first) or sum(f.kind == "physics" for f in first.findings) > 1)
+    friction = given.other is not None and _open(first, given.axis)
+    first_friction = friction and _replaces_friction(first, given.axis)
+    for kind in ("friction", "steps") if first_friction else ("steps", "friction"):
+        if kind == "friction" and friction:
+            yield (
+                f"dry friction that {'holds at rest' if _soft(given.axis) else 'is soft, as in MuJoCo'}",
+                by_other_friction(given),
+            )
+        if kind == "steps" and steps:
+            why = "exact numerics" if given.simulator else "the numerics of the simulator"
+            yield why, dataclasses.replace(given, simulator=not given.simulator)
 
 
 def _soft(axis: Axis) -> bool:
@@ -82,9 +90,17 @@ def _open(result: Diagnosis, axis: Axis) -> bool:
     It leaves more than noise or does not explain it, and has a law of friction or of the speed, or the model has one: friction
     that creeps is taken for one that grows with the speed. Or a law of friction takes the place of the model's own.
     """
-    found = {effect_class(f.law).family for f in result.findings if f.kind == "physics"}
-    own = {e.family for e in axis.effects}
-    return (bool((found | own) & {"friction", "speed"}) and _far(result)) or "friction" in found & own
+    families = _families(result) | {e.family for e in axis.effects}
+    return (bool(families & {"friction", "speed"}) and _far(result)) or _replaces_friction(result, axis)
+
+
+def _replaces_friction(result: Diagnosis, axis: Axis) -> bool:
+    """Whether a law of friction takes the place of the model's own."""
+    return "friction" in _families(result) & {e.family for e in axis.effects}
+
+
+def _families(result: Diagnosis) -> set[str]:
+    return {effect_class(f.law).family for f in result.findings if f.kind == "physics"}
 
 
 def _far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -171,9 +172,15 @@ def test_soft_friction_of_any_body_is_soft(soft):
     assert _soft(axis) is (1.0 in soft)
 
 
-def test_friction_in_place_of_the_models_own_asks_for_the_other_kind():
+def test_friction_in_place_of_the_models_own_asks_for_the_other_kind(monkeypatch):
     """A law of friction with a creep stands in for a soft one, and leaves nothing."""
     law = SimpleNamespace(kind="physics", law="coulomb_friction_with_creep", parameters={})
     found = result(Verdict.MISSING_PHYSICS, findings=(law,))
     assert _open(found, FRICTION)
     assert not _open(found, NONE)
+    shifts = (np.ones(3),)
+    monkeypatch.setattr(either_numerics, "by_other_friction", lambda nominal: nominal)
+    rigid = SimpleNamespace(effects=FRICTION.effects, chain=SimpleNamespace(bodies=()))
+    both = dataclasses.replace(given(shifts=shifts), axis=rigid, other=FRICTION)
+    assert next(why for why, _ in _others(both, result(Verdict.UNEXPLAINED, 1.1, findings=(law,)))).startswith("dry friction")
+    assert [why for why, _ in _others(both, result(Verdict.UNEXPLAINED, 1.1, findings=(PHYSICS,)))][-1].startswith("dry friction")
