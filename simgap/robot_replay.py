@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.data.listed import as_taken, holds_beside
 from mjsim.errors import InputError
 from mjsim.quantity import Motion
 from mjsim.robot.closed_loop import closed_loop
@@ -22,11 +23,12 @@ __all__ = ["RobotReplay", "replay_robot"]
 @dataclass(frozen=True)
 class RobotReplay:
     """Errors of a replay by joint: rms [rad | m], nrmse over the spread of the measured position; effects that ran, and that
-    did not."""
+    did not; what was taken from the diagnosis beside the file."""
 
     joints: dict[str, dict[str, Any]]
     effects: tuple[str, ...]
     lacking: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As ``simgap replay --json`` prints it: the joints, and over all of them the rms of their errors over their spreads."""
@@ -46,7 +48,8 @@ def replay_robot(model: Path, recording: Path, out: Path) -> RobotReplay:
     diverges.
     """
     robot = load_robot(model)
-    r = load_robot_recording(recording, robot, model=model)
+    given = load_robot_recording(recording, robot, model=model)
+    r = as_taken(given, holds_beside(model))
     effects = carried_effects(model)
     run = closed_loop(robot, r, effects)
     if run.diverged:
@@ -71,4 +74,4 @@ def replay_robot(model: Path, recording: Path, out: Path) -> RobotReplay:
         raise InputError(recording, "no joint moves", "a recording in which a joint moves", "record a motion")
     write_table(out, columns)
     ran = tuple(f"{e['effect']} at {e['joint']}" for e in effects)
-    return RobotReplay(joints, tuple(x for x in ran if x not in run.lacking), run.lacking)
+    return RobotReplay(joints, tuple(x for x in ran if x not in run.lacking), run.lacking, r.notes[len(given.notes) :])

@@ -180,3 +180,41 @@ def test_another_recording_is_refused(folder):
     ended = gate(folder, "model.xml")
     assert isinstance(ended.exception, InputError)
     assert "not one of the recordings" in str(ended.exception)
+
+
+def test_an_input_goes_between_samples_as_the_diagnosis_took_it(folder):
+    """Of a recording whose binding states no hold: the file as given then has the figures of the diagnosis."""
+    errors = []
+    for name in ("a.csv", "b.csv"):
+        r = load(folder / name)
+        run = simulate(load_axis(folder / "model.xml"), r.torque, DT, hold="linear")
+        errors.append(float(np.sqrt(np.mean((r.velocity - run.velocity) ** 2))))
+    baseline(folder, errors)
+    apart = json.loads(gate(folder, "model.xml").stdout)["checks"][0]["ratio"]
+    path = folder / "diagnosis.json"
+    told = json.loads(path.read_text())
+    for row in told["recordings"]:
+        row["hold"] = "linear"
+    path.write_text(json.dumps(told))
+    ratio = json.loads(gate(folder, "model.xml").stdout)["checks"][0]["ratio"]
+    assert ratio == pytest.approx(1.0, abs=1e-6)
+    assert abs(apart - 1.0) > 1e-5
+
+
+def test_a_replay_takes_the_hold_of_the_diagnosis_beside_its_model(folder):
+    from simgap.commands.replay import command as replay
+
+    path = folder / "diagnosis.json"
+    out = folder / "out.csv"
+    words = [str(folder / "model.xml"), str(folder / "a.csv"), "--out", str(out), "--json", "--start", "rest"]
+    r = load(folder / "a.csv")
+    axis = load_axis(folder / "model.xml")
+    for hold in ("held", "linear"):
+        told = json.loads(path.read_text())
+        told["recordings"][0]["hold"] = hold
+        path.write_text(json.dumps(told))
+        rms = json.loads(CliRunner().invoke(replay, words).stdout)["rms"]
+        error = r.velocity - simulate(axis, r.torque, DT, hold=hold).velocity
+        assert rms == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=1e-6)
+    path.write_text("[")  # a damaged file beside the model says nothing
+    assert CliRunner().invoke(replay, words).exit_code == 0

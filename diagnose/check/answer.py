@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnose.check.types import LogCheck
+from diagnose.data.listed import listed
 from diagnose.result import Diagnosis, Mismatch, Verdict
 from mjsim.axis import Axis
 from mjsim.recording import Recording
@@ -30,8 +31,5 @@ def wrong_log(
         next_experiment=f"Fix the log: {advice}.", channel="angle" if by_force else "velocity",
         unit=("rad" if by_force else "rad/s") if nominal.chain.motion.value == "hinge" else ("m" if by_force else "m/s"), view="",
         traces=(), seed=seed, seconds=check.seconds, log=check,
-        recordings=tuple(
-            {"file": r.source, "sha256": r.sha256, "role": role}
-            for role, group in (("estimation", recordings), ("held-out", held_out)) for r in group
-        ),
+        recordings=listed(recordings, held_out),
     )  # fmt: skip

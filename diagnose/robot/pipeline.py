@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from diagnose.check.unused import unused_of_robot
+from diagnose.data.listed import listed
 from diagnose.result import FitFigures, Verdict
 from diagnose.robot import decide
 from diagnose.robot.contact import contact_notes
@@ -162,10 +163,7 @@ def _told(
         worst, summary(worst, joints, changed), joints, overall(joints), links,
         {k: float(v) for k, v in zip(p.names, p.nominal, strict=True)}, decide.base_parameters(p, s, V), changed,
         _notes(search, recordings, joints), search.hypotheses, cutoff,
-        tuple(
-            {"file": r.source, "sha256": r.sha256, "role": role}
-            for role, group in (("estimation", recordings), ("held-out", held_out)) for r in group
-        ),
+        listed(recordings, held_out),
         search.options.seed, time.perf_counter() - begun,
         {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
         conditioning=decide.determined(p),

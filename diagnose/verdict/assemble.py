@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Mapping
 
+from diagnose.data.listed import listed
 from diagnose.evidence.conditioning import conditioning
 from diagnose.explain.next_experiment import next_experiment
 from diagnose.explain.torque_map import Mapped
@@ -70,10 +71,7 @@ def diagnosis(
         unit=outcome.unit,
         view="motion (free run)" if fitter.view.channel != "torque" else "force (inverse dynamics)",
         traces=traces(fitter, base, best, mapped.fitted if mapped is not None else None),
-        recordings=tuple(
-            {"file": e.recording.source, "sha256": e.recording.sha256, "role": role}
-            for role, group in (("estimation", fitter.experiments), ("held-out", fitter.held_out)) for e in group
-        ),
+        recordings=listed([e.recording for e in fitter.experiments], [e.recording for e in fitter.held_out]),
         hypotheses=search.tested,
         simulations=fitter.runs,
         friction=friction_by_recording(fitter, best) if options.by_recording else {},

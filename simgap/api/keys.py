@@ -38,7 +38,7 @@ FILES: dict[str, tuple[str, dict[str, str]]] = {
             "next_experiment": "what to record next, or null",
             "seed": "of the random generators",
             "versions": "of simgap and what it runs on",
-            "recordings": "file, sha256 and role of each",
+            "recordings": "file, sha256, role and hold of the input of each",
             "seconds": "how long it took",
         },
     ),

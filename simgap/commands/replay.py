@@ -56,7 +56,8 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     The simulation includes the effects that `simgap diagnose` wrote into the model. In the ode engine, effects that depend on
     the angle take the recorded angle where there is one. The fit is 100 (1 - nrmse) percent; nrmse is the rms error over the
     standard deviation of the measured channel. Beside the ode engine the error of the file in plain MuJoCo is printed, unless
-    MJCF cannot express one of its effects; of a coarse timestep the two differ.
+    MJCF cannot express one of its effects; of a coarse timestep the two differ. A recording of the diagnosis that wrote MODEL,
+    beside which its diagnosis.json lies, is taken with the hold of the input that was found there, unless its binding states one.
 
     Of a robot, MuJoCo steps all joints together on the recorded commands; joints that a torque drives are held to the
     recording by a tracking loop, whose torque is written as well.
@@ -66,6 +67,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     import numpy as np
 
     from diagnose.data.gap_input import as_moved
+    from diagnose.data.listed import as_taken, holds_beside
     from diagnose.json_file import json_text
     from mjsim.errors import InputError, nearest
     from mjsim.mjcf import load_model
@@ -91,7 +93,7 @@ def command(model: Path, recording: Path, out: Path, engine: str, start: str, jo
     record = loaded(recording, subject, joint=joint)
     assert isinstance(record, Recording)
     noted = len(record.notes)
-    record = as_moved(record)
+    record = as_moved(as_taken(record, holds_beside(model)))
     servo = source.axis.chain.servo is not None
     fitted = fitted_start(source, record) if start == "auto" else None
     run = simulate(subject, record, engine=engine, start=start if fitted is None else fitted)
@@ -185,8 +187,8 @@ def _robot(model: Path, recording: Path, out: Path, *, as_json: bool) -> None:
         click.echo(
             f"{name}: rms error {r['rms']:.6g} {r['unit']}, nrmse {r['nrmse']:.6g}, fit {100 * (1 - r['nrmse']):.3f} %{loop}"
         )
-    for line in found.effects:
-        click.echo(f"  with {line}")
+    for line in (*found.notes, *(f"with {x}" for x in found.effects)):
+        click.echo(f"  {line}")
     for line in found.lacking:
         click.echo(f"  not run: {line}")
     click.echo(printable(f"wrote {out}"))

@@ -15,6 +15,7 @@ from diagnose.data.channels import with_common_channels
 from diagnose.data.derived import without_derived_velocity
 from diagnose.data.experiment import Experiment, hold_out_blocks, prepare
 from diagnose.data.gap_input import with_input_in_gaps
+from diagnose.data.listed import as_taken
 from diagnose.data.servo import as_servo
 from diagnose.problem.choose_view import choose_view
 from diagnose.problem.view import View
@@ -51,6 +52,7 @@ def judged(model: Path, recordings: Sequence[Path], known: Baseline, tolerance: 
     source = load_model(model)
     chain = source.axis.chain
     loaded = [as_driven(chain, load(p, model=model, binding=carried_binding(source, p), driven=chain.driven)) for p in recordings]
+    loaded = [as_taken(r, known.holds) for r in loaded]
     roles = [of_the_baseline(r.source, r.sha256, known) for r in loaded]
     loaded, _, _ = with_common_channels(loaded, [])
     loaded, _, _ = with_input_in_gaps(loaded, [])

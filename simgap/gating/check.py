@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from diagnose.data.listed import holds_of
 from mjsim.errors import InputError, nearest_file
 
 __all__ = ["ROLES", "Baseline", "Check", "of_the_baseline", "ratio_of", "read_baseline"]
@@ -39,7 +40,8 @@ class Baseline:
     """Figures of a diagnosis.json.
 
     rms: of each role, of an axis; joints: of a robot, of each joint the rms by (SHA-256, role), where the joint moves; roles: of
-    each recording, by its SHA-256; by_mujoco: whether the figures are of the file as MuJoCo steps it.
+    each recording, by its SHA-256; by_mujoco: whether the figures are of the file as MuJoCo steps it; holds: how the input of
+    each goes between samples, by its SHA-256.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Baseline:
     view: str
     unit: str
     by_mujoco: bool
+    holds: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def robot(self) -> bool:
@@ -86,7 +89,8 @@ def _baseline(path: Path, told: Mapping[str, Any], against: str) -> Baseline:
     listed = [(str(r["sha256"]), str(r["file"])) for r in told["recordings"]]
     joints = {str(name): _rows(rows, listed, against) for name, rows in told.get("closed_loop", {}).get("joints", {}).items()}
     view = "force" if str(on["view"]).startswith("force") else "motion"
-    return Baseline(path, rms, joints, roles, view, str(on["unit"]), view == "motion" and "surrogate" in told["fit"])
+    return Baseline(path, rms, joints, roles, view, str(on["unit"]), view == "motion" and "surrogate" in told["fit"],
+                    holds_of(told["recordings"]))  # fmt: skip
 
 
 def _role(told: Mapping[str, Any]) -> str:

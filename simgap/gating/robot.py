@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnose.data.listed import as_taken
 from mjsim.errors import InputError, nearest
 from mjsim.quantity import Motion
 from mjsim.robot.closed_loop import closed_loop
@@ -30,7 +31,7 @@ def judged(model: Path, recordings: Sequence[Path], known: Baseline, tolerance: 
     effects = carried_effects(model)
     checks: list[Check] = []
     for path in recordings:
-        r = load_robot_recording(path, robot, model=model)
+        r = as_taken(load_robot_recording(path, robot, model=model), known.holds)
         for role in of_the_baseline(r.source, r.sha256, known):
             before = {n: rows[r.sha256, role] for n, rows in known.joints.items() if (r.sha256, role) in rows}
             if not before:

@@ -97,6 +97,23 @@ def test_a_robot_is_replayed_with_what_its_file_carries(rubbing, tmp_path):
     assert "joint2.tracking_Nm" in out.read_text().splitlines()[0]
 
 
+def test_a_robot_is_replayed_with_the_hold_that_its_diagnosis_took(rubbing, tmp_path):
+    folder, _ = rubbing
+    beside = tmp_path / "corrected.xml"
+    beside.write_bytes((folder / "out/corrected.xml").read_bytes())
+    told = json.loads((folder / "out/diagnosis.json").read_text())
+    for row in told["recordings"]:
+        assert row["hold"] != "mean"
+        row["hold"] = "mean"
+    (tmp_path / "diagnosis.json").write_text(json.dumps(told))
+    (tmp_path / "b.csv").write_bytes((folder / "b.csv").read_bytes())
+    bound = (folder / "b.toml").read_text()
+    (tmp_path / "b.toml").write_text("".join(line for line in bound.splitlines(True) if not line.startswith("hold")))
+    found = CliRunner().invoke(replay, [str(beside), str(tmp_path / "b.csv"), "--out", str(tmp_path / "p.csv")])
+    assert found.exit_code == 0, found.exception
+    assert "as in the diagnosis of this recording: mean" in found.stdout
+
+
 def test_a_gate_passes_the_files_of_a_diagnosis_and_stops_a_worse_one(rubbing, tmp_path):
     folder, _ = rubbing
 

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from diagnose.check.unused import unused_of_robot
+from diagnose.data.listed import listed
 from diagnose.robot.contact import contact_notes
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.pipeline import EXCLUDE, ORDER, overall, summary
@@ -317,8 +318,7 @@ def _told(
     return RobotDiagnosis(
         worst, summary(worst, joints, lines), joints, overall(joints), masses.estimates, masses.nominal, (), lines, tuple(notes),
         sum(len(s.laws) for s in searches), math.nan,
-        tuple({"file": r.source, "sha256": r.sha256, "role": role}
-              for role, group in (("estimation", recordings), ("held-out", held_out)) for r in group),
+        listed(recordings, held_out),
         searches[0].options.seed, time.perf_counter() - begun,
         {"simgap": version("simgap"), "mujoco": mujoco.__version__, "numpy": np.__version__, "python": platform.python_version()},
         {"channel": "angle", "unit": "rad", "view": "motion"},
