@@ -1,6 +1,6 @@
 """Acceleration limit of a servo: its target goes to the command with a bounded acceleration, and brakes in time to stop there.
 
-r'' = +-A such that r is at the command, and at rest, in the shortest time    (`mjsim.trapezoid`); the servo acts on the error to r
+r'' = A or -A, by which r comes to rest at the command in the shortest time;    the servo acts on the error to r
 
 A drive that moves by trapezoidal profiles has it, beside a velocity limit, which is an effect of its own.
 """
