@@ -1,9 +1,9 @@
 """Integral action of a position servo: beside kp and kv it has a force in proportion to the integral of its error (PID).
 
-force = kp e - kv l' + T0 + ki (integral of e dt since the first sample),    e: the error of the servo (`mjsim.servo`)
+force = kp e - kv l' + T0 + ki (integral of e dt since the first sample),    e: the error of the servo
 
 T0 is the force that the integral has at the first sample. A cascade of a position and a velocity loop has another weight of the
-command (`mjsim.effects.integral_action_of_cascade`).
+command: a law of its own, integral action of a cascade.
 """
 
 from __future__ import annotations

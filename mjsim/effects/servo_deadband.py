@@ -1,6 +1,6 @@
 """Dead band of a servo: its proportional part does nothing while the error is small.
 
-force = kp (e - clip(e, -w, w)) - kv l',    e: the error of the servo (`mjsim.servo`)
+force = kp (e - clip(e, -w, w)) - kv l',    e: the error of the servo
 """
 
 from __future__ import annotations

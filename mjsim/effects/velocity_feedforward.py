@@ -1,6 +1,6 @@
 """Velocity feedforward of a position servo: beside kp and kv it has a force in proportion to the speed of its target.
 
-force = kp e - kv l' + k r',    r: the target that the servo follows, e: its error (`mjsim.servo`)
+force = kp e - kv l' + k r',    r: the target that the servo follows, e: its error
 
 A controller that differentiates its error, and not the position alone, has k = kv; so has a cascade of a position and a velocity
 loop with full velocity feedforward. The force of a step of a command that is held is spread over the sample that follows.
