@@ -6,6 +6,7 @@ import copy
 import dataclasses
 
 import mujoco
+import numpy as np
 
 from mjsim.axis import Axis
 from mjsim.chain import Softness
@@ -54,8 +55,28 @@ def _softness(model: mujoco.MjModel) -> dict[tuple[str, int], Softness]:
     mujoco.mj_forward(m, data)
     joint, tendon = (int(k) for k in (mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF, mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON))
     out = {}
-    for kind, index, (_, rate, impedance, _) in zip(data.efc_type, data.efc_id, data.efc_KBIP.reshape(-1, 4), strict=True):
-        if int(kind) in (joint, tendon) and not holds(float(impedance), float(rate), float(m.opt.timestep)):
+    numbers = data.efc_KBIP.reshape(-1, 4)
+    for row, (kind, index) in enumerate(zip(data.efc_type, data.efc_id, strict=True)):
+        if int(kind) not in (joint, tendon):
+            continue
+        rate, impedance = float(numbers[row, 1]), _impedance(m, data, row)
+        if not holds(impedance, rate, float(m.opt.timestep)):
             at = ("joint", int(m.dof_jntid[index])) if int(kind) == joint else ("tendon", int(index))
-            out[at] = Softness(float(impedance), float(rate))
+            out[at] = Softness(impedance, rate)
     return out
+
+
+def _impedance(m: mujoco.MjModel, data: mujoco.MjData, row: int) -> float:
+    """A / (A + R) of a constraint: d of solimp where MuJoCo regularises by the inverse inertia A along the constraint.
+
+    It takes ``dof_invweight0`` for A, which leaves out the armature of a slide whose centre of mass is at the joint.
+    """
+    along, at_rest = np.zeros((1, m.nv)), np.zeros((1, m.nv))
+    if mujoco.mj_isSparse(m):
+        start, count = int(data.efc_J_rowadr[row]), int(data.efc_J_rownnz[row])
+        along[0, data.efc_J_colind[start : start + count]] = data.efc_J[start : start + count]
+    else:
+        along[0] = data.efc_J.reshape(-1, m.nv)[row]
+    mujoco.mj_solveM(m, data, at_rest, along)
+    inverse = float(along[0] @ at_rest[0])
+    return inverse / (inverse + float(data.efc_R[row]))

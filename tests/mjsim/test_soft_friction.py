@@ -113,3 +113,18 @@ def test_a_joint_without_friction_has_the_softness_that_it_would_have(tmp_path: 
     model = load_model(tmp_path / "model.xml")
     assert not has_soft_friction(model)
     assert with_softness(model.axis, model).chain.bodies[0].softness is not None
+
+
+@pytest.mark.parametrize("at", ["0 0 0", "0 0 -.1"])
+def test_a_slide_with_an_armature_creeps_as_in_mujoco(tmp_path: Path, torque: np.ndarray, at: str) -> None:
+    """MuJoCo regularises without the armature where the centre of mass is at the joint."""
+    (tmp_path / "model.xml").write_text(
+        f"""<mujoco><option {SHORT_STEP} integrator="RK4"/><worldbody><body>
+        <joint name="j" type="slide" axis="1 0 0" damping=".05" frictionloss=".1" armature=".6"/>
+        <inertial pos="{at}" mass=".4" diaginertia=".01 .01 .01"/></body></worldbody>
+        <actuator><motor name="drive" joint="j"/></actuator></mujoco>"""
+    )
+    model = load_model(tmp_path / "model.xml")
+    expected = by_mujoco(tmp_path / "model.xml", 0.3 * torque)
+    soft = simulate(with_softness(model.axis, model), 0.3 * torque, DT).velocity
+    assert np.sqrt(np.mean((soft - expected) ** 2)) < 1e-4 * np.sqrt(np.mean(expected**2))
