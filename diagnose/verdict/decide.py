@@ -96,12 +96,23 @@ def p_values(search: Search, poorer: Fitted, richer: Fitted) -> tuple[float, flo
     return held, float(chdtrc(extra, max(gain, 0.0))), gain
 
 
+def _is_preferred_unseen(search: Search, best: Fitted, other: Fitted) -> bool:
+    """Whether another structure without more numbers leaves less on held-out data, and as much on estimation data.
+
+    As much: no more than what a residual at the noise may have above it.
+    """
+    if other.hypothesis.size > best.hypothesis.size or not other.chi2 <= UNEXPLAINED * best.chi2:
+        return False
+    mine, its = search.held_out(best), search.held_out(other)
+    return mine is not None and its is not None and its.rms < mine.rms
+
+
 def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQUIVALENT) -> dict[str, float]:
     """Identifiers that could stand in this effect's place: same rest of the structure, criterion within ``margin``.
 
     Each with the held-out rms error of its structure, in the view's unit, NaN where it has none; lowest first. A margin of 10 in
-    C is a likelihood ratio of 150; two structures closer than that are not told apart. One that merely refines the effect, and
-    gains nothing by it, is not an equivalent.
+    C is a likelihood ratio of 150; two structures closer than that are not told apart. Nor are two of which the held-out data
+    prefer the other one. One that merely refines the effect, and gains nothing by it, is not an equivalent.
     """
     rest = {k for k in best.key if k != effect.key}
     out = []
@@ -110,7 +121,7 @@ def equivalents(search: Search, best: Fitted, effect: Effect, margin: float = EQ
         if len(f.key) != len(best.key) or len(others) != 1 or not rest <= set(f.key):
             continue
         (key,) = others
-        if key == effect.key or search.context.ahead(best, f) > margin:
+        if key == effect.key or (search.context.ahead(best, f) > margin and not _is_preferred_unseen(search, best, f)):
             continue
         rival = next(e for e in f.effects if e.key == key)
         if rival.name() == effect.name() and rival.place == effect.place:

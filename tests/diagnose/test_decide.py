@@ -193,3 +193,13 @@ def test_another_law_of_the_same_effect_is_no_equivalent():
     assert law.name() == COULOMB.name()
     best = structure(COULOMB)
     assert equivalents(search(best, structure(law, numbers=0)), best, COULOMB) == {}
+
+
+@pytest.mark.parametrize(
+    ("rms", "squares", "numbers", "listed"),
+    [(0.4, 1.039, 5, True), (0.5, 1.039, 5, False), (0.4, 1.041, 5, False), (0.4, 1.039, 6, False)],
+)
+def test_what_the_held_out_data_prefer_is_an_equivalent(rms, squares, numbers, listed):
+    best = structure(COULOMB, criterion=0.0, numbers=5, rms=0.5)
+    other = structure(OFFSET, criterion=50.0 + MARGIN, numbers=numbers, chi2=1000.0 * squares, rms=rms)
+    assert bool(equivalents(search(best, other), best, COULOMB)) is listed
