@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
+
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.least_squares import Status, orthonormal
 from diagnose.fit.starts import multistart
+from diagnose.problem.hypothesis import Hypothesis
 from diagnose.structure.graph import Neighbour
 from diagnose.structure.score import unexplained_squares
 from diagnose.structure.screening import Screening, screening_of
@@ -59,8 +62,8 @@ class Halving:
         """
         struck = [n for n in neighbours if effect_class(n[1].candidate.id).rough and _adds_body(n)]
         costly = [n for n in neighbours if (_adds_body(n) or _closes_loop(n)) and n not in struck]
-        found = self._fitted(base, [n for n in neighbours if n not in struck and n not in costly], floor)
-        found = self._from_nominal(base, found)
+        others = [n for n in neighbours if n not in struck and n not in costly]
+        found = self._from_nominal(base, others, self._fitted(base, others, floor))
         if found and min(f.chi2 for f in found) < SMALL * base.chi2:
             return found
         found = [*found, *self._fitted(base, costly, floor, found)]
@@ -68,19 +71,34 @@ class Halving:
             return found
         return [*found, *self._fitted(base, struck, floor, found)]
 
-    def _from_nominal(self, base: Fitted, found: list[Fitted]) -> list[Fitted]:
+    def _from_nominal(self, base: Fitted, neighbours: Sequence[Neighbour], found: list[Fitted]) -> list[Fitted]:
         """The neighbours, the leading one fitted from the nominal linear parameters as well, where it still leaves much.
 
-        Those of the base have made up for the effects that it lacks, and may lead to another minimum than these. Not where
-        it takes less than a quarter off the squared error.
+        Those of the base have made up for the effects that it lacks, and may lead to another minimum than these. Where no
+        neighbour of the nominal structure takes a quarter off the squared error, the leading one is that by a few iterations
+        from the nominal parameters.
         """
         state, best = self.state, min(found, key=lambda f: f.chi2, default=base)
-        if state.fitter.late or not state.fitter.above(best, FAR) or best.chi2 > (1.0 - FAIR) * base.chi2:
+        if state.fitter.late or not state.fitter.above(best, FAR):
             return found
-        again = state.fitter.fit(state.fitter.hypothesis(best.effects, None, best.own))
+        start: tuple[Hypothesis, np.ndarray | None] = state.fitter.hypothesis(best.effects, None, best.own), None
+        if best.chi2 > (1.0 - FAIR) * base.chi2:
+            lead = None if base.effects else self._leading_at_nominal(base, neighbours)
+            if lead is None or lead.chi2 > (1.0 - FAIR) * best.chi2:
+                return found
+            start = lead.hypothesis, lead.fit.x
+        again = state.fitter.fit(*start)
         if again.ok:
             state.keep(again)
         return [state.fits.best(f) for f in found]
+
+    def _leading_at_nominal(self, base: Fitted, neighbours: Sequence[Neighbour]) -> Fitted | None:
+        """The neighbour that leaves least after a few iterations from its best start at the nominal linear parameters."""
+        state, screening = self.state, self.screening(base)
+        first = state.fitter.map([partial(self._counted, partial(screening.at_nominal_start, e, s), None) for e, s in neighbours])
+        few = partial(state.fitter.fit, iterations=HALVINGS[0][1])
+        fits = state.fitter.map([partial(self._counted, partial(few, h), None) for h in first if h is not None])
+        return min((f for f in fits if f is not None and f.ok), key=lambda f: f.chi2, default=None)
 
     def _fitted(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float, ahead: Sequence[Fitted] = ()) -> list[Fitted]:
         """Neighbours that are fitted together, once those ``ahead`` were."""

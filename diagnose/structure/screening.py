@@ -138,6 +138,15 @@ class Screening:
             )  # fmt: skip
         return self._in_full(first.unconverged())
 
+    def at_nominal_start(self, others: tuple[Effect, ...], s: Screened) -> Hypothesis | None:
+        """The start of an effect at the nominal linear parameters that costs least; None where none can be run."""
+        guesses, fitted = self._starts(others, s, far=True)
+        at_nominal = guesses[fitted:]
+        residuals = self.fitter.run([self.fitter.at_start(h) for h in at_nominal])
+        cost = [math.inf if r is None else float(r @ r) for r in residuals]
+        best = min(range(len(cost)), key=cost.__getitem__, default=None)
+        return None if best is None or math.isinf(cost[best]) else at_nominal[best]
+
     def _starts(self, others: tuple[Effect, ...], s: Screened, *, far: bool) -> tuple[list[Hypothesis], int]:
         """Starts of an effect, and how many of them, the first, are at the fitted linear parameters; the rest at the nominal."""
         cls, fitter, base = effect_class(s.candidate.id), self.fitter, self.base

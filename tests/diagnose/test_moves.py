@@ -109,8 +109,33 @@ def test_a_body_is_begun_last_and_not_where_another_effect_leaves_little(monkeyp
         return [found[name] for name in names]
 
     monkeypatch.setattr(halving.Halving, "_fitted", fitted)
-    monkeypatch.setattr(halving.Halving, "_from_nominal", lambda _, base, found: found)
+    monkeypatch.setattr(halving.Halving, "_from_nominal", lambda _, base, neighbours, found: found)
     neighbours = [((), SimpleNamespace(candidate=SimpleNamespace(id=name))) for name in reversed(found)]
     out = halving.Halving(SimpleNamespace(fitter=SimpleNamespace(above=lambda f, _: True))).run(base, neighbours, 0.0)
     assert asked == [(["coulomb_friction"], 0), (["extra_flexible_mode"], 1)][:begun]
     assert len(out) == begun
+
+
+@pytest.mark.parametrize(
+    ("effects", "best", "lead", "tried"),
+    [((), 76.0, 56.0, True), ((), 76.0, 58.0, False), ((LINEAR,), 76.0, 10.0, False), ((), 74.0, 10.0, False)],
+)
+def test_where_no_neighbour_helps_the_leading_one_at_the_nominal_numbers_is_fitted(monkeypatch, effects, best, lead, tried):
+    """Of a base that leaves 100: a quarter off it, and a quarter off the best neighbour, are needed."""
+    fitted = []
+
+    def fit(hypothesis, start):
+        fitted.append((hypothesis, start))
+        return SimpleNamespace(ok=True)
+
+    state = SimpleNamespace(
+        fitter=SimpleNamespace(late=False, above=lambda f, _: True, fit=fit, hypothesis=lambda *_: "of the best"),
+        keep=lambda f: None, fits=SimpleNamespace(best=lambda f: f),
+    )  # fmt: skip
+    leading = SimpleNamespace(chi2=lead, hypothesis="of the lead", fit=SimpleNamespace(x="where it came to"))
+    monkeypatch.setattr(halving.Halving, "_leading_at_nominal", lambda *_: leading)
+    found = [SimpleNamespace(chi2=best, effects=(LINEAR,), own={})]
+    base = SimpleNamespace(chi2=100.0, effects=effects)
+    assert halving.Halving(state)._from_nominal(base, [], found) == found
+    led = [("of the lead", "where it came to")] if tried else [("of the best", None)] if best < 75.0 else []
+    assert fitted == led
