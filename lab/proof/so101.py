@@ -112,11 +112,11 @@ Each cell: the file as published, then corrected.xml [mrad rms]. A dash: the joi
 
 
 def _found(r: JointResult) -> str:
-    """Findings with their first parameter."""
+    """Findings with their parameters."""
     out = []
     for f in r.findings:
-        name, e = next(iter(f.parameters.items()))
-        out.append(f"{f.effect} ({name} {interval(e.value, e.ci95, 3)})")
+        numbers = ", ".join(f"{name} {interval(e.value, e.ci95, 3)}" for name, e in f.parameters.items())
+        out.append(f"{f.effect} ({numbers})")
     return "; ".join(out) or "numbers only"
 
 
