@@ -173,7 +173,7 @@ def test_soft_friction_of_any_body_is_soft(soft):
 
 
 def test_friction_in_place_of_the_models_own_asks_for_the_other_kind(monkeypatch):
-    """A law of friction with a creep stands in for a soft one, and leaves nothing."""
+    """A law of friction that creeps explains what soft friction does, down to the noise."""
     law = SimpleNamespace(kind="physics", law="coulomb_friction_with_creep", parameters={})
     found = result(Verdict.MISSING_PHYSICS, findings=(law,))
     assert _open(found, FRICTION)
