@@ -112,11 +112,11 @@ Each cell: the file as published, then corrected.xml [mrad rms]. A dash: the joi
 
 
 def _found(r: JointResult) -> str:
-    """Findings with their parameters."""
+    """Findings with their first parameter."""
     out = []
     for f in r.findings:
-        numbers = ", ".join(f"{name} {interval(e.value, e.ci95, 3)}" for name, e in f.parameters.items())
-        out.append(f"{f.effect} ({numbers})")
+        name, e = next(iter(f.parameters.items()))
+        out.append(f"{f.effect} ({name} {interval(e.value, e.ci95, 3)})")
     return "; ".join(out) or "numbers only"
 
 
