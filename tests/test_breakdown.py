@@ -149,7 +149,8 @@ def test_a_limit_on_memory(folder):
     assert not (folder / "out").exists()
 
 
-@pytest.mark.parametrize("group", [pytest.param(True, marks=pytest.mark.slow), False], ids=["group", "process"])
+@pytest.mark.slow
+@pytest.mark.parametrize("group", [True, False], ids=["group", "process"])
 def test_sigterm_while_a_film_is_drawn(tmp_path, group):
     """The command ends by one line; the encoder, which may end before it, makes no difference. No part is left."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}

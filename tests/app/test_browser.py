@@ -290,6 +290,7 @@ def test_a_folder_of_a_real_robot(browser: Any, address: str, local_copy: Any) -
         fits(page, 1400, "sage")
 
 
+@pytest.mark.slow
 def test_from_an_upload_to_its_picture(browser: Any, address: str, log: bytes, tmp_path: Path) -> None:
     recording, bad = tmp_path / "log.csv", tmp_path / "bad.csv"
     recording.write_bytes(log)

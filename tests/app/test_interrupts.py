@@ -14,6 +14,7 @@ pytest.importorskip("starlette", reason="starlette is not installed: pip install
 from simgap.app import preview
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no signal mask")
 def test_an_interrupt_while_the_drawing_process_starts_does_not_end_it(tmp_path, monkeypatch):
     (tmp_path / "a.csv").write_text("t,torque_Nm\n" + "".join(f"{0.01 * k:.2f},{k % 3}\n" for k in range(100)))

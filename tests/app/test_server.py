@@ -345,6 +345,7 @@ def test_a_missing_extra_is_one_line(monkeypatch, capsys, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_picture_of_a_recording_or_why_there_is_none(client, run, log):
     client.put(f"/api/runs/{run}/recordings/a.csv", content=log)
     client.put(f"/api/runs/{run}/recordings/b.csv", content=b"<b>,y\n1,2\n")

@@ -26,6 +26,7 @@ def test_it_is_a_command() -> None:
     assert "Example:" in CliRunner().invoke(command, ["--help"]).output
 
 
+@pytest.mark.slow
 def test_sealing_again_finds_the_same_envelope_and_refuses_another_plan(sealed: Path) -> None:
     manifest = json.loads((sealed / "recordings" / "manifest.json").read_text())
     before = (sealed / "recordings" / "001_estimation.csv").stat().st_mtime_ns

@@ -81,6 +81,7 @@ def test_angle_against_velocity(log):
     assert abs(pair.delay.value) < 1e-3
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_every_known_factor_is_found_and_no_other(data, log, machine):

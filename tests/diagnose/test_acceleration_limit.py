@@ -34,6 +34,7 @@ def names(axis, limit: float, acceleration: float, hold: str = "held", rivals=RI
     return {f.effect: {k: v.value for k, v in f.parameters.items()} for f in found.findings}, found
 
 
+@pytest.mark.slow
 def test_it_is_named_beside_a_velocity_limit(axis):
     found, result = names(axis, 1.2, ACCELERATION, rivals=RIVALS[:4], seconds=5.0)
     assert set(found) == {"acceleration_limit", "velocity_limit"}

@@ -70,6 +70,7 @@ def test_an_effect_without_an_order_has_no_such_rival(robot, record):
     fitter.close()
 
 
+@pytest.mark.slow
 def test_no_physics_is_named_for_it(robot, pair):
     first, other = (erring(r) for r in pair())
     result = diagnose(robot, [first], [other], Options(jobs=1, effects=LOCKED))

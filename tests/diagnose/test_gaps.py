@@ -213,6 +213,7 @@ def lossy_files(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_replay_and_gate_take_the_input_in_gaps_as_diagnose_does(lossy_files, tmp_path):
     """Held at the last row, the input leaves 1.4 times the noise at the true model."""
     words = [str(lossy_files / "arm.xml"), str(lossy_files / "a.csv")]

@@ -43,6 +43,7 @@ def screw():
     return nominal, Recording(run.time, force, speed, run.angle + 1e-7 * rng.standard_normal(N), DT), true["kg"]
 
 
+@pytest.mark.slow
 def test_a_gap_is_found_that_plain_fits_miss(screw):
     nominal, recording, stiffness = screw
     fitter = Fitter(nominal, MotionView(), (prepare(recording),), (), 1)

@@ -28,13 +28,10 @@ def diagnosed(folder, of: PidCase, model: str = "nominal"):
     return result, given, truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("begin", "machine"),
-    [
-        ("rest", "pendulum"),
-        pytest.param("motion", "pendulum", marks=pytest.mark.slow),
-        pytest.param("motion", "geared", marks=pytest.mark.slow),
-    ],
+    [("rest", "pendulum"), ("motion", "pendulum"), ("motion", "geared")],
 )
 def test_it_is_named_from_a_start_at_rest_under_gravity_and_in_motion(tmp_path, begin, machine):
     result, _, truth = diagnosed(tmp_path, case(begin, machine=machine))

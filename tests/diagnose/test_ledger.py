@@ -101,6 +101,7 @@ def test_the_end_is_the_same_as_without_the_interruption(whole, robot, tmp_path,
     assert again.size - again.recalled < count - known + 1, "what was known was not fitted again"
 
 
+@pytest.mark.slow
 def test_a_known_search_is_not_fitted_again(whole, robot, tmp_path, monkeypatch):
     recordings, options, expected, count = whole
     ledger = Ledger(tmp_path / "state.jsonl", "this")

@@ -67,12 +67,13 @@ def model(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "level", "creep", "law"),
     [
         (0.2, 0.0, 0.0, ""),
-        pytest.param(0.2, 0.2, 0.0, "load_dependent_friction_with_constant_part", marks=pytest.mark.slow),
-        pytest.param(0.15, 0.1, 0.003, "load_dependent_friction_with_creep", marks=pytest.mark.slow),
+        (0.2, 0.2, 0.0, "load_dependent_friction_with_constant_part"),
+        (0.15, 0.1, 0.003, "load_dependent_friction_with_creep"),
     ],
     ids=["share", "share and level", "share and level that creep"],
 )

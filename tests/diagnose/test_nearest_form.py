@@ -47,6 +47,7 @@ def log(axis, seed):
     return Recording(t, u, velocity, angle, DT, source=f"{seed}.csv")
 
 
+@pytest.mark.slow
 def test_plain_mujoco_gets_coulomb_friction_and_damping(model, tmp_path):
     axis, files, out = load_axis(model), [], tmp_path / "out"
     for seed in (1, 2):

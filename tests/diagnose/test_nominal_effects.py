@@ -86,6 +86,7 @@ def test_what_is_not_exercised_stays_as_given(lighter):
     assert kept["actuator_saturation@actuator"].values == {"limit_Nm": 2.0}
 
 
+@pytest.mark.slow
 def test_plain_mujoco_has_the_other_weight(lighter, model, tmp_path):
     nominal, true, result = lighter
     out = tmp_path / "corrected.xml"

@@ -58,6 +58,7 @@ def test_numbers_and_starts_are_found_at_once(bench):
     assert b.out.read_bytes() == file
 
 
+@pytest.mark.slow
 def test_numbers_that_the_recordings_cannot_tell_stay(bench):
     b, form, runs = bench
     name = b.given.chain.linear_parameters()[0].name

@@ -83,7 +83,8 @@ def test_without_that_rule_it_would_be(monkeypatch):
     assert told(1, (*FEW, "time_delay"), unknown=0.4).findings
 
 
-@pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), pytest.param(0.05, 1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("unknown", "memory"), [(0.15, 0.05), (0.05, 1.0)])
 def test_friction_beside_them_is_named(unknown, memory):
     result = told(5, FEW, unknown=unknown, memory=memory, dry=0.3)
     assert [f.effect for f in result.findings] == ["coulomb_friction"]

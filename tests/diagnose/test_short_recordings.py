@@ -63,7 +63,8 @@ def steps(tmp_path_factory):
     return made
 
 
-@pytest.mark.parametrize("drive", [pytest.param("servo", marks=pytest.mark.slow), "motor"])
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["servo", "motor"])
 def test_friction_and_inertia_of_step_responses(steps, drive, tmp_path):
     model, paths = steps(drive, 0)
     options = Options(jobs=1, effects=("coulomb_friction", "time_delay"))

@@ -79,6 +79,7 @@ def refitted(axis, write, nominal, folder):
     return run_files([MujocoPlant.load(folder / "both.xml")], nominal.cases, 1)[0]
 
 
+@pytest.mark.slow
 def test_a_stand_in_for_how_the_simulator_steps_is_left_out(asked):
     less, before, after = asked(0.002, 0.5 * SMALL)
     assert less is not None

@@ -51,6 +51,7 @@ def test_what_is_on_disk_is_loaded_without_the_tables_of_the_compiler():
     assert run("-c", code) == "False"
 
 
+@pytest.mark.slow
 def test_functions_and_callbacks_are_compiled_after_others_were_loaded_and_kept(tmp_path: Path):
     module = tmp_path / "new.py"
     module.write_text(NEW)

@@ -123,6 +123,7 @@ def test_the_literal_engine_says_what_it_lacks(tmp_path, nominal, found):
     assert [line.split(":")[0] for line in result["lacks"]] == ["backlash at the gearbox", "gravity load at the arm"]
 
 
+@pytest.mark.slow
 def test_the_literal_nominal_model_meets_the_bar(tmp_path, nominal):
     recording = log(tmp_path / "log.csv", load_axis(nominal), chirp())
     result = replay(nominal, recording, "--out", tmp_path / "p.csv", "--engine", "literal")

@@ -80,6 +80,7 @@ def processor_time(page: Any) -> Any:
     return session
 
 
+@pytest.mark.slow
 def test_zoom_by_dragging_buttons_and_keys(wide: Watched) -> None:
     whole = view(wide)
     drag(wide, "time", 0.2, 0.6)
@@ -148,6 +149,7 @@ def test_play_moves_the_cursor_and_stops(wide: Watched) -> None:
     assert wide.page.inner_text("[data-do='play']") == "Play"
 
 
+@pytest.mark.slow
 def test_a_stretch_of_time_is_marked_everywhere(wide: Watched) -> None:
     press(wide, "select")
     drag(wide, "time", 0.1, 0.3)
@@ -208,6 +210,7 @@ def names(w: Watched, part: str) -> list[str]:
     return list(w.page.evaluate(f"document.querySelector('#recordings-{part} .gd').data.map((t) => t.name)"))
 
 
+@pytest.mark.slow
 def test_recording_error_and_state_are_chosen(wide: Watched) -> None:
     page = wide.page
     assert page.input_value("[data-choose='recording']") == "1"  # the held-out one
@@ -293,6 +296,7 @@ def test_the_keyboard_reaches_every_control(browser: Any, file: Path) -> None:
         w.clean()
 
 
+@pytest.mark.slow
 def test_print_and_pages_without_scripts_show_the_static_pictures(browser: Any, file: Path) -> None:
     with opened(browser, file, java_script_enabled=False) as w:
         assert w.page.is_visible(".static svg >> nth=0")

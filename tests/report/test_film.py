@@ -63,6 +63,7 @@ def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
     return tmp_path / "report.html"
 
 
+@pytest.mark.slow
 def test_it_follows_the_slider(browser: Any, page: Path) -> None:
     with opened(browser, page) as w:
         w.page.wait_for_selector("#recordings-time .gd svg")

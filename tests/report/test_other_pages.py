@@ -32,6 +32,7 @@ def pages(log: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) 
     return {"identification": fitted.report(folder / "identification.html"), "check": folder / "check.html"}
 
 
+@pytest.mark.slow
 @WINDOWS
 @pytest.mark.parametrize(("name", "plots"), [("identification", 0), ("check", 3)])
 def test_opens_from_disk_and_fits_the_window(

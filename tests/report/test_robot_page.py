@@ -65,6 +65,7 @@ def still(file: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @WINDOWS
 def test_fits_each_window(browser: Any, still: Path, widths: tuple[int, ...]) -> None:
     looks_right(browser, still, plots=6, widths=widths)

@@ -56,9 +56,8 @@ def moving() -> RobotLog:
     return run_robot(robot_scenario("arm6_friction", sample_time_s=0.01))
 
 
-@pytest.mark.parametrize(
-    "joint", [pytest.param("joint1", marks=pytest.mark.slow), "joint3", pytest.param("joint5", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", ["joint1", "joint3", "joint5"])
 def test_a_joint_that_moved_unseen_is_named_by_torque(moving: RobotLog, joint: str) -> None:
     r = without(moving, joint)
     found = moved_unseen(moving.robot, r, *smoothed(moving.robot, r))

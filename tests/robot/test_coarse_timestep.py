@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 
 from diagnose.result import Verdict
 from mjsim.robot.recording import RobotRecording
@@ -38,6 +39,7 @@ def recorded(seed: int, seconds: float = 12.0) -> RobotRecording:
     )
 
 
+@pytest.mark.slow
 def test_the_corrected_file_takes_up_the_integration_error_of_such_a_joint(tmp_path):
     """The gain of the shoulder differs, no number of the elbow does; MuJoCo at 5 ms errs at both."""
     path = tmp_path / "arm.xml"

@@ -35,6 +35,7 @@ def test_compensation_takes_a_part_of_the_weight(axes):
     assert (law.id, law.joint) == ("gravity_compensation_spring", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [3, 6])
 def test_a_steady_load_hardly_varies_and_friction_goes_with_it(axes):
     case = draw(12, "steady_load", axes)

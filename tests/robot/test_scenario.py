@@ -71,6 +71,7 @@ def test_a_trajectory_keeps_its_limits_starts_at_rest_and_is_better_than_a_rando
     assert e.condition < 0.7 * np.median(random)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", shipped_robot_scenarios())
 def test_shipped_scenarios_run_and_their_logs_can_be_read(name: str, tmp_path: Path) -> None:
     result = CliRunner().invoke(command, [name, "--out", str(tmp_path), "--duration", "4"], catch_exceptions=False)

@@ -32,6 +32,7 @@ def test_the_budget_of_time_ends_the_search(rubbing, late):
     assert (LATE in d.notes) is late
 
 
+@pytest.mark.slow
 def test_a_model_that_is_still_judged_has_not_its_final_name(rubbing, monkeypatch):
     def broken(*asked):
         assert asked[2].is_file()

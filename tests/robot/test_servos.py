@@ -154,6 +154,7 @@ def test_a_cable_is_no_weight_and_no_spring(folder):
     assert d.verdict is Verdict.MISSING_PHYSICS
 
 
+@pytest.mark.slow
 def test_a_robot_as_in_the_file_has_no_findings(folder):
     d = diagnosed(folder(NOMINAL, 4.0))
     assert d.verdict is Verdict.NO_MISMATCH

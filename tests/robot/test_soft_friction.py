@@ -79,7 +79,8 @@ def test_a_run_creeps_as_mujoco_does(tmp_path, more):
     assert errors[not more] < 0.5 * errors[bool(more)]
 
 
-@pytest.mark.parametrize("more", ["", pytest.param(STIFF, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("more", ["", STIFF])
 def test_friction_of_either_kind_is_dry_friction(tmp_path, more):
     """Every joint at the noise in MuJoCo, nothing else named; corrected.xml has the kind of friction that the log shows."""
     logs = [recorded(arm(LEVELS, more), seed) for seed in (1, 2)]

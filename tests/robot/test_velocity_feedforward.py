@@ -67,6 +67,7 @@ def test_a_run_has_the_feedforward_of_its_slot(tmp_path, hold):
     assert np.std(error) < 0.03 * without
 
 
+@pytest.mark.slow
 def test_it_is_named_at_its_joint(tmp_path):
     logs = [recorded("held", 15.0, seed, 1e-4) for seed in (1, 2)]
     found = diagnose_robot_recordings(logs[:1], arm(tmp_path), tmp_path / "out", logs[1:], RobotOptions(), page=False)
