@@ -139,6 +139,14 @@ SECOND_SPLIT = _number(
     "for a search of another split, or tied to the recorded angle, whatever the first took",
     "flow",
 )
+ONE_FIT = _number(
+    "ONE_FIT",
+    DERIVED,
+    1 / LEADING,
+    "of the budget",
+    "that one fit may take: those of the last rung together take it all",
+    "moves",
+)
 RUNS = _number("RUNS", COST, 14_000, "runs", "some 20 s for 10 s at 2 kHz on two cores", "budget")
 LONGEST = _number(
     "LONGEST", COST, 240_000, "samples", "2 min at 2 kHz: 2 GB; of a longer recording stretches are fitted", "stretches"

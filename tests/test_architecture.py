@@ -269,7 +269,7 @@ def test_the_table_of_numbers_does_not_grow():
 def test_what_is_derived_follows_from_other_numbers():
     t = importlib.import_module("diagnose.thresholds")
     derived = {name for name, x in t.TABLE.items() if x.kind == t.DERIVED}
-    assert derived == {"FAIR", "SAME", "LEADING", "LEAST_SAMPLES", "FEWEST", "SHORTEST", "LARGE", "FAR", "SENSOR_SHARE"}
+    assert " ".join(sorted(derived)) == "FAIR FAR FEWEST LARGE LEADING LEAST_SAMPLES ONE_FIT SAME SENSOR_SHARE SHORTEST"
     assert math.isclose(math.sqrt(2 / t.LEAST_SAMPLES), t.MATERIAL), "a mean square is known to a material gain"
     assert math.isclose(1 / math.sqrt(2 * t.FEWEST), t.SMALL), "an rms is known to a small share"
     assert math.isclose(1 / math.sqrt(2 * t.SHORTEST), t.TWICE * t.SMALL), "a weight is known to a tenth"
@@ -278,6 +278,7 @@ def test_what_is_derived_follows_from_other_numbers():
     assert math.isclose((t.LARGE - 1) * t.TWICE, 1), "an error of half the variance of the noise"
     assert math.isclose(t.FAR - 1, t.TWICE), "an error of twice the variance of the noise"
     assert math.isclose(t.SENSOR_SHARE, t.SMALL * t.MATERIAL)
+    assert math.isclose(t.ONE_FIT * t.LEADING, 1)
 
 
 # private metaphors that standard terms have replaced (residual, confounder, divergence, prediction, zero, negligible, ...)

@@ -21,7 +21,7 @@ from diagnose.problem.hypothesis import Hypothesis
 from diagnose.problem.noise_model import NoiseModel
 from diagnose.problem.problem import Problem, Residual, bounded
 from diagnose.problem.view import View
-from diagnose.thresholds import ANEW, FAR, SAME, SMALL
+from diagnose.thresholds import ANEW, FAR, ONE_FIT, SAME, SMALL
 from mjsim.axis import Axis
 from mjsim.effects import Effect, NotApplicableError, Scales
 from mjsim.system import assemble
@@ -259,7 +259,7 @@ class Fitter:
                 self.residual(h), start, h.bounds, step=np.full(len(h.entries), step), run=counted.run,
                 max_iterations=iterations, tolerance=tolerance, J0=J0, r0=r0, secant=secant, reach=h.reach,
                 fresh=[i for i, e in enumerate(h.entries) if e.owner in fresh], coarse=coarse,
-                slope=self.problem.slope(h),
+                slope=self.problem.slope(h), spent=lambda: counted.work > ONE_FIT * self.most_runs * self.engine.unit,
             )  # fmt: skip
 
         if known is None:

@@ -290,7 +290,6 @@ def levenberg_marquardt(
     run: Run,
     max_iterations: int = 20,
     tolerance: float = 1e-5,
-    damping: float = 1e-3,
     J0: np.ndarray | None = None,
     r0: np.ndarray | None = None,
     secant: bool = False,
@@ -298,6 +297,7 @@ def levenberg_marquardt(
     reach: np.ndarray | None = None,
     coarse: tuple[float, float] = (np.inf, 0.0),
     slope: Callable[[np.ndarray], Residual] | None = None,
+    spent: Callable[[], bool] = lambda: False,
 ) -> Fit:
     """Minimise |r(x)|^2 within bounds.
 
@@ -308,7 +308,8 @@ def levenberg_marquardt(
     fresh: with ``secant``, the columns that are differenced all the same, since they change most;
     reach (p,): largest change of each number in one iteration, by which the whole step is shortened;
     coarse: a cost, and the tolerance that is enough above it;
-    slope: of a point, the residual whose secants there are the Jacobian, where those of the residual itself tell little.
+    slope: of a point, the residual whose secants there are the Jacobian, where those of the residual itself tell little;
+    spent: asked after each iteration whether it has taken all the simulations that it may.
     """
     lower, upper = bounds
     x = np.clip(x0, lower, upper)
@@ -320,7 +321,7 @@ def levenberg_marquardt(
     if r is None:
         return Fit(x, np.inf, Linearised.known(np.empty(0), np.empty((0, len(x)))), Status.FAILED, 0, 0.0)
     J = np.zeros((len(r), len(x)))  # what a fit keeps whose first Jacobian fails
-    now = _Point(x, r, float(r @ r), J, damping, r, np.zeros(len(x)))
+    now = _Point(x, r, float(r @ r), J, 1e-3, r, np.zeros(len(x)))  # little damping: near a Gauss-Newton step
     if now.cost == 0.0:
         return Fit(x, 0.0, Linearised.known(r, J), Status.CONVERGED, 0, 0.0)
     method = _Method(residual, slope, lower, upper, step, run, secant, fresh, reach)
@@ -334,5 +335,7 @@ def levenberg_marquardt(
         ended = method.descend(now, enough)
         if ended is not None:
             status = ended
+            break
+        if spent():
             break
     return Fit(now.x, now.cost, Linearised.known(now.r, now.J), status, iteration, float(now.gain))

@@ -56,20 +56,39 @@ class Halving:
     def run(self, base: Fitted, neighbours: Sequence[Neighbour], floor: float) -> list[Fitted]:
         """The neighbours, fitted; ``floor``: the gain of C over the base below which one is not fitted on.
 
-        A further body, and a further feedback, take many times what another effect does, and may take more than the budget. They
-        are begun last, and not where another effect leaves little of the error: they are tried beside that one then. A body
-        behind a gap strikes in nearly every sample: it comes after all, and only where the others leave more than noise.
+        A further feedback, a law whose runs are long, and a further body take many times what another effect does, and may take
+        more than the budget. They are begun after the others, in this order, and not where another effect leaves little of the
+        error: they are tried beside that one then. A body behind a gap strikes in nearly every sample: it comes after all, and
+        only where the others leave more than noise.
         """
-        struck = [n for n in neighbours if effect_class(n[1].candidate.id).rough and _adds_body(n)]
-        costly = [n for n in neighbours if (_adds_body(n) or _closes_loop(n)) and n not in struck]
-        others = [n for n in neighbours if n not in struck and n not in costly]
+        bodies = [n for n in neighbours if _adds_body(n)]
+        struck = [n for n in bodies if effect_class(n[1].candidate.id).rough]
+        loops = [n for n in neighbours if _closes_loop(n)]
+        others = [n for n in neighbours if n not in bodies and n not in loops]
+        long = self._long(base, others)
+        others = [n for n in others if n not in long]
         found = self._from_nominal(base, others, self._fitted(base, others, floor))
-        if found and min(f.chi2 for f in found) < SMALL * base.chi2:
-            return found
-        found = [*found, *self._fitted(base, costly, floor, found)]
+        for later in (loops, long, [n for n in bodies if n not in struck]):
+            if found and min(f.chi2 for f in found) < SMALL * base.chi2:
+                return found
+            found = [*found, *self._fitted(base, later, floor, found)]
         if found and struck and not self.state.fitter.above(min(found, key=lambda f: f.chi2), UNEXPLAINED):
             return found
         return [*found, *self._fitted(base, struck, floor, found)]
+
+    def _long(self, base: Fitted, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
+        """Those that take more runs than all shorter ones together, and more than their share of the runs that are left.
+
+        A law that repeats many times over the travel has many steps in a sample.
+        """
+        fitter = self.state.fitter
+        share = (fitter.most_runs - fitter.runs) / max(1, len(neighbours))
+        iterations = sum(n for _, n, _ in HALVINGS)
+        costs = []
+        for others, s in neighbours:
+            h = fitter.hypothesis((*others, s.effect), base.linear, base.own)
+            costs.append(iterations * len(h.entries) * fitter.length(h, h.start))
+        return [n for n, cost in zip(neighbours, costs, strict=True) if cost > share and cost > sum(c for c in costs if c < cost)]
 
     def _from_nominal(self, base: Fitted, neighbours: Sequence[Neighbour], found: list[Fitted]) -> list[Fitted]:
         """The neighbours, the leading one fitted from the nominal linear parameters as well, where it still leaves much.

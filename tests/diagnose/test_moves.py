@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 from robot_axis import effect
 
+from diagnose.fit.least_squares import Status
 from diagnose.fit.starts import multistart
 from diagnose.problem.noise_model import KnownNoise, ModelError
 from diagnose.structure import halving
@@ -97,10 +98,14 @@ def test_an_added_body_is_not_fitted_anew_beside_a_neighbour_that_leaves_little(
     assert len(asked) == restarts
 
 
-@pytest.mark.parametrize(("left", "begun"), [(0.9 * SMALL, 1), (1.1 * SMALL, 2)])
-def test_a_body_is_begun_last_and_not_where_another_effect_leaves_little(monkeypatch, left, begun):
+ORDER = ["coulomb_friction", "integral_action", "torque_ripple", "extra_flexible_mode"]
+
+
+@pytest.mark.parametrize("left", [0.9 * SMALL, 1.1 * SMALL])
+@pytest.mark.parametrize("at", range(3))
+def test_a_feedback_a_long_law_and_a_body_are_begun_last_and_not_where_another_leaves_little(monkeypatch, left, at):
     base, asked = SimpleNamespace(chi2=1e4, key=()), []
-    found = {"coulomb_friction": SimpleNamespace(chi2=left * 1e4), "extra_flexible_mode": SimpleNamespace(chi2=9e3)}
+    found = {name: SimpleNamespace(chi2=left * 1e4 if k == at else 9e3) for k, name in enumerate(ORDER)}
 
     def fitted(_, base, neighbours, floor, ahead=()):
         names = [s.candidate.id for _, s in neighbours]
@@ -110,10 +115,33 @@ def test_a_body_is_begun_last_and_not_where_another_effect_leaves_little(monkeyp
 
     monkeypatch.setattr(halving.Halving, "_fitted", fitted)
     monkeypatch.setattr(halving.Halving, "_from_nominal", lambda _, base, neighbours, found: found)
-    neighbours = [((), SimpleNamespace(candidate=SimpleNamespace(id=name))) for name in reversed(found)]
+    monkeypatch.setattr(halving.Halving, "_long", lambda _, base, n: [x for x in n if x[1].candidate.id == "torque_ripple"])
+    neighbours = [((), SimpleNamespace(candidate=SimpleNamespace(id=name))) for name in reversed(ORDER)]
     out = halving.Halving(SimpleNamespace(fitter=SimpleNamespace(above=lambda f, _: True))).run(base, neighbours, 0.0)
-    assert asked == [(["coulomb_friction"], 0), (["extra_flexible_mode"], 1)][:begun]
+    begun = at + 1 if left < SMALL else 4
+    assert asked == [([name], k) for k, name in enumerate(ORDER[:begun])]
     assert len(out) == begun
+
+
+@pytest.mark.parametrize(("runs", "order", "late"), [(14_000, 3e6, True), (14_000, 3.0, False), (math.inf, 3e6, False)])
+def test_a_law_is_long_that_takes_more_runs_than_the_others_and_than_its_share(fitter_of, pair, runs, order, late):
+    fitter = fitter_of(pair())
+    fitter.allow(runs)
+    base = fitter.fit(fitter.hypothesis(()), iterations=0)
+    ripple = effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=order, phase_rad=0.5)
+    neighbours = [((), SimpleNamespace(effect=e)) for e in (ripple, LINEAR, effect("torque_offset", torque_Nm=0.1))]
+    assert halving.Halving(SimpleNamespace(fitter=fitter))._long(base, neighbours) == neighbours[: int(late)]
+
+
+def test_one_fit_takes_a_part_of_the_budget(fitter_of, pair):
+    ripple = effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=8.0, phase_rad=0.5)
+    fitter = fitter_of(pair(LINEAR))
+    plain = fitter.fit(fitter.hypothesis([ripple]))
+    assert plain.fit.iterations > 3
+    fitter.allow(1.0)
+    stopped = fitter.fit(fitter.hypothesis([ripple]))
+    assert (stopped.fit.iterations, stopped.fit.status) == (1, Status.BUDGET)
+    assert plain.chi2 < stopped.chi2 < math.inf
 
 
 @pytest.mark.parametrize(
