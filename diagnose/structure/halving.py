@@ -103,7 +103,7 @@ class Halving:
         start: tuple[Hypothesis, np.ndarray | None] = state.fitter.hypothesis(best.effects, None, best.own), None
         if best.chi2 > (1.0 - FAIR) * base.chi2:
             lead = None if base.effects else self._leading_at_nominal(base, neighbours)
-            if lead is None or lead.chi2 > (1.0 - FAIR) * best.chi2:
+            if lead is None or lead.chi2 >= best.chi2:
                 return found
             start = lead.hypothesis, lead.fit.x
         again = state.fitter.fit(*start)
