@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -76,7 +77,8 @@ def _searched_hold(
 ) -> str:  # fmt: skip
     """The hold under which a search of a quarter of the simulations leaves a quarter less of the squared error.
 
-    On estimation and held-out samples alike; that of the recordings where none does.
+    Of that of estimation and held-out samples together, and no more of either; that of the recordings where none does. A hold
+    adds no number, so that both show it, and one alone may be near the noise under any.
     """
     short, own = dataclasses.replace(options, effort=FAIR * options.effort), recordings[0].hold
     began, least = time.monotonic(), {own: result.fit["corrected"]}
@@ -91,9 +93,11 @@ def _searched_hold(
             least[hold] = other.fit["corrected"]
 
     def ratio(hold: str) -> float:
-        """Of the squared errors under two holds, the larger one of estimation and held-out samples."""
+        """Of the squared errors of all samples under two holds; infinite where one leaves more of either kind."""
         one, present = least[hold], least[own]
-        return max((one.rms / present.rms) ** 2, (one.held_out_rms / present.held_out_rms) ** 2)
+        if one.rms > present.rms or one.held_out_rms > present.held_out_rms:
+            return math.inf
+        return (one.rms**2 + one.held_out_rms**2) / (present.rms**2 + present.held_out_rms**2)
 
     best = min(least, key=ratio)
     return best if ratio(best) < 1.0 - FAIR else own

@@ -129,14 +129,24 @@ def test_a_hold_that_was_found_gives_way_to_one_that_leaves_less(beside):
     assert beside(far, own="linear", shown_hold="mean", hold_instead="mean", _searched_hold="linear") == "linear"
 
 
-@pytest.mark.parametrize(("rms", "held_out", "taken"), [(0.86, 0.86, "linear"), (0.86, 0.87, "held"), (0.87, 0.86, "held")])
+@pytest.mark.parametrize(
+    ("rms", "held_out", "taken"),
+    [
+        (0.86, 0.86, "linear"),
+        (0.87, 0.87, "held"),
+        (1.0, 0.7, "linear"),
+        (1.0, 0.71, "held"),
+        (1.01, 0.5, "held"),
+        (0.5, 1.01, "held"),
+    ],
+)
 def test_a_short_search_has_to_leave_a_quarter_less_of_all_samples(monkeypatch, axis, rms, held_out, taken):
     efforts = []
 
     def search(nominal, recordings, held, options, say, surpassed):
         efforts.append(options.effort)
         assert held[0].hold == recordings[0].hold
-        return found(rms=rms if recordings[0].hold == "linear" else 1.0, held_out=held_out)
+        return found(rms=rms if recordings[0].hold == "linear" else 1.1, held_out=held_out)
 
     monkeypatch.setattr(servo_log, "diagnose", search)
     logs = [log("held", 1)]
