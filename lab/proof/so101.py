@@ -112,11 +112,11 @@ Each cell: the file as published, then corrected.xml [mrad rms]. A dash: the joi
 
 
 def _found(r: JointResult) -> str:
-    """Findings with their first parameter."""
+    """Findings with their parameters and intervals."""
     out = []
     for f in r.findings:
-        name, e = next(iter(f.parameters.items()))
-        out.append(f"{f.effect} ({name} {interval(e.value, e.ci95, 3)})")
+        values = ", ".join(f"{name} {interval(e.value, e.ci95, 3)}" for name, e in f.parameters.items())
+        out.append(f"{f.effect} ({values})" if values else f.effect)
     return "; ".join(out) or "numbers only"
 
 

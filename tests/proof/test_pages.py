@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from diagnose.result import Estimate
 from lab.proof.concealed import AMPLITUDE, delayed, pushed
 from lab.proof.emps import SERVO
 from lab.proof.kuka import ripple_by_speed
 from lab.proof.page import Page, axes, table, write_page
 from lab.proof.servo import Servo, close_position_loop
+from lab.proof.so101 import _found
 from lab.proof.summary import summary_page
 from mjsim.effects import effect_class
 from mjsim.errors import InputError
@@ -122,3 +125,10 @@ def test_ripple_of_a_real_axis_is_found_at_every_speed(local_copy):
     slow = [r for r in rows if abs(r["speed"]) < 0.12]
     assert min(r["share"] for r in fast) > 0.6
     assert min(r["amplitude_Nm"] for r in fast) > 3 * max(r["amplitude_Nm"] for r in slow)
+
+
+def test_a_finding_of_a_joint_is_given_with_all_its_numbers():
+    both = {"torque_Nm": Estimate(0.5, (-0.1, 1.1), "N m"), "viscous": Estimate(0.2, (0.1, 0.3), "N m s/rad")}
+    found = SimpleNamespace(findings=[SimpleNamespace(effect="coupled_transmission", parameters=both)])
+    assert _found(found) == "coupled_transmission (torque_Nm 0.5 [-0.1, 1.1], viscous 0.2 [0.1, 0.3])"
+    assert _found(SimpleNamespace(findings=[])) == "numbers only"
