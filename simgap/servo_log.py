@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from diagnose.check import LogCheck
+from diagnose.check.faults.hold import shift_of
 from diagnose.fit.command_hold import WORDS, hold_instead, is_assumed, shown_hold, taken_hold, with_hold
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
@@ -17,6 +18,8 @@ from diagnose.result import Diagnosis, Verdict
 from diagnose.robot.check.axis import check_servo_axis
 from diagnose.thresholds import FAIR, UNEXPLAINED
 from mjsim.axis import Axis
+from mjsim.effects import effect_class
+from mjsim.effects.admissible import BETWEEN
 from mjsim.hold import HOLDS
 from mjsim.ode import DivergedError
 from mjsim.recording import Recording
@@ -78,7 +81,8 @@ def _searched_hold(
     """The hold under which a search of a quarter of the simulations leaves a quarter less of the squared error.
 
     Of that of estimation and held-out samples together, and no more of either; that of the recordings where none does. A hold
-    adds no number, so that both show it, and one alone may be near the noise under any.
+    adds no number, so that both show it, and one alone may be near the noise under any. Not one under which the command acts
+    earlier and a delay or lag makes up for that: by the present hold it would be too short to be named.
     """
     short, own = dataclasses.replace(options, effort=FAIR * options.effort), recordings[0].hold
     began, least = time.monotonic(), {own: result.fit["corrected"]}
@@ -90,7 +94,9 @@ def _searched_hold(
             other = diagnose(
                 nominal, with_hold(recordings, hold), with_hold(held_out, hold), short.since(began), say, surpassed=lambda _: True
             )
-            least[hold] = other.fit["corrected"]
+            lead = -shift_of(hold, own)
+            if lead <= 0.0 or not 0.0 < _waits(other) < (lead + BETWEEN) * recordings[0].dt:
+                least[hold] = other.fit["corrected"]
 
     def ratio(hold: str) -> float:
         """Of the squared errors of all samples under two holds; infinite where one leaves more of either kind."""
@@ -101,6 +107,12 @@ def _searched_hold(
 
     best = min(least, key=ratio)
     return best if ratio(best) < 1.0 - FAIR else own
+
+
+def _waits(result: Diagnosis) -> float:
+    """The sum of the delays and lags that were found [s]."""
+    amplitudes = [(f, name) for f in result.findings for name in effect_class(f.law).amplitudes]
+    return sum(f.parameters[name].value for f, name in amplitudes if f.parameters[name].unit == "s")
 
 
 def with_taken(log: LogCheck | None, hold: str, recordings: Sequence[Recording]) -> LogCheck | None:

@@ -12,10 +12,11 @@ from typing import final
 
 from mjsim.effects.scales import Scales
 
-__all__ = ["Range", "bristles", "mode", "ringing", "servo_stiffness", "wait", "wave"]
+__all__ = ["Range", "bristles", "load_share", "mode", "ringing", "servo_stiffness", "wait", "wave"]
 
 WHOLE = 0.03  # relative distance to a whole order of the motor's turn within which an order is that one
 BETWEEN = 0.25  # of a sample, within which the delay of an input is that of how it goes between samples: held, linear or a mean
+LOSS = 0.01  # of the torque, in a mesh of the best spur gears: G. Niemann, H. Winter, Maschinenelemente II (2003), ch. 21
 PEAK = 3.0  # largest over rms of an error of a servo
 WARMS_UP = 10.0  # ratio of the friction of a cold and a warm machine: viscosity of grease over some 40 K
 
@@ -63,6 +64,11 @@ def wave(cycles: float, scales: Scales) -> tuple[Range, ...]:
     least = (math.pi if whole else 2.0 * math.pi) / max(scales.travel, 1e-300)
     most = math.pi / (scales.dt * max(scales.velocity, 1e-300))
     return (Range("spatial frequency", cycles, least, max(most, least), "which the travel and the sampling show"),)
+
+
+def load_share(coefficient: float) -> Range:
+    """Of friction over the torque that a gear transmits: from what the best gears lose to self-locking."""
+    return Range("coefficient", coefficient, LOSS, 1.0, "from what the best gears lose to self-locking")
 
 
 def bristles(torque: float, stiffness: float, way: float) -> tuple[Range, ...]:

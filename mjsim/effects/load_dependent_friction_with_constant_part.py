@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from mjsim.effects.admissible import Range, load_share
 from mjsim.effects.base import Effect, Scales, need_body, need_drive, parameter
 from mjsim.effects.coulomb_friction import CoulombFriction
 from mjsim.effects.law import LOAD, law
@@ -64,6 +65,10 @@ class LoadDependentFrictionWithConstantPart(Effect):
         if not chain.couplings:
             need_drive(chain)
         return (Friction(need_body(chain, self.place), level, (self.torque_Nm, self.coefficient)),)
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a gear may have of it."""
+        return (load_share(self.coefficient),)
 
     def parts(self) -> tuple[Effect, ...]:
         """Both parts as effects of their own."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mjsim.effects.admissible import Range
+from mjsim.effects.admissible import Range, load_share
 from mjsim.effects.base import Effect, Scales, need_body, need_drive, parameter
 from mjsim.effects.law import LOAD, RATE, law
 from mjsim.effects.native import DryFriction, Native
@@ -74,8 +74,9 @@ class LoadDependentFrictionWithCreep(Effect):
         return Native((level,), f"the part of the friction at the {self.place} that grows with the load, and how it fades in")
 
     def admissible(self, scales: Scales) -> tuple[Range, ...]:
-        """What a recording shows of it."""
-        return (Range("creep velocity", self.creep_velocity_rad_s, 0.0, scales.max_velocity, "the speeds that were reached"),)
+        """What a recording shows of it, and what a gear may have."""
+        creep = Range("creep velocity", self.creep_velocity_rad_s, 0.0, scales.max_velocity, "the speeds that were reached")
+        return creep, load_share(self.coefficient)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

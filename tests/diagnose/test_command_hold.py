@@ -12,7 +12,7 @@ import pytest
 
 from diagnose.fit.command_hold import hold_instead, is_assumed, shown_hold
 from diagnose.options import Options
-from diagnose.result import Verdict
+from diagnose.result import Estimate, Verdict
 from mjsim.effects import effect_class
 from mjsim.hold import within
 from mjsim.mjcf import load_axis
@@ -81,9 +81,9 @@ def test_a_stated_hold_stays():
     assert not is_assumed([dataclasses.replace(given, hold="linear")])
 
 
-def found(verdict=Verdict.MISSING_PHYSICS, rms=1.0, held_out=None):
+def found(verdict=Verdict.MISSING_PHYSICS, rms=1.0, held_out=None, findings=()):
     fit = SimpleNamespace(rms=rms * 2e-4, held_out_rms=(held_out or rms) * 2e-4)
-    return SimpleNamespace(verdict=verdict, fit={"corrected": fit}, noise_floor=2e-4)
+    return SimpleNamespace(verdict=verdict, fit={"corrected": fit}, noise_floor=2e-4, findings=findings)
 
 
 @pytest.fixture
@@ -152,3 +152,20 @@ def test_a_short_search_has_to_leave_a_quarter_less_of_all_samples(monkeypatch, 
     logs = [log("held", 1)]
     assert servo_log._searched_hold(found(), axis, logs, logs, Options(effort=2.0), lambda _: None) == taken
     assert efforts == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("own", "of", "samples", "taken"),
+    [("held", "linear", 0.74, "held"), ("held", "linear", 0.76, "linear"), ("linear", "mean", 0.74, "linear"),
+     ("held", "mean", 1.24, "held"), ("held", "mean", 1.26, "mean"), ("linear", "held", 0.3, "held")],
+)  # fmt: skip
+def test_a_lag_that_makes_up_for_an_earlier_command_is_no_evidence_for_it(monkeypatch, axis, own, of, samples, taken):
+    """What it has beyond the shift has to be long enough to be named by the present hold: a quarter of a sample."""
+    lag = SimpleNamespace(law="sensor_lag", parameters={"time_constant_s": Estimate(samples * DT, (0.0, 1.0), "s")})
+
+    def search(nominal, recordings, held, options, say, surpassed):
+        return found(rms=0.5 if recordings[0].hold == of else 1.0, findings=[lag])
+
+    monkeypatch.setattr(servo_log, "diagnose", search)
+    logs = [dataclasses.replace(log("held", 1), hold=own)]
+    assert servo_log._searched_hold(found(), axis, logs, logs, Options(), lambda _: None) == taken
