@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
+from diagnose.evidence.rivals.quantisation import within_the_step
 from diagnose.fit.ledger import Ledger
 from diagnose.options import Options
 from diagnose.pipeline import diagnose
@@ -104,8 +105,8 @@ def _families(result: Diagnosis) -> set[str]:
 
 
 def _far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:
-    """Whether more than ``level`` times the noise variance is left, or it is not explained."""
-    far = result.fit["corrected"].rms ** 2 > level * result.noise_floor**2
+    """Whether more than ``level`` times the noise variance is left, beyond the step of an encoder, or it is not explained."""
+    far = result.fit["corrected"].rms ** 2 > level * result.noise_floor**2 and not within_the_step(result)
     return far or result.verdict is Verdict.UNEXPLAINED
 
 

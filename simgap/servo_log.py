@@ -11,6 +11,7 @@ from pathlib import Path
 
 from diagnose.check import LogCheck
 from diagnose.check.faults.hold import shift_of
+from diagnose.evidence.rivals.quantisation import within_the_step
 from diagnose.fit.command_hold import WORDS, hold_instead, is_assumed, shown_hold, taken_hold, with_hold
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
@@ -60,7 +61,7 @@ def hold_beside(
     if nominal.chain.servo is None or not unstated or not options.seconds > 0:
         return own
     began, found = time.monotonic(), corrected_axis(nominal, result)
-    left = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2 > 0
+    left = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2 > 0 and not within_the_step(result)
     far, physics = left or result.verdict is Verdict.UNEXPLAINED, physics_found(result)
     shown = own
     if own == "held" and far and physics:

@@ -39,6 +39,7 @@ class Memo:
     observed: dict[tuple[Key, float, Key, float], float] = field(default_factory=dict)
     encoder: dict[tuple[object, ...], tuple[float, float]] = field(default_factory=dict)
     speed: dict[tuple[object, ...], float] = field(default_factory=dict)
+    beyond: dict[tuple[object, ...], float] = field(default_factory=dict)
 
 
 @dataclass

@@ -27,6 +27,7 @@ _STATUS = {"budget": "stopped at its budget", "stalled": "stalled: rough cost", 
 _TESTS = {
     "criterion": "criterion, not low enough",
     "gain": "gain on the estimation data",
+    "quantisation": "error beyond half a step of the encoder",
     "law": "gain of the richer law",
     "held_out": "held-out data",
     "encoder": "gain beside an encoder that errs",

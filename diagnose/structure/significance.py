@@ -11,6 +11,7 @@ from diagnose.evidence.rivals.few_periods import no_slow_error
 from diagnose.evidence.rivals.gain import gains
 from diagnose.evidence.rivals.generalises import generalises, significant
 from diagnose.evidence.rivals.law import no_error_of_a_law
+from diagnose.evidence.rivals.quantisation import no_reading_of_the_encoder
 from diagnose.evidence.rivals.servo import no_answer_of_a_servo
 from diagnose.evidence.rivals.speed import no_function_of_the_speed
 from diagnose.fit.fitted import Fitted
@@ -23,8 +24,8 @@ __all__ = ["Significance", "tests"]
 def tests() -> tuple[Test, ...]:
     """The tests of a structure against a poorer one, in order."""
     return (
-        gains, no_error_of_a_law, generalises, no_answer_of_a_servo, no_slow_error, no_error_of_the_encoder,
-        no_function_of_the_speed, no_moment_of_an_event,
+        gains, no_reading_of_the_encoder, no_error_of_a_law, generalises, no_answer_of_a_servo, no_slow_error,
+        no_error_of_the_encoder, no_function_of_the_speed, no_moment_of_an_event,
     )  # fmt: skip
 
 

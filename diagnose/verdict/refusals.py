@@ -13,6 +13,10 @@ __all__ = ["refusals", "refused_in_words"]
 
 _TESTS = {
     "gain": "its gain in the criterion, {gain:.3g}, is less than {needed:.3g}",
+    "quantisation": (
+        "without it the errors stay within half a step of the encoder: {beyond:.2g} of the variance of a step lies beyond "
+        "({needed:.2g} is needed)"
+    ),
     "law": "its gain, {gain:.3g}, may be the error of a law ({needed:.3g})",
     "encoder": "an encoder that errs over its turn does as much (gain beside it {gain:.3g}, needed {needed:.3g})",
     "events": "it gains by the moment of an event (gain apart from that {gain:.3g}, needed {needed:.3g})",

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from mjsim.effects.admissible import Range
 from mjsim.effects.base import Effect, Scales, need_servo, parameter
 from mjsim.effects.native import Native, SpeedLine, Value
 from mjsim.effects.ports import Port, TorqueSpeedLine
@@ -53,6 +55,11 @@ class TorqueSpeedLimit(Effect):
     def read(cls, value: Value, chain: Chain) -> Self | None:
         """The effect that a native value of a file stands for, or None."""
         return cls(stall_torque_Nm=value.stall, no_load_speed_rad_s=value.no_load) if isinstance(value, SpeedLine) else None
+
+    def admissible(self, scales: Scales) -> tuple[Range, ...]:
+        """What a recording shows of it."""
+        why = "from the usual speed on, beyond which the motor would brake in most samples"
+        return (Range("no-load speed", self.no_load_speed_rad_s, scales.velocity, math.inf, why),)
 
     @classmethod
     def starts(cls, scales: Scales) -> Sequence[Mapping[str, float]]:

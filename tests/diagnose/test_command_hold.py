@@ -83,7 +83,7 @@ def test_a_stated_hold_stays():
 
 def found(verdict=Verdict.MISSING_PHYSICS, rms=1.0, held_out=None, findings=()):
     fit = SimpleNamespace(rms=rms * 2e-4, held_out_rms=(held_out or rms) * 2e-4)
-    return SimpleNamespace(verdict=verdict, fit={"corrected": fit}, noise_floor=2e-4, findings=findings)
+    return SimpleNamespace(verdict=verdict, fit={"corrected": fit}, noise_floor=2e-4, findings=findings, channel="velocity")
 
 
 @pytest.fixture

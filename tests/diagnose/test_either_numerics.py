@@ -24,7 +24,9 @@ NONE = SimpleNamespace(effects=(effect_class("gravity_load")(torque_Nm=0.1, phas
 
 def result(verdict, rms=1.0, held_out=1.0, findings=()):
     fit = {"corrected": FitFigures(rms, rms, held_out, held_out)}
-    return SimpleNamespace(verdict=verdict, fit=fit, noise_floor=1.0, findings=findings, linear_parameters={"Jm": None})
+    return SimpleNamespace(
+        verdict=verdict, fit=fit, noise_floor=1.0, findings=findings, linear_parameters={"Jm": None}, channel="velocity"
+    )
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))

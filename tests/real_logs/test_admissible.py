@@ -40,6 +40,7 @@ def broken(name, scales=SCALES, place="", **values):
         ("presliding_friction", {"stiffness_Nm_rad": 1.0}, {"stiffness_Nm_rad": 0.01}),
         ("stribeck_friction", {"stribeck_velocity_rad_s": 5.0}, {"stribeck_velocity_rad_s": 50.0}),
         ("backlash", {"gap_rad": 0.1}, {"gap_rad": 5.0}),
+        ("torque_speed_limit", {"no_load_speed_rad_s": 2.1}, {"no_load_speed_rad_s": 1.9}),
         ("load_dependent_friction", {"coefficient": 0.02}, {"coefficient": 0.002}),
         ("load_dependent_friction_with_constant_part", {"coefficient": 0.02}, {"coefficient": 0.002}),
         ("load_dependent_friction_with_creep", {"coefficient": 0.02}, {"coefficient": 0.002}),
