@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 
 import mujoco
 import numpy as np
@@ -185,7 +186,8 @@ def test_one_delay_at_all_joints_is_said_to_be_perhaps_the_log(folder):
         late = late.with_servo(j, delay=0.06)
     d = diagnosed(folder(late, 6.0), ("time_delay", "actuator_lag"))
     assert {(f.effect, f.joint) for f in d.findings} == {("time_delay", f"joint{j}") for j in (1, 2, 3)}
-    assert any("have a delay of 60 ms in common" in n or "have a delay of 59" in n for n in d.notes)
+    told = [m for n in d.notes if (m := re.search(r"3 of 3 joints have a delay of (\S+) ms in common", n))]
+    assert [float(m[1]) for m in told] == [pytest.approx(60.0, abs=1.0)]
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import correlate
 
 __all__ = ["Relation", "correlations", "relate"]
 
@@ -34,6 +33,8 @@ def relate(x: np.ndarray, y: np.ndarray, dt: float, beside: np.ndarray | None = 
 
     ``beside`` (N, k): further columns, not delayed. ``delays``: whether a delay is free; else it is 0.
     """
+    from scipy.signal import correlate
+
     n = len(x)
     most = round(min(WINDOW / dt, SHARE * n)) if delays else 0
     inner = slice(most, n - most)
