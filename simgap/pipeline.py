@@ -53,7 +53,7 @@ from simgap.following import following
 from simgap.found import corrected_axis
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all, told, trend_sentences
-from simgap.servo_log import checked_servo, hold_beside, with_taken
+from simgap.servo_log import checked_servo, hold_beside, later_hold, with_taken
 
 __all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
@@ -166,10 +166,11 @@ def diagnose_recordings(
     with following(progress, ledger.recalled) as say:
         nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)
         hold = hold_beside(result, nominal, recordings, held_out, options.since(began), say)
-        if hold != recordings[0].hold:
+        while hold != recordings[0].hold:
             say(Step("search", f"again, since the command {WORDS[hold]}"))
             recordings, held_out, log = with_hold(recordings, hold), with_hold(held_out, hold), with_taken(log, hold, recordings)
             nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, None)
+            hold = later_hold(result, [*recordings, *held_out])
         result = dataclasses.replace(
             result,
             log=log,

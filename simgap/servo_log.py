@@ -27,7 +27,7 @@ from mjsim.recording import Recording
 from mjsim.robot.model import load_robot
 from simgap.found import as_fitted, corrected_axis, physics_found
 
-__all__ = ["checked_servo", "hold_beside", "with_taken"]
+__all__ = ["checked_servo", "hold_beside", "later_hold", "with_taken"]
 
 
 def checked_servo(
@@ -56,10 +56,11 @@ def hold_beside(
     Of a held command that is one that leaves less where the effects leave more than noise, and one that explains as much as one
     of the effects. Else one under which a short search finds a structure that leaves less: an error of the hold hides effects.
     """
-    every, own = [*recordings, *held_out], recordings[0].hold
-    unstated = all(r.command is not None and r.hold == own and not r.hold_stated for r in every)
-    if nominal.chain.servo is None or not unstated or not options.seconds > 0:
+    own = recordings[0].hold
+    if nominal.chain.servo is None or not _is_open([*recordings, *held_out]) or not options.seconds > 0:
         return own
+    if (later := later_hold(result, [*recordings, *held_out])) != own:
+        return later
     began, found = time.monotonic(), corrected_axis(nominal, result)
     left = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2 > 0 and not within_the_step(result)
     far, physics = left or result.verdict is Verdict.UNEXPLAINED, physics_found(result)
@@ -73,6 +74,21 @@ def hold_beside(
     if own == shown and far:
         shown = _searched_hold(result, nominal, recordings, held_out, options.since(began), say)
     return shown
+
+
+def later_hold(result: Diagnosis, recordings: Sequence[Recording]) -> str:
+    """The hold of a command that acts later by what the delays and lags that were found make up, to a quarter of a sample.
+
+    Beside it these are too short to be named. That of the recordings where there is none, or where it is stated.
+    """
+    own, dt, waits = recordings[0].hold, recordings[0].dt, _waits(result)
+    later = [h for h in HOLDS if shift_of(h, own) > 0.0 and abs(waits - shift_of(h, own) * dt) < BETWEEN * dt]
+    return later[0] if later and _is_open(recordings) else own
+
+
+def _is_open(recordings: Sequence[Recording]) -> bool:
+    """Whether all recordings have commands of one hold, which none states."""
+    return all(r.command is not None and r.hold == recordings[0].hold and not r.hold_stated for r in recordings)
 
 
 def _searched_hold(

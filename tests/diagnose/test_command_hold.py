@@ -169,3 +169,16 @@ def test_a_lag_that_makes_up_for_an_earlier_command_is_no_evidence_for_it(monkey
     monkeypatch.setattr(servo_log, "diagnose", search)
     logs = [dataclasses.replace(log("held", 1), hold=own)]
     assert servo_log._searched_hold(found(), axis, logs, logs, Options(), lambda _: None) == taken
+
+
+@pytest.mark.parametrize(
+    ("own", "samples", "taken"),
+    [("mean", 0.52, "linear"), ("mean", 0.24, "mean"), ("mean", 1.2, "held"), ("linear", 0.7, "held"), ("linear", 0.8, "linear"),
+     ("linear", 0.0, "linear"), ("held", 0.5, "held")],
+)  # fmt: skip
+def test_a_lag_that_makes_a_command_act_as_by_another_hold_is_that_hold(axis, own, samples, taken):
+    lag = SimpleNamespace(law="actuator_lag", parameters={"time_constant_s": Estimate(samples * DT, (0.0, 1.0), "s")})
+    result = found(findings=[lag] if samples else [])
+    logs = [dataclasses.replace(log("held", 1), hold=own)]
+    assert servo_log.later_hold(result, logs) == taken
+    assert servo_log.later_hold(result, [dataclasses.replace(logs[0], hold_stated=True)]) == own
