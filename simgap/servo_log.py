@@ -77,7 +77,7 @@ def hold_beside(
 
 
 def later_hold(result: Diagnosis, recordings: Sequence[Recording]) -> str:
-    """The hold of a command that acts later by what the delays and lags that were found make up, to a quarter of a sample.
+    """The later hold whose delay equals that of the delays and lags that were found, to a quarter of a sample.
 
     Beside it these are too short to be named. That of the recordings where there is none, or where it is stated.
     """
