@@ -166,7 +166,7 @@ def diagnose_recordings(
     with following(progress, ledger.recalled) as say:
         nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)
         hold = hold_beside(result, nominal, recordings, held_out, options.since(began), say)
-        while hold != recordings[0].hold:
+        while hold != recordings[0].hold and options.since(began).seconds > 0:
             say(Step("search", f"again, since the command {WORDS[hold]}"))
             recordings, held_out, log = with_hold(recordings, hold), with_hold(held_out, hold), with_taken(log, hold, recordings)
             nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, None)

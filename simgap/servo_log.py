@@ -79,10 +79,11 @@ def hold_beside(
 def later_hold(result: Diagnosis, recordings: Sequence[Recording]) -> str:
     """The later hold whose delay equals that of the delays and lags that were found, to a quarter of a sample.
 
-    Beside it these are too short to be named. That of the recordings where there is none, or where it is stated.
+    Beside it these are too short to be named. That of the recordings where there is none, or where it is stated. Not a held
+    command, with which every other hold was compared before it was taken.
     """
     own, dt, waits = recordings[0].hold, recordings[0].dt, _waits(result)
-    later = [h for h in HOLDS if shift_of(h, own) > 0.0 and abs(waits - shift_of(h, own) * dt) < BETWEEN * dt]
+    later = [h for h in HOLDS if h != "held" and shift_of(h, own) > 0.0 and abs(waits - shift_of(h, own) * dt) < BETWEEN * dt]
     return later[0] if later and _is_open(recordings) else own
 
 

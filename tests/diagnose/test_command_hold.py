@@ -173,7 +173,7 @@ def test_a_lag_that_makes_up_for_an_earlier_command_is_no_evidence_for_it(monkey
 
 @pytest.mark.parametrize(
     ("own", "samples", "taken"),
-    [("mean", 0.52, "linear"), ("mean", 0.24, "mean"), ("mean", 1.2, "held"), ("linear", 0.7, "held"), ("linear", 0.8, "linear"),
+    [("mean", 0.52, "linear"), ("mean", 0.24, "mean"), ("mean", 0.76, "mean"), ("mean", 1.0, "mean"), ("linear", 0.5, "linear"),
      ("linear", 0.0, "linear"), ("held", 0.5, "held")],
 )  # fmt: skip
 def test_a_lag_that_makes_a_command_act_as_by_another_hold_is_that_hold(axis, own, samples, taken):
