@@ -10,8 +10,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from diagnose.data.experiment import prepare
+from diagnose.data.scales import scales_by_place
 from diagnose.evidence.intervals import half_width
-from diagnose.result import Diagnosis, Estimate, Finding
+from diagnose.result import Diagnosis, Estimate, Finding, Verdict
 from diagnose.thresholds import UNEXPLAINED
 from diagnose.verdict.reference import Case, Run, at_noise, figures
 from diagnose.verdict.reference_fit import standard_errors
@@ -20,7 +22,7 @@ from mjsim.mjcf import load_axis
 from mjsim.quantity import Motion
 from simgap.found import effect_found
 
-__all__ = ["with_numbers_of_file"]
+__all__ = ["with_numbers_of_file", "without_short_times"]
 
 
 def with_numbers_of_file(
@@ -46,6 +48,33 @@ def with_numbers_of_file(
             f if f.kind != "physics" else _of_file(f, values, errors, axis.chain.motion) for f in result.findings
         ),
     )  # fmt: skip
+
+
+def without_short_times(result: Diagnosis, axis: Axis, cases: Sequence[Case]) -> Diagnosis:
+    """The diagnosis without effects whose time, by the numbers of the file, is too short to be told from the command's hold.
+
+    The equations found a time that the log can show, and MuJoCo, whose timestep delays the drive as well, leaves less of it. The
+    file keeps it, as a number of how the command goes between the samples. axis: of the file as given.
+    """
+    physics = [f for f in result.findings if f.kind == "physics"]
+    if not physics:
+        return result
+    scales = scales_by_place(axis, prepare(cases[0].recording))
+    ranges = ((f, r) for f in physics for r in effect_found(f).admissible(scales[f.place]))
+    short = {id(f): (f, r) for f, r in ranges if r.is_below}
+    if not short:
+        return result
+    notes = tuple(
+        f"{f.effect.replace('_', ' ').capitalize()} at the {f.place} is not named: in MuJoCo its {r.what} is {r.value:.3g}, less "
+        f"than {r.low:.3g}, a quarter of a sample: nobody states how the command goes between samples. corrected.xml keeps it."
+        for f, r in short.values()
+    )
+    left = tuple(f for f in result.findings if id(f) not in short)
+    out = dataclasses.replace(result, findings=left, notes=(*notes, *result.notes))
+    if result.verdict is not Verdict.MISSING_PHYSICS or any(f.kind == "physics" for f in left):
+        return out
+    summary = "No physics is missing: the numbers of the model were off, and how the command goes between samples is not known."
+    return dataclasses.replace(out, verdict=Verdict.PARAMETERS_ONLY, summary=summary)
 
 
 def _values(axis: Axis) -> dict[str, float]:

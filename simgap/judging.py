@@ -37,7 +37,7 @@ from mjsim.plant import ChainPlant, MujocoPlant
 from mjsim.plant.settings import altered, mended
 from mjsim.recording import Recording
 from simgap.bench import Bench
-from simgap.file_numbers import with_numbers_of_file
+from simgap.file_numbers import with_numbers_of_file, without_short_times
 from simgap.found import effect_found
 from simgap.nearest_form import with_nearest
 from simgap.plain_friction import plainer_friction, refit_to_noise
@@ -113,6 +113,7 @@ def write_judged(
     runs, sensitive = _follows(bench, axis, form, runs)
     notes = () if found else (*_told(cause, nominal), *instead, *_refitted(axis, out))
     result = with_numbers_of_file(result, out, nominal.cases, runs, other=bool(found or form.lacks))
+    result = without_short_times(result, given, nominal.cases)
     files = Files(runs, form.lacks, form.form, found, notes, sensitive, fewer is not None or less is not None)
     return by_simulator(result, nominal, files)
 

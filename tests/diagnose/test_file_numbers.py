@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from servo_logs import PENDULUM, model, record, write
 
-from diagnose.result import Diagnosis, Estimate, Finding, FitFigures
+from diagnose.result import Diagnosis, Estimate, Finding, FitFigures, Verdict
 from diagnose.verdict.reference import Run, cases_of
 from diagnose.verdict.reference_fit import refit_in_simulator, standard_errors
 from diagnose.verdict.reference_stage import compare_nominal
 from mjsim.effects import effect_class
 from mjsim.mjcf import load_axis, write_corrected
 from mjsim.mjcf.faithful import write_as_author
-from simgap.file_numbers import with_numbers_of_file
+from simgap.file_numbers import with_numbers_of_file, without_short_times
 
 WEIGHT = "gravity_load@arm.torque_Nm"
 FRICTION = 0.08
@@ -81,3 +81,19 @@ def test_they_are_those_of_the_file_where_the_equations_leave_more(given, tmp_pa
     assert kp.value == pytest.approx(9.0 if taken else 8.0)
     assert found.ci95[0] < found.value < found.ci95[1]
     assert ("0.08 N m" in result.findings[0].sentence) == taken
+
+
+@pytest.mark.parametrize(("samples", "stated", "named"), [(0.1, False, False), (0.1, True, True), (0.4, False, True)])
+def test_a_delay_of_a_part_of_a_sample_is_named_where_the_hold_is_stated(given, samples, stated, named):
+    _, axis, log = given
+    log = dataclasses.replace(log, hold_stated=stated)
+    late = Estimate(samples * log.dt, (0.9 * samples * log.dt, 1.1 * samples * log.dt), "s")
+    delay = Finding("time_delay", "actuator", "hinge", "delay", {"delay_s": late}, {})
+    found = dataclasses.replace(diagnosis(1.0), verdict=Verdict.MISSING_PHYSICS, notes=())
+    alone = without_short_times(dataclasses.replace(found, findings=(delay,)), axis, cases_of([log], []))
+    assert (alone.findings == (delay,)) == named
+    assert alone.verdict == (Verdict.MISSING_PHYSICS if named else Verdict.PARAMETERS_ONLY)
+    assert len(alone.notes) == (0 if named else 1)
+    beside = without_short_times(dataclasses.replace(found, findings=(*found.findings, delay)), axis, cases_of([log], []))
+    assert beside.findings == (*found.findings, *((delay,) if named else ()))
+    assert beside.verdict is Verdict.MISSING_PHYSICS
