@@ -7,8 +7,8 @@ in the parameters. Laws are called by address (`mjsim.effects.law`), so that one
 Where the axis is affine between events (``affine``), a whole step is one product with the matrix exponential of the mode, kept
 for each mode that occurs; the matrices are read off the same rates, and RK4 only lands on events.
 
-``bodies``: n zeros, floats where body 0 has limits, else integers; kind, and of a tuple the length, are constants of the compiled
-code, so that every loop over bodies unrolls; an array of any length has one code (`mjsim.system.UNROLLED`).
+``bodies``: n zeros; the length of a tuple is a constant of the compiled code, so that every loop over bodies unrolls; an array of
+any length has one code (`mjsim.system.UNROLLED`).
 Modes: friction of body i: -1, +1 slip, 0 stick; gap of coupling j: -1, +1 contact, 0 open. Arrays (n bodies):
 ``f`` (6, n): inertia, viscous; of the coupling behind each body ratio, stiffness, damping, half gap. ``el`` (n_el, 7)
 integer: kind, site, law address (0: friction of constant levels, which are its parameters: sliding and breakaway, each forward
@@ -79,20 +79,6 @@ def _view_of(typingctx: Any, array: Any) -> Any:  # pragma: no cover
 
 
 _view: Any = _view_of
-
-
-@intrinsic
-def _bounded_of(typingctx: Any, bodies: Any) -> Any:  # pragma: no cover
-    """Whether ``bodies`` are floats: a constant of the compiled code, so that axes without limits have none of theirs."""
-    value = isinstance(bodies.dtype, types.Float)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return cgutils.true_bit if value else cgutils.false_bit
-
-    return types.boolean(bodies), codegen
-
-
-_bounded: Any = _bounded_of
 
 
 def _bound_of(servo: np.ndarray, side: int, v: float) -> float:
@@ -254,7 +240,7 @@ def _push_back(f: np.ndarray, el: np.ndarray, p: np.ndarray, x: np.ndarray, mode
 
 
 def _rates_of(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
 ) -> None:  # fmt: skip
     """Accelerations and internal rates at one instant.
@@ -337,7 +323,7 @@ def _rates_of(
         kind = el[e, 0]
         i = el[e, 1]
         si = el[e, 4]
-        if _bounded(bodies) and kind == KIND_LIMIT:
+        if kind == KIND_LIMIT:
             _push_back(f, el, p, x, mode, w)
             e += 1
             continue
@@ -409,7 +395,7 @@ def _relax(s: float, alpha: float, beta: float, h: float) -> float:
 
 
 def _step_of(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     x: np.ndarray, xn: np.ndarray, h: float, t: float, u: float, us: float, lag: float, tau: float, n_s: int, mode: np.ndarray,
     w: np.ndarray, wk: np.ndarray, z: np.ndarray
 ) -> None:  # fmt: skip
@@ -459,7 +445,7 @@ _step_here: Any = compiled(error_model="numpy", forceinline=True)(_step_of)
 
 @compiled(error_model="numpy")
 def _margin(
-    event: int, bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray,
+    event: int, bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray,
     p: np.ndarray, x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
 ) -> float:  # fmt: skip
     """Event function, positive while the mode holds.
@@ -468,7 +454,7 @@ def _margin(
     joint limits of body 0.
     """
     n = len(bodies)
-    if _bounded(bodies) and event == 2 * n + 1:
+    if event == 2 * n + 1:
         last = el.shape[0] - 1
         at = el[last, 3]
         q = x[0, 0] + w[14 if el[last, 5] else 13, 0]
@@ -506,7 +492,7 @@ def _beyond(el: np.ndarray, p: np.ndarray, x: np.ndarray, w: np.ndarray) -> int:
 
 @compiled(error_model="numpy")
 def _settle(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
 ) -> None:  # fmt: skip
     """Re-decide stick or slip of every body at rest, after the torques jumped."""
@@ -526,7 +512,7 @@ def _settle(
 
 @compiled(error_model="numpy")
 def _propagator(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     mode: np.ndarray, tau: float, steps: np.ndarray, w: np.ndarray, z: np.ndarray, xt: np.ndarray, a: np.ndarray,
     power: np.ndarray, term: np.ndarray, phis: np.ndarray, rows: np.ndarray, level: np.ndarray
 ) -> None:  # fmt: skip
@@ -644,7 +630,7 @@ def _cubic_root(g0: float, s0: float, g1: float, s1: float, h: float) -> tuple[f
 
 @compiled(error_model="numpy")
 def integrate(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     has_friction: np.ndarray, u: np.ndarray, growth: np.ndarray, dt: float, shift: int, split: float, before: float, tau: float,
     n_sub: int, parts: int, affine: bool, x0: np.ndarray, states0: np.ndarray, angle: np.ndarray, locked: bool, origin: float,
     t0: float, out: np.ndarray
@@ -692,7 +678,7 @@ def integrate(
     limited = np.isfinite(servo[2]) or np.isfinite(servo[3])
     slack = servo[5] > 0.0
     last = el.shape[0] - 1
-    stop = _bounded(bodies)
+    stop = last >= 0 and el[last, 0] == KIND_LIMIT
     n_event = 2 * n + 2 if stop else (2 * n + 1 if limited or slack else 2 * n - 1)
     ratio = np.ones(n)
     for i in range(1, n):
@@ -1204,7 +1190,7 @@ def integrate(
 
 @compiled(error_model="numpy")
 def _needed(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     x: np.ndarray, t: float, u: float, a: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
 ) -> float:  # fmt: skip
     """Input beyond u that gives body 0 an acceleration a, where laws see the drive's torque at u."""
@@ -1226,7 +1212,7 @@ def _needed(
 
 @compiled(error_model="numpy")
 def _consistent(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     x: np.ndarray, t: float, u: float, a: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
 ) -> float:  # fmt: skip
     """The input that gives the one body an acceleration a, its own effect on the laws included; u: that without it.
@@ -1250,7 +1236,7 @@ def _consistent(
 
 @compiled(error_model="numpy")
 def drive(
-    bodies: tuple[float, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
+    bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     q0: np.ndarray, v0: np.ndarray, a0: np.ndarray, dt: float, n_sub: int, t0: float, rest: np.ndarray, out: np.ndarray
 ) -> tuple[int, int]:  # fmt: skip
     """Inverse dynamics: body 0 is moved as measured (q0, v0, a0, each (N)); out (N) receives the input torque that this needs.

@@ -72,10 +72,9 @@ class System:
         return bool((self.elements[:, 0] == _SOFT).any())
 
     @property
-    def bodies(self) -> tuple[float, ...] | np.ndarray:
-        """Zeros (n,) that stand for the bodies in `mjsim.kernel`: floats where body 0 has limits; up to `UNROLLED` a tuple."""
-        zero = 0 if self.limit is None else 0.0
-        return (zero,) * self.n if self.n <= UNROLLED else np.full(self.n, zero)
+    def bodies(self) -> tuple[int, ...] | np.ndarray:
+        """Zeros (n,) that stand for the bodies in `mjsim.kernel`; up to `UNROLLED` a tuple, whose length is compiled in."""
+        return (0,) * self.n if self.n <= UNROLLED else np.zeros(self.n, np.int64)
 
     @property
     def limit(self) -> Limit | None:
