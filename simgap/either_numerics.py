@@ -32,9 +32,13 @@ __all__ = ["by_either_numerics"]
 
 def by_either_numerics(
     given: Nominal, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
-    say: Callable[[Step], None], ledger: Ledger | None,
+    say: Callable[[Step], None], ledger: Ledger | None, stale: Callable[[Diagnosis], bool] = lambda _: False,
 ) -> tuple[Axis, Nominal, Diagnosis]:  # fmt: skip
-    """The nominal axis with the friction that fits the recordings, its runs, and the diagnosis beside it."""
+    """The nominal axis with the friction that fits the recordings, its runs, and the diagnosis beside it.
+
+    ``stale``: asked of an answer that leaves other numerics open; where it holds these are not searched, since the recordings are
+    taken otherwise and searched again.
+    """
     began, n = time.monotonic(), sum(int(c.estimation.sum()) for c in given.cases)
     better: list[tuple[Nominal, Diagnosis]] = []
     asked: list[Diagnosis] = []
@@ -42,7 +46,10 @@ def by_either_numerics(
     def surpassed(first: Diagnosis) -> bool:
         """Search with the other numerics that ``first`` leaves open; whether one of these answers is better."""
         asked.append(first)
-        for why, other in _others(given, first):
+        others = list(_others(given, first))
+        if others and stale(first):
+            return True
+        for why, other in others:
             within = options.since(began)
             if not within.seconds:
                 break

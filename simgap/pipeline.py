@@ -53,7 +53,7 @@ from simgap.following import following
 from simgap.found import corrected_axis
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all, told, trend_sentences
-from simgap.servo_log import checked_servo, hold_beside, later_hold, with_taken
+from simgap.servo_log import another_hold, checked_servo, hold_beside, later_hold, with_taken
 
 __all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
@@ -200,7 +200,8 @@ def _searched(
             say(Step("reference", "the nominal file in plain MuJoCo"))
             given = before_search(model, nominal, recordings, held_out, options)
             if given is not None:
-                axis, runs, result = by_either_numerics(given, recordings, held_out, options.since(began), say, ledger)
+                stale = another_hold(nominal, recordings, held_out, options.since(began))
+                axis, runs, result = by_either_numerics(given, recordings, held_out, options.since(began), say, ledger, stale)
                 return axis, runs, by_force_too(nominal, result, runs, recordings, held_out, options.since(began), say)
             result = diagnose(nominal, recordings, held_out, options.since(began), say, ledger)
             return by_motion_too(model, nominal, result, recordings, held_out, options.since(began), say)

@@ -27,7 +27,7 @@ from mjsim.recording import Recording
 from mjsim.robot.model import load_robot
 from simgap.found import as_fitted, corrected_axis, physics_found
 
-__all__ = ["checked_servo", "hold_beside", "later_hold", "with_taken"]
+__all__ = ["another_hold", "checked_servo", "hold_beside", "later_hold", "with_taken"]
 
 
 def checked_servo(
@@ -56,24 +56,50 @@ def hold_beside(
     Of a held command that is one that leaves less where the effects leave more than noise, and one that explains as much as one
     of the effects. Else one under which a short search finds a structure that leaves less: an error of the hold hides effects.
     """
-    own = recordings[0].hold
-    if nominal.chain.servo is None or not _is_open([*recordings, *held_out]) or not options.seconds > 0:
+    began, own = time.monotonic(), recordings[0].hold
+    shown = _hold_of_structure(result, nominal, recordings, held_out, options)
+    within = options.since(began)
+    if shown != own or nominal.chain.servo is None or not _is_open([*recordings, *held_out]) or not within.seconds > 0:
+        return shown
+    return _searched_hold(result, nominal, recordings, held_out, within, say) if _is_far(result) else own
+
+
+def another_hold(
+    nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options
+) -> Callable[[Diagnosis], bool]:
+    """Whether beside the structure of a diagnosis another hold of the command shows; the short searches are left out."""
+    began = time.monotonic()
+
+    def shows(result: Diagnosis) -> bool:
+        return _hold_of_structure(result, nominal, recordings, held_out, options.since(began)) != recordings[0].hold
+
+    return shows
+
+
+def _hold_of_structure(
+    result: Diagnosis, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options
+) -> str:
+    """The hold that shows by the structure that was found (`hold_beside`)."""
+    own, every = recordings[0].hold, [*recordings, *held_out]
+    if nominal.chain.servo is None or not _is_open(every) or not options.seconds > 0:
         return own
-    if (later := later_hold(result, [*recordings, *held_out])) != own:
+    if (later := later_hold(result, every)) != own:
         return later
-    began, found = time.monotonic(), corrected_axis(nominal, result)
-    left = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2 > 0 and not within_the_step(result)
-    far, physics = left or result.verdict is Verdict.UNEXPLAINED, physics_found(result)
-    shown = own
-    if own == "held" and far and physics:
-        shown = shown_hold(found, recordings, held_out, options.seconds)
-    if own == shown == "held" and physics:
+    began, physics = time.monotonic(), physics_found(result)
+    if own != "held" or not physics:
+        return own
+    shown = shown_hold(corrected_axis(nominal, result), recordings, held_out, options.seconds) if _is_far(result) else own
+    if shown == own:
         given = nominal.with_values(as_fitted(result))
         fewer = [given.with_effects([e for e in physics if e is not one]) for one in physics]
-        shown = hold_instead(found, fewer, recordings, held_out, options.since(began).seconds)
-    if own == shown and far:
-        shown = _searched_hold(result, nominal, recordings, held_out, options.since(began), say)
+        shown = hold_instead(corrected_axis(nominal, result), fewer, recordings, held_out, options.since(began).seconds)
     return shown
+
+
+def _is_far(result: Diagnosis) -> bool:
+    """Whether more than noise is left, beyond the step of an encoder, or it is not explained."""
+    left = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2 > 0 and not within_the_step(result)
+    return left or result.verdict is Verdict.UNEXPLAINED
 
 
 def later_hold(result: Diagnosis, recordings: Sequence[Recording]) -> str:

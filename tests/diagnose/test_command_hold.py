@@ -99,6 +99,8 @@ def beside(monkeypatch, axis):
             monkeypatch.setattr(servo_log, name, lambda *_, name=name: answers.get(name, "held"))
         hold = answers.get("own", "held")
         stated = dataclasses.replace(given, hold=hold, hold_stated=answers.get("stated", False))
+        if answers.get("structure_alone"):
+            return servo_log.another_hold(axis, [stated], [stated], Options())(result)
         return servo_log.hold_beside(result, axis, [stated], [stated], Options())
 
     return ask
@@ -121,6 +123,12 @@ def test_the_hold_is_asked_for_again_where_effects_leave_more_than_noise(beside,
 def test_a_hold_is_compared_with_an_effect_where_one_was_found(beside):
     assert beside(found(), [EFFECT], hold_instead="linear") == "linear"
     assert beside(found(), hold_instead="linear") == "held"
+
+
+def test_a_structure_alone_shows_another_hold_without_a_search(beside):
+    assert beside(found(), [EFFECT], structure_alone=True, hold_instead="linear")
+    assert not beside(found(Verdict.UNEXPLAINED, 3.0), [EFFECT], structure_alone=True, _searched_hold="linear")
+    assert not beside(found(), [EFFECT], structure_alone=True, hold_instead="linear", stated=True)
 
 
 def test_a_hold_that_was_found_gives_way_to_one_that_leaves_less(beside):

@@ -97,7 +97,7 @@ def test_a_number_costs_its_price_in_twice_the_log_likelihood():
 def searched(monkeypatch):
     """`by_either_numerics` around made-up searches: (answers in turn, others, seconds, each takes) -> (answer, calls)."""
 
-    def ask(answers, others, seconds=math.inf, takes=1.0, maps=None):
+    def ask(answers, others, seconds=math.inf, takes=1.0, maps=None, **stale):
         now, calls = [100.0], []
 
         def diagnose(axis, recordings, held_out, options, say, ledger, corrections, surpassed=None):
@@ -112,7 +112,7 @@ def searched(monkeypatch):
         monkeypatch.setattr(either_numerics, "diagnose", diagnose)
         monkeypatch.setattr(either_numerics, "_others", lambda *_: iter(others))
         monkeypatch.setattr(either_numerics, "without_difference", lambda diagnosis, nominal: (diagnosis, nominal))
-        out = by_either_numerics(made("first"), [], [], Options(seconds=seconds), lambda _: None, "ledger")
+        out = by_either_numerics(made("first"), [], [], Options(seconds=seconds), lambda _: None, "ledger", **stale)
         return out, calls
 
     return ask
@@ -136,6 +136,22 @@ def test_the_best_of_several_numerics_counts(searched):
     (axis, _, told), _ = searched([best, worse, good], others)
     assert axis == "first"
     assert told[0] is best
+
+
+@pytest.mark.parametrize("maps", [None, []])
+def test_no_other_numerics_are_searched_for_recordings_that_are_taken_otherwise(searched, maps):
+    bad, good = (result(Verdict.UNEXPLAINED, rms) for rms in (1.0, 0.5))
+    asked = []
+
+    def stale(answer):
+        asked.append(answer)
+        return True
+
+    (axis, _, told), calls = searched([bad, good], [("a", made("second"))], maps=maps, stale=stale)
+    assert (axis, told[0], len(calls), asked) == ("first", bad, 1, [bad])
+    assert maps in (None, ["none"])
+    searched([bad], [], maps=maps, stale=stale)
+    assert asked == [bad]
 
 
 def test_a_torque_map_is_fitted_only_where_no_other_numerics_are_better(searched):
