@@ -14,7 +14,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import Fit, orthonormal
 from diagnose.problem.hypothesis import make
 from diagnose.structure.candidates import Candidate, inherit, replaced
-from diagnose.thresholds import FAIR
+from diagnose.thresholds import FAIR, SMALL
 from mjsim.axis import Chain
 from mjsim.effects import Effect, effect_class
 from mjsim.effects.base import need_body
@@ -95,24 +95,24 @@ def _project(
     effect: Effect, responses: list[np.ndarray | None], r0: np.ndarray, q: np.ndarray, *, move: bool
 ) -> tuple[float, Effect] | None:
     """(gain, start moved to the best amplitude and phase) for one start; None when it cannot be run."""
-    columns = []
+    columns: list[np.ndarray] = []
     for r in responses:
         if r is None or len(r) != len(r0):
             return None
-        d = r - r0
-        columns.append(d - q @ (q.T @ d))
-    D = np.column_stack(columns)
+        columns.append(r - r0)
+    whole = np.column_stack(columns)
+    D = whole - q @ (q.T @ whole)
     gram = D.T @ D
     if not np.all(np.diag(gram) > 0):
         return 0.0, effect
     c = D.T @ r0
-    a = -np.linalg.lstsq(gram, c, rcond=1e-12)[0]
+    a = -_shown(gram, whole.T @ whole) @ c
     gain = float(-a @ c)
     cls = type(effect)
     amplitudes = cls.amplitudes
     if not move:
         return max(gain, 0.0), effect
-    if len(columns) == 2:
+    if len(a) == 2:
         effect, factor = effect.combined(float(a[0]), float(a[1]))
     else:
         factor = float(a[0])
@@ -125,6 +125,19 @@ def _project(
         moved = {n: effect.values[n] * factor for n in amplitudes}
         effect = make(effect.id, effect.place, {**effect.values, **moved})
     return max(gain, 0.0), effect
+
+
+def _shown(gram: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """The inverse of a Gram matrix (n, n) of projected responses, without directions that the base takes up.
+
+    Of those its parameters leave less than `SMALL` in amplitude of the responses themselves, whose Gram matrix is ``whole``: the
+    torque of a spring at angle zero beside a zero of the angle that is fitted. The direction that is left most stays.
+    """
+    values, vectors = np.linalg.eigh(gram)
+    left = values / np.einsum("ij,ik,kj->j", vectors, whole, vectors)
+    shown = left >= min(SMALL**2, float(np.max(left)))
+    inverse: np.ndarray = (vectors[:, shown] / values[shown]) @ vectors[:, shown].T
+    return inverse
 
 
 def span(f: Fitted) -> np.ndarray | None:
