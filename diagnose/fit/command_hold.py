@@ -85,11 +85,11 @@ def hold_instead(
     not ahead by more than what is held to be equivalent. ``seconds``: the most that it takes.
     """
     until = time.monotonic() + seconds
-    whole = _refitted(found, recordings, held_out, until)[:1]
+    whole = _refitted(found, recordings, held_out, until, dry=False)
     if not whole:
         return "held"
     left = {
-        hold: min((x[0].cost for axis in fewer for x in [_refitted(axis, *held, until)] if x), default=math.inf)
+        hold: min((x[0].cost for axis in fewer for x in [_refitted(axis, *held, until, dry=False)] if x), default=math.inf)
         for hold in ("linear", "mean")
         for held in [(with_hold(recordings, hold), with_hold(held_out, hold))]
     }
@@ -128,8 +128,10 @@ class _Left:
         return other.cost < (1.0 - FAIR) * self.cost and gain > ModelError.prices.entry
 
 
-def _refitted(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], until: float) -> list[_Left]:
-    """What the axis leaves with its numbers refitted, and what it leaves with dry friction beside them where it has none."""
+def _refitted(
+    axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], until: float, *, dry: bool = True
+) -> list[_Left]:
+    """What the axis leaves with its numbers refitted; with ``dry`` what it leaves beside dry friction too, where it has none."""
     nominal, fitted, held, _ = as_servo(axis, recordings, held_out)
     fitted, held = ([without_derived_velocity(r) for r in group] for group in (fitted, held))
     view, experiments = choose_view(fitted, None, nominal), split(fitted, held)
@@ -138,7 +140,7 @@ def _refitted(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Re
     try:
         fitter.allow(math.inf, until)
         found = [fitter.fit(fitter.hypothesis(()))]
-        if found[0].ok:
+        if found[0].ok and dry:
             fits = [fitter.fit(fitter.hypothesis((e,), found[0].linear, found[0].own)) for e in _dry_friction(fitter)]
             found += [min(fits, key=lambda f: f.chi2)] if fits else []
         return [_Left(f.chi2, f.n * effective_share(fitter, f)) for f in found if f.ok and f.chi2 > 0.0]
