@@ -28,7 +28,7 @@ from diagnose.fit.fitter import Fitter
 from diagnose.fit.whiten import effective_share
 from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.problem.noise_model import ModelError
-from diagnose.thresholds import EQUIVALENT, FAIR
+from diagnose.thresholds import EQUIVALENT, FAIR, TWICE
 from mjsim.axis import Axis
 from mjsim.effects import Effect, registered
 from mjsim.effects.native import DryFriction
@@ -88,11 +88,12 @@ def hold_instead(
     whole = _refitted(found, recordings, held_out, until, dry=False)
     if not whole:
         return "held"
-    left = {
-        hold: min((x[0].cost for axis in fewer for x in [_refitted(axis, *held, until, dry=False)] if x), default=math.inf)
-        for hold in ("linear", "mean")
-        for held in [(with_hold(recordings, hold), with_hold(held_out, hold))]
-    }
+    left = dict.fromkeys(("linear", "mean"), math.inf)
+    for hold in left:
+        held = with_hold(recordings, hold), with_hold(held_out, hold)
+        for axis in fewer:
+            for x in _refitted(axis, *held, until, dry=False, far=TWICE * whole[0].cost):
+                left[hold] = min(left[hold], x.cost)
     best = min(left, key=lambda hold: left[hold])
     ahead = whole[0].independent * math.log(left[best] / whole[0].cost) - ModelError.prices.entry
     return best if ahead <= EQUIVALENT else "held"
@@ -129,9 +130,13 @@ class _Left:
 
 
 def _refitted(
-    axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], until: float, *, dry: bool = True
-) -> list[_Left]:
-    """What the axis leaves with its numbers refitted; with ``dry`` what it leaves beside dry friction too, where it has none."""
+    axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], until: float, *, dry: bool = True,
+    far: float = math.inf,
+) -> list[_Left]:  # fmt: skip
+    """What the axis leaves with its numbers refitted; with ``dry`` what it leaves beside dry friction too, where it has none.
+
+    far: cost above which a fit ends with an iteration that takes less than `FAIR` off.
+    """
     nominal, fitted, held, _ = as_servo(axis, recordings, held_out)
     fitted, held = ([without_derived_velocity(r) for r in group] for group in (fitted, held))
     view, experiments = choose_view(fitted, None, nominal), split(fitted, held)
@@ -139,7 +144,7 @@ def _refitted(
     fitter = Fitter(nominal, view, *experiments, jobs=1)
     try:
         fitter.allow(math.inf, until)
-        found = [fitter.fit(fitter.hypothesis(()))]
+        found = [fitter.fit(fitter.hypothesis(()), slow=(far, FAIR))]
         if found[0].ok and dry:
             fits = [fitter.fit(fitter.hypothesis((e,), found[0].linear, found[0].own)) for e in _dry_friction(fitter)]
             found += [min(fits, key=lambda f: f.chi2)] if fits else []
@@ -149,10 +154,10 @@ def _refitted(
 
 
 def _dry_friction(fitter: Fitter) -> list[Effect]:
-    """What MJCF's dry friction stands for on the driven body, at each start of a fit; none where the nominal axis has it."""
+    """What MJCF's dry friction stands for on the driven body, at each start of a fit; none where the axis has a friction."""
     chain = fitter.nominal.chain
     found = next((e for cls in registered().values() if (e := cls.read(DryFriction(0, 1.0), chain)) is not None), None)
-    if found is None or any(e.key == found.key for e in fitter.nominal.effects):
+    if found is None or any(e.family == found.family for e in fitter.nominal.effects):
         return []
     cls = type(found)
     return [cls(place=found.place, **start) for start in cls.starts(fitter.scales_for(cls, found.place))]
