@@ -76,7 +76,7 @@ def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:
         return
     steps = given.shifts and (_far(first) or sum(f.kind == "physics" for f in first.findings) > 1)
     friction = given.other is not None and _open(first, given.axis)
-    first_friction = friction and _replaces_friction(first, given.axis)
+    first_friction = friction and "friction" in _families(first)  # a law of it may stand for its creep
     for kind in ("friction", "steps") if first_friction else ("steps", "friction"):
         if kind == "friction" and friction:
             yield (

@@ -202,3 +202,5 @@ def test_friction_in_place_of_the_models_own_asks_for_the_other_kind(monkeypatch
     both = dataclasses.replace(given(shifts=shifts), axis=rigid, other=FRICTION)
     assert next(why for why, _ in _others(both, result(Verdict.UNEXPLAINED, 1.1, findings=(law,)))).startswith("dry friction")
     assert [why for why, _ in _others(both, result(Verdict.UNEXPLAINED, 1.1, findings=(PHYSICS,)))][-1].startswith("dry friction")
+    bare = dataclasses.replace(both, axis=SimpleNamespace(effects=(), chain=SimpleNamespace(bodies=())))
+    assert next(why for why, _ in _others(bare, result(Verdict.UNEXPLAINED, 1.1, findings=(law,)))).startswith("dry friction")
