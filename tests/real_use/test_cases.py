@@ -17,13 +17,13 @@ from mjsim.effects.registry import registered
 
 
 def test_every_block_is_even_and_a_prefix_is_the_same_cases():
-    cases = draw(3 * BLOCK, 1)
+    cases = draw(10 * BLOCK, 1)
     assert cases[:BLOCK] == draw(BLOCK, 1)
     for factor, levels in FACTORS.items():
-        for block in range(3):
+        for block in range(10):
             rows = cases[block * BLOCK : (block + 1) * BLOCK]
             assert Counter(getattr(c, factor) for c in rows) == Counter(levels)
-    pairs = Counter((c.machine, c.loop) for c in draw(10 * BLOCK, 1))
+    pairs = Counter((c.machine, c.loop) for c in cases)
     assert min(pairs.values()) >= 8
     assert max(pairs.values()) <= 12
     for c in cases:

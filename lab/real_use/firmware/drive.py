@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -35,6 +36,12 @@ class Firmware:
     limit: Numbers = math.inf
     stall: Numbers = math.inf
     free_speed: Numbers = math.inf
+
+
+@lru_cache(64)  # a loop asks for each several times a period
+def _each(numbers: Numbers, joints: int) -> np.ndarray:
+    """The number of each joint, read-only."""
+    return np.asarray(np.broadcast_to(np.asarray(numbers, dtype=float), (joints,)))
 
 
 @dataclass
@@ -71,7 +78,7 @@ class Loop:
         return np.asarray(np.clip(out, -stall * (1.0 + v / free), stall * (1.0 - v / free)))
 
     def _of(self, numbers: Numbers) -> np.ndarray:
-        return np.asarray(np.broadcast_to(np.asarray(numbers, dtype=float), (self.joints,)))
+        return _each(numbers, self.joints)
 
     def _late(self, command: np.ndarray) -> np.ndarray:
         self._waiting.append(command.copy())
