@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from starlette.testclient import TestClient
 
 from simgap.app.guard import POLICY, WRITTEN_POLICY
 from simgap.app.jobs import _keep
+from simgap.app.preview import Previews
 from simgap.app.record import begin, end
 from simgap.app.runs import Runs, Settings
 from simgap.app.server import make_app
@@ -25,8 +27,12 @@ MODEL = (Path(__file__).resolve().parents[2] / "models" / "pendulum.xml").read_b
 
 @pytest.fixture
 def client(tmp_path):
+    """Of a server whose process for pictures starts with the first one."""
     app = make_app(tmp_path / "runs", TOKEN, PORT, MOST)
-    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", raise_server_exceptions=True) as client:
+    with ExitStack() as stack:
+        with pytest.MonkeyPatch.context() as starting:
+            starting.setattr(Previews, "start", lambda self: None)
+            client = stack.enter_context(TestClient(app, base_url=f"http://127.0.0.1:{PORT}", raise_server_exceptions=True))
         client.cookies.set(f"simgap-{PORT}", TOKEN)
         yield client
 
