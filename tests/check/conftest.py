@@ -17,7 +17,7 @@ from mjsim.ode import simulate
 from mjsim.recording import Recording
 
 FINE = 4000
-SECONDS = 8.0
+SECONDS = 4.0
 
 
 def _axis(inertia: float, viscous: float, friction: float, weight: float, gain: float = 1.0) -> Axis:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -21,8 +23,10 @@ MACHINES = {
     "free inertia, stiffness 1": ((0.02, 0.02, 0.02, 0.0), 1.0),
     "free inertia": ((0.18, 0.08, 0.1, 0.0), 30.0),
 }
+QUICK = ("pendulum", "free inertia")  # one with weight and one without
 
 
+@cache
 def _servo(numbers: tuple[float, ...], stiffness: float, seed: int) -> tuple[np.ndarray, ...]:
     """Command, torque, velocity and angle (N,) of a servo with damping 0.7 on a joint whose numbers are 10 % off."""
     inertia, viscous, dry, weight = np.array(numbers) * (1.1, 0.9, 1.2, 1.1)
@@ -56,8 +60,14 @@ def _machine(inertia: float, viscous: float, dry: float, weight: float) -> Machi
     return Machine(Axis(Chain((Body("motor", inertia, viscous, "pivot"),), ()), tuple(effects)), None)
 
 
-@pytest.mark.parametrize("has_velocity", [True, False])
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize(
+    ("name", "has_velocity"),
+    [
+        *((name, True) for name in MACHINES),
+        *((name, False) for name in QUICK),
+        *(pytest.param(name, False, marks=pytest.mark.slow) for name in MACHINES if name not in QUICK),
+    ],
+)
 def test_a_command_bound_as_torque_is_named_and_its_torque_is_not(name: str, has_velocity: bool) -> None:
     numbers, stiffness = MACHINES[name]
     logs = [_servo(numbers, stiffness, seed) for seed in (1, 2)]

@@ -13,7 +13,7 @@ from mjsim.errors import InputError
 from simgap.commands.check import command as check_command
 from tests.mjsim.servo_logs import GEARED, PENDULUM, model, record, write
 
-DT = 0.01
+DT, TIMESTEP = 0.01, 2e-3
 ELASTIC = """<mujoco><option timestep="0.001" integrator="implicitfast" gravity="0 0 0"/><worldbody><body name="rotor">
 <joint name="drive" axis="0 0 1" damping="0.1"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/><body name="link">
 <joint name="flex" axis="0 0 1" stiffness="500" damping="0.5"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/>
@@ -34,9 +34,9 @@ AXES = pytest.mark.parametrize("axis", ["pendulum", pytest.param("geared", marks
 def axis(request, tmp_path_factory):
     """(model, columns) of a servo whose friction the file lacks; the command of the geared one is in units of the actuator."""
     template, gear = WHICH[request.param]
-    path = write(tmp_path_factory.mktemp("axis") / "servo.xml", template)
+    path = write(tmp_path_factory.mktemp("axis") / "servo.xml", template, timestep=TIMESTEP)
     friction = 0.02 if template == PENDULUM else 0.01
-    return path, columns(record(model(template, friction=friction), seconds=12.0, gear=gear))
+    return path, columns(record(model(template, friction=friction, timestep=TIMESTEP), seconds=10.0, gear=gear))
 
 
 def found(log, path):

@@ -111,6 +111,10 @@ def record(
     d.qpos[0] = c[0] / gear
     for k in range(len(c)):
         q[k] = d.qpos[0]
+        if hold == "held" and deadband == 0.0:  # one input over the whole sample
+            d.ctrl[0] = c[k]
+            mujoco.mj_step(m, d, each)
+            continue
         for i in range(each):
             u = c[k] if hold == "held" else c[k] + (following[k] - c[k]) * (i + 0.5) / each
             e = u - gear * d.qpos[0]
