@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cache
 from types import SimpleNamespace
 
 import mujoco
@@ -20,10 +21,11 @@ from mjsim.recording import Recording
 from simgap import servo_log
 from tests.mjsim.servo_logs import PENDULUM, command, model, write
 
-DT, FINER, SECONDS = 0.02, 20, 16.0
+DT, FINER, SECONDS = 0.02, 10, 10.0
 LEAD = 0.05  # [s] by which a velocity feedforward lets the joint act ahead
 
 
+@cache
 def log(hold: str, seed: int, *, friction: float = 0.0, lead: float = 0.0) -> Recording:
     """A log at 50 Hz of a servo whose setpoints go between samples as ``hold`` says; ``lead``: of a velocity feedforward [s]."""
     m = mujoco.MjModel.from_xml_string(model(PENDULUM, friction=friction, kp=10.0, timestep=DT / FINER))

@@ -21,7 +21,7 @@ NOISE = 2e-5  # [rad], both encoders
 def read(laws: Laws, seed: int, *, delay: int = 0, stiffness: float = 0.0, gap: float = 0.0) -> Recording:
     """The sealed plant's motor, and a second encoder behind a massless spring or gap, ``delay`` samples late."""
     rng = np.random.default_rng(seed)
-    motion = free_run(laws, multisine(6.0, 0.5, 0.2, 6.0, rng).torque)
+    motion = free_run(laws, multisine(3.0, 0.5, 0.2, 6.0, rng).torque)
     dt = float(motion.time[1])
     q = motion.angle_true
     link = q - (motion.torque / stiffness if stiffness else 0.0) - 0.5 * gap * np.sign(motion.torque)

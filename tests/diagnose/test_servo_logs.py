@@ -192,7 +192,7 @@ def test_the_files_are_judged_by_plain_mujoco(tmp_path):
     """The figures of nominal and corrected are those of the files on disk; the engine's stand beside them."""
     nominal = write(tmp_path / "pendulum.xml", PENDULUM)
     paths = []
-    for i, seconds in enumerate((6.0, 4.0)):
+    for i, seconds in enumerate((4.0, 3.0)):
         r = record(model(PENDULUM, friction=0.08), rate=100.0, seconds=seconds, seed=i)
         paths.append(tmp_path / f"log{i}.csv")
         columns = np.column_stack([r.time, r.command, r.angle])

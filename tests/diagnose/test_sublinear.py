@@ -30,7 +30,7 @@ def log(seed, exponent):
     return Recording(t, u, velocity, angle, DT, source=f"{seed}.csv")
 
 
-@pytest.mark.parametrize("exponent", [0.2, 0.6])
+@pytest.mark.parametrize("exponent", [0.2, pytest.param(0.6, marks=pytest.mark.slow)])
 def test_the_exponent_is_found(exponent):
     logs = [log(seed, exponent) for seed in (1, 2)]
     result = diagnose(NOMINAL, logs[:1], logs[1:], Options(jobs=1, effects=("coulomb_friction", LAW.id)))

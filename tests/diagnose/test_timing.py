@@ -52,7 +52,7 @@ def misfit(view: ForceView, recording: Recording) -> float:
 @pytest.mark.parametrize(("hold", "error"), [("held", 2e-3), ("linear", 2e-3), ("mean", 1e-2)])
 def test_the_true_model_needs_the_torque_that_acted(hold, error):
     """Under the filter's band, with content up to half the sampling rate; a mean is off by the input's second difference."""
-    recording = moved(levels(1), hold, 200)
+    recording = moved(levels(1), hold, 100)
     assert misfit(ForceView(decimate=1), recording) < error
     other = dataclasses.replace(recording, hold="linear" if hold == "held" else "held")
     assert misfit(ForceView(decimate=1), other) > 5 * error, "each by its own hold"
@@ -82,7 +82,7 @@ def test_a_simulator_that_steps_semi_implicitly_acts_half_its_timestep_early(ste
 
 
 def test_no_lead_is_taken_where_there_is_none():
-    pair = tuple(prepare(moved(levels(seed), "held", 200)) for seed in (3, 4))
+    pair = tuple(prepare(moved(levels(seed), "held", 100)) for seed in (3, 4))
     for view in (ForceView(decimate=1), MotionView()):
         fitter = Fitter(AXIS, view, pair[:1], pair[1:], 1)
         assert getattr(taken_early(fitter).view, "early", 0.0) < 0.02 * DT

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -25,7 +26,8 @@ DT, FINER = 0.01, 20
 GAIN = {PENDULUM: 0.4, GEARED: 0.0012}
 
 
-def log(template: str, hold: str, seed: int, seconds: float = 10.0, noise: float = 0.0) -> Recording:
+@cache
+def log(template: str, hold: str, seed: int, seconds: float = 6.0, noise: float = 0.0) -> Recording:
     """A log of plain MuJoCo whose command is moved by the force of the feedforward over kp."""
     m = mujoco.MjModel.from_xml_string(model(template, timestep=DT / FINER))
     d, gear, kp = mujoco.MjData(m), float(m.actuator_gear[0, 0]), float(m.actuator_gainprm[0, 0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -68,11 +69,12 @@ def recording(rate: float, u: np.ndarray, v: np.ndarray | None, q: np.ndarray | 
     return Recording(np.arange(len(u)) / rate, u, v, q, 1 / rate, source=name, **more)  # type: ignore[arg-type]
 
 
-def motor(seed: int, rate: float = 500, seconds: float = 6.0, level: float = 0.06, noise: float = 0.02) -> list[np.ndarray]:
+@lru_cache(8)  # several tests ask for the same
+def motor(seed: int, rate: float = 500, seconds: float = 6.0, level: float = 0.06, noise: float = 0.02) -> tuple[np.ndarray, ...]:
     """Torque, velocity and angle (N,) of a motor of 0.012 kg m^2 with 0.05 N m s/rad and dry friction."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate)) / rate
     u, q, v = run(
         0.5 * wave(rng, t, 0.3, 4.0), rate, 0.012, lambda _t, _q, v, u: u - 0.05 * v, friction=Bristle(level) if level else None
     )
-    return [u, v + noise * rng.standard_normal(len(t)), q + 0.005 * noise * rng.standard_normal(len(t))]
+    return u, v + noise * rng.standard_normal(len(t)), q + 0.005 * noise * rng.standard_normal(len(t))
