@@ -48,7 +48,7 @@ def test_an_unknown_name_is_refused():
 def log():
     """Columns of a pendulum with dry friction of 0.3 N m."""
     t = np.arange(0, 3, DT)
-    torque = 3 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t)
+    torque = 1.5 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t)
     friction = simgap.effects["coulomb_friction"](place="motor", torque_Nm=0.3)
     run = simgap.simulate("pendulum", torque, dt=DT, effects=[friction])
     noise = 0.01 * np.random.default_rng(0).standard_normal(t.size)

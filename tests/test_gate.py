@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import simgap
+from diagnose.options import Options
 from mjsim.errors import CheckError, InputError
 from mjsim.mjcf import load_axis
 from mjsim.ode import simulate
 from mjsim.recording import load
 from simgap.commands.gate import command
+from simgap.pipeline import diagnose_files
 
 MODEL = """<mujoco><compiler autolimits="false"/><option gravity="0 0 0"/><worldbody><body name="disc">
 <joint name="motor" type="hinge" damping="{damping}"/><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body>
@@ -139,7 +140,8 @@ def diagnosed(tmp_path_factory) -> Path:
     v = simulate(load_axis(folder / "model.xml"), u, DT).velocity + 0.005 * np.random.default_rng(0).standard_normal(N)
     table = np.column_stack([t, u, v])
     np.savetxt(folder / "a.csv", table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="")
-    simgap.diagnose(folder / "a.csv", folder / "model.xml", effects=["torque_offset"], out=folder / "report")
+    few = Options(effects=("torque_offset",))
+    diagnose_files([folder / "a.csv"], folder / "model.xml", folder / "report", (), few, progress=False, page=False)
     return folder
 
 

@@ -14,7 +14,7 @@ DT = 0.004
 @pytest.fixture(scope="module")
 def log():
     t = np.arange(0, 3, DT)
-    torque = 3 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t)
+    torque = 1.5 * np.sin(2 * np.pi * (0.3 + 0.5 * t) * t)
     run = simgap.simulate("pendulum", torque, dt=DT, effects=[simgap.effects["torque_offset"](place="motor", torque_Nm=0.5)])
     noise = 0.01 * np.random.default_rng(0).standard_normal(t.size)
     return {"time_s": t, "torque_Nm": torque, "velocity_rad_s": run.velocity + noise}

@@ -60,7 +60,7 @@ def test_no_further_search_begins_without_time(robot, rubbing, monkeypatch):
     assert (len(searches), search.state.late, best.effects, whitened) == (1, True, (), False)
 
 
-@pytest.mark.parametrize("in_time", [1, 4])
+@pytest.mark.parametrize("in_time", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_a_move_ends_with_the_budget(robot, rubbing, monkeypatch, in_time):
     """The candidates that are left when the time is used up are not fitted; those before are."""
     fitter = Fitter(robot, MotionView(), *((prepare(r),) for r in rubbing), 1)

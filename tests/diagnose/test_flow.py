@@ -38,10 +38,9 @@ FEW = ("coulomb_friction", "backlash", "hardening_stiffness", "torque_offset", "
 
 
 @pytest.fixture(scope="module")
-def with_coulomb(pair, robot):
-    """(recordings, result) with Coulomb friction concealed; every registered effect is a candidate."""
-    recordings = pair(COULOMB, seconds=2.0)
-    return recordings, diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1))
+def with_coulomb(pair):
+    """Recordings with Coulomb friction concealed."""
+    return pair(COULOMB, seconds=2.0)
 
 
 def test_nothing_is_named_where_parameters_alone_differ(pair, robot):
@@ -69,8 +68,10 @@ def test_no_false_alarm_on_other_noise(pair, robot, seed):
     assert result.findings == ()
 
 
-def test_coulomb_friction_is_found(with_coulomb):
-    _, result = with_coulomb
+@pytest.mark.parametrize("effects", [FEW, pytest.param(None, marks=pytest.mark.slow)], ids=["few", "all"])
+def test_coulomb_friction_is_found(with_coulomb, robot, effects):
+    estimation, held_out = with_coulomb
+    result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=effects))
     assert result.verdict is Verdict.MISSING_PHYSICS
     (finding,) = result.findings
     assert (finding.effect, finding.place, finding.element) == ("coulomb_friction", "motor", "motor")
@@ -87,7 +88,7 @@ def test_coulomb_friction_is_found(with_coulomb):
 
 @pytest.mark.slow
 def test_the_answer_does_not_depend_on_the_number_of_threads(with_coulomb, robot):
-    (estimation, held_out), _ = with_coulomb
+    estimation, held_out = with_coulomb
     one, two = (diagnose(robot, [estimation], [held_out], Options(jobs=jobs, effects=FEW)) for jobs in (1, 2))
 
     def answer(result):
@@ -142,7 +143,7 @@ def test_what_no_candidate_explains_is_said_to_be_unexplained(pair, robot, torqu
 
 
 def test_the_screen_ranks_the_truth_first(with_coulomb, robot):
-    (estimation, held_out), _ = with_coulomb
+    estimation, held_out = with_coulomb
     fitter = Fitter(robot, MotionView(), (prepare(estimation),), (prepare(held_out),), 1)
     base = fitter.fit(fitter.hypothesis(()))
     ranked = screen(fitter, base, candidates(fitter))
@@ -152,7 +153,7 @@ def test_the_screen_ranks_the_truth_first(with_coulomb, robot):
 
 
 def test_candidates_are_what_the_chain_offers(with_coulomb, robot):
-    (estimation, held_out), _ = with_coulomb
+    estimation, held_out = with_coulomb
     fitter = Fitter(robot, MotionView(), (prepare(estimation),), (prepare(held_out),), 1)
     offered = {c.key for c in candidates(fitter)}
     position_locked = {n for n, c in registered().items() if not c.starts(fitter.scales[c.places[0]])}
@@ -304,7 +305,7 @@ def check_contract(said):
 
 
 def test_files_in_a_folder_with_the_contracts_json_out(pair, tmp_path):
-    estimation, held_out = pair(COULOMB, seconds=2.0)
+    estimation, held_out = pair(COULOMB, seconds=1.0)
     one, two = write(tmp_path / "log.csv", estimation), write(tmp_path / "other.csv", held_out)
     out = tmp_path / "report"
     result = diagnose_files([one], shipped_model("robot_axis1"), out, [two], Options(jobs=1, effects=FEW, seed=5), progress=False)

@@ -41,7 +41,7 @@ def log(axis: Axis, seed: int, samples: int = 1500) -> Recording:
 
 
 def test_a_stop_is_named_with_its_values() -> None:
-    result = diagnose(NOMINAL, [log(NOMINAL + STOP, 1)], [log(NOMINAL + STOP, 2)], ONLY)
+    result = diagnose(NOMINAL, [log(NOMINAL + STOP, 1, 1000)], [log(NOMINAL + STOP, 2, 1000)], ONLY)
     assert result.verdict is Verdict.MISSING_PHYSICS
     assert [f.effect for f in result.findings] == ["joint_stop"]
     values = result.findings[0].parameters
@@ -53,7 +53,7 @@ def test_a_stop_is_named_with_its_values() -> None:
 
 def test_a_limited_torque_is_no_stop() -> None:
     limited = NOMINAL + effect_class("actuator_saturation")(limit_Nm=0.3)
-    result = diagnose(NOMINAL, [log(limited, 1)], [log(limited, 2)], ONLY)
+    result = diagnose(NOMINAL, [log(limited, 1, 1000)], [log(limited, 2, 1000)], ONLY)
     assert [f.effect for f in result.findings] == ["actuator_saturation"]
 
 

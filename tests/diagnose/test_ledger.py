@@ -50,10 +50,15 @@ class Broken(Ledger):
 
 
 @pytest.fixture(scope="module")
-def whole(pair, robot):
-    """(recordings, options, answer without interruption, its number of fits)."""
+def recordings(pair):
+    """One to fit and one that is held out."""
     stribeck = effect("stribeck_friction", torque_Nm=0.08, extra_static_torque_Nm=0.05, stribeck_velocity_rad_s=3.0)
-    recordings = pair(stribeck, seconds=1.5)
+    return pair(stribeck, seconds=1.5)
+
+
+@pytest.fixture(scope="module")
+def whole(recordings, robot):
+    """(recordings, options, answer without interruption, its number of fits)."""
     options = Options(jobs=1, effects=FEW)
     counted = Counted()
     result = diagnose(robot, recordings[:1], recordings[1:], options, ledger=counted)
@@ -144,8 +149,8 @@ def test_a_line_that_was_altered_is_dropped(tmp_path, damage):
     assert path.read_text() == head + lines[0]
 
 
-def test_other_samples_of_a_recording_are_another_fit(whole, robot, tmp_path):
-    (estimation, held_out), *_ = whole
+def test_other_samples_of_a_recording_are_another_fit(recordings, robot, tmp_path):
+    estimation, held_out = recordings
     ledger = Ledger(tmp_path / "state.jsonl", "this")
     whole_of_it = prepare(estimation)
     half = dataclasses.replace(whole_of_it, counts=whole_of_it.counts & (np.arange(len(estimation)) % 2 == 0))
@@ -156,8 +161,8 @@ def test_other_samples_of_a_recording_are_another_fit(whole, robot, tmp_path):
     assert ledger.size == 2
 
 
-def test_a_fit_that_is_recalled_is_the_fit(whole, robot, tmp_path):
-    (estimation, held_out), *_ = whole
+def test_a_fit_that_is_recalled_is_the_fit(recordings, robot, tmp_path):
+    estimation, held_out = recordings
     ledger = Ledger(tmp_path / "state.jsonl", "this")
 
     def fits(ledger):
@@ -232,8 +237,8 @@ def write(path, r):
 
 
 @pytest.fixture
-def files(whole, tmp_path):
-    (estimation, held_out), *_ = whole
+def files(recordings, tmp_path):
+    estimation, held_out = recordings
     return write(tmp_path / "log.csv", estimation), write(tmp_path / "other.csv", held_out)
 
 

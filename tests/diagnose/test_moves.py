@@ -49,7 +49,7 @@ def test_where_the_noise_is_not_known_the_score_test_stands(gain, left):
 def test_an_added_body_is_fitted_from_all_its_starts_at_the_nominal_parameters(fitter_of, pair):
     """A spring of 0.4 of the nominal one stands in for the body, and no few iterations lead from there to it."""
     mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
-    fitter = fitter_of(pair(mode))
+    fitter = fitter_of(pair(mode, seconds=1.0))
     as_is = fitter.fit(fitter.hypothesis(()), iterations=0)
     linear = as_is.linear | {"ka": 0.4 * as_is.linear["ka"]}
     far = fitter.fit(fitter.hypothesis([mode.with_values({"inertia_kgm2": 1e-3})], linear), iterations=0)
@@ -60,7 +60,7 @@ def test_an_added_body_is_fitted_from_all_its_starts_at_the_nominal_parameters(f
 
 def test_starts_are_fitted_in_coarse_steps_and_the_best_in_those_of_the_view(fitter_of, pair, monkeypatch):
     mode = effect("extra_flexible_mode", place="arm", inertia_kgm2=0.4, stiffness_Nm_rad=9000.0, damping_Nms_rad=5.0)
-    fitter = fitter_of(pair(mode))
+    fitter = fitter_of(pair(mode, seconds=1.0))
     far = fitter.fit(fitter.hypothesis([mode.with_values({"inertia_kgm2": 1e-3})]), iterations=0)
     steps, fit = [], type(fitter).fit
     monkeypatch.setattr(type(fitter), "fit", lambda self, *a, **how: steps.append(self.view.step) or fit(self, *a, **how))
@@ -135,7 +135,7 @@ def test_a_law_is_long_that_takes_more_runs_than_the_others_and_than_its_share(f
 
 def test_one_fit_takes_a_part_of_the_budget(fitter_of, pair):
     ripple = effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=8.0, phase_rad=0.5)
-    fitter = fitter_of(pair(LINEAR))
+    fitter = fitter_of(pair(LINEAR, seconds=1.0))
     plain = fitter.fit(fitter.hypothesis([ripple]))
     assert plain.fit.iterations > 3
     fitter.allow(1.0)

@@ -39,7 +39,7 @@ def cubic_drag(tmp_path, monkeypatch):
 
 def test_an_effect_added_by_one_file_is_found(cubic_drag, pair, robot, tmp_path):
     assert "cubic_drag" not in {c.id for c in cubic_drag.__mro__[1:] if hasattr(c, "id")}
-    estimation, held_out = pair(cubic_drag(torque_Nm=0.02))
+    estimation, held_out = pair(cubic_drag(torque_Nm=0.02), seconds=1.0)
     among = ("cubic_drag", "quadratic_friction", "coulomb_friction", "time_delay")
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=among))
     assert result.verdict is Verdict.MISSING_PHYSICS

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
-from diagnose.options import Options
+from diagnose.pipeline import Options, diagnose
 from diagnose.result import FitFigures, Verdict
 from diagnose.thresholds import SIGMAS
 from diagnose.verdict import numerics
@@ -44,6 +44,7 @@ def text(friction=0.35, solver=""):
     return PENDULUM.format(friction=friction, solver=solver)
 
 
+@cache
 def log(xml, seed, seconds=4.0):
     """A recording made by plain MuJoCo."""
     m = mujoco.MjModel.from_xml_string(xml)
@@ -233,7 +234,7 @@ def test_chi_square_to_come_is_that_of_noise():
 
 def test_a_refit_that_cannot_come_to_the_noise_is_given_up_on_its_first_part(nominal, monkeypatch):
     nominal.write_text(text(friction=0), encoding="utf-8")
-    axis, cases = load_axis(nominal), cases_of([log(text(), 1)], [])
+    axis, cases = load_axis(nominal), cases_of([log(text(), 1, 2.0)], [])
     lengths = []
     run = MujocoPlant.run
     monkeypatch.setattr(MujocoPlant, "run", lambda self, u, *a, **k: lengths.append(len(u)) or run(self, u, *a, **k))
@@ -261,11 +262,11 @@ def test_where_a_run_starts_is_found_by_the_engine(nominal):
     assert abs(start.angle) < abs(case.start().angle) or start == case.start()
 
 
-@pytest.fixture
-def judged(pair, robot, nominal):
+@pytest.fixture(scope="module")
+def judged(pair, robot, tmp_path_factory):
     """(result without findings, nominal comparison) to lay other figures on."""
-    from diagnose.pipeline import diagnose
-
+    nominal = tmp_path_factory.mktemp("judged") / "pendulum.xml"
+    nominal.write_text(text(), encoding="utf-8")
     estimation, held_out = pair(seconds=1.5)
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=("torque_offset",)))
     given = compare_nominal(nominal, load_axis(nominal), [log(text(), 1)], [log(text(), 2)], 1)

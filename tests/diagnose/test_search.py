@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -28,13 +29,19 @@ from mjsim.recording import Recording
 N, BLOCKS = 20_000, 40
 
 
+@pytest.fixture(scope="module")
+def short(pair):
+    """Pairs of recordings of a second."""
+    return partial(pair, seconds=1.0)
+
+
 def coulomb(level=0.1):
     return effect_class("coulomb_friction")(torque_Nm=level)
 
 
-def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, pair):
+def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, short):
     """Inertias and stiffnesses are held by their logarithm, the others by their ratio."""
-    fitter = fitter_of(pair())
+    fitter = fitter_of(short())
     h = fitter.hypothesis(())
     np.testing.assert_allclose(fitter.problem.prior(h, h.start), 0.0, atol=1e-12)
     fitter = fitter.relax(prior_weight=4.0)
@@ -42,8 +49,8 @@ def test_the_prior_is_nought_at_the_nominal_parameters(fitter_of, pair):
     assert np.max(fitter.problem.prior(off, off.start)) == pytest.approx(2.0 * np.log(2.0) * TWICE)
 
 
-def test_what_a_prior_costs_is_no_misfit(fitter_of, pair):
-    fitter = fitter_of(pair()).relax(prior_weight=1e4)
+def test_what_a_prior_costs_is_no_misfit(fitter_of, short):
+    fitter = fitter_of(short()).relax(prior_weight=1e4)
     inertia = fitter.nominal.chain.bodies[0].inertia
     off = fitter.fit(fitter.hypothesis((), {"Jm": 1.2 * inertia}), iterations=0)
     errors = off.fit.residual[: -off.hypothesis.prior_terms[0]]
@@ -51,9 +58,9 @@ def test_what_a_prior_costs_is_no_misfit(fitter_of, pair):
     assert fitter.misfit(off) < off.chi2 / off.n
 
 
-def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, pair):
+def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, short):
     """Those of the recordings as they are, those of the prior anew."""
-    fitter = fitter_of(pair(coulomb()))
+    fitter = fitter_of(short(coulomb()))
     lender = fitter.fit(fitter.hypothesis([coulomb()]), iterations=3)
     fitter = fitter.relax(prior_weight=100.0)
     asked = []
@@ -69,17 +76,17 @@ def test_sensitivities_are_lent_under_another_weight_of_the_prior(fitter_of, pai
     assert sum(asked) == 1, "nothing is run for what is known, only the residual there"
 
 
-def test_who_has_no_sensitivities_lends_none_and_is_sure_of_nothing(fitter_of, pair):
+def test_who_has_no_sensitivities_lends_none_and_is_sure_of_nothing(fitter_of, short):
     """Its first differences failed, or nobody asked for them: what it keeps is zero."""
-    fitter = fitter_of(pair(coulomb()))
+    fitter = fitter_of(short(coulomb()))
     bare = fitter.fit(fitter.hypothesis([coulomb()]), iterations=0)
     assert fitter._from_neighbour(bare.hypothesis, bare.fit.x, bare, 1e-3, fitter.map) is None
     assert np.all(np.isinf(bare.standard_errors()))
     assert fitter.fit(bare.hypothesis, bare.fit.x, neighbour=bare, secant=True).chi2 < bare.chi2
 
 
-def test_a_rival_far_from_the_noise_is_fitted_roughly_and_one_near_it_is_not(fitter_of, pair):
-    fitter = fitter_of(pair(coulomb(0.3)))
+def test_a_rival_far_from_the_noise_is_fitted_roughly_and_one_near_it_is_not(fitter_of, short):
+    fitter = fitter_of(short(coulomb(0.3)))
     bare, right = fitter.hypothesis(()), fitter.hypothesis([coulomb(0.2)])
     far, fitted = fitter.fit(bare, rival=True), fitter.fit(bare)
     assert far.chi2 / far.n > FAR
@@ -90,8 +97,8 @@ def test_a_rival_far_from_the_noise_is_fitted_roughly_and_one_near_it_is_not(fit
     np.testing.assert_allclose(near.fit.x, exact.fit.x, rtol=1e-6)
 
 
-def test_a_structure_without_an_effect_is_fitted_once(fitter_of, pair):
-    fitter = fitter_of(pair(coulomb(0.3)))
+def test_a_structure_without_an_effect_is_fitted_once(fitter_of, short):
+    fitter = fitter_of(short(coulomb(0.3)))
     search = Search(fitter, SearchOptions(only=("coulomb_friction",)))
     best = search.run()
     first = search.pruning.without(best, best.effects[0])
@@ -127,9 +134,9 @@ def test_coloured_noise_is_whitened_before_anything_is_sought_in_it(robot, pair)
     assert any("one channel alone" in note for note in blind.notes)
 
 
-def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong(pair, robot):
+def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong(short, robot):
     """A nominal fit that ended at a wrong minimum must not make evidence for what only showed the way out of it."""
-    first, other = pair()
+    first, other = short()
     fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
     search = Search(fitter, SearchOptions())
     good = search.nominal()
@@ -146,10 +153,10 @@ def test_an_effect_of_no_size_is_dropped_though_the_nominal_model_had_gone_wrong
     fitter.close()
 
 
-def test_a_law_that_gains_nothing_over_its_limit_is_dropped_for_it(robot, pair):
+def test_a_law_that_gains_nothing_over_its_limit_is_dropped_for_it(robot, short):
     """Stribeck friction that fades over next to no speed, where static friction was fitted from a bad start."""
     hidden = effect("static_friction", torque_Nm=0.1, peak=1.8)
-    first, other = pair(hidden)
+    first, other = short(hidden)
     fitter = Fitter(robot, MotionView(), (prepare(first),), (prepare(other),), 1)
     search = Search(fitter, SearchOptions())
     fading = effect("stribeck_friction", torque_Nm=0.1, extra_static_torque_Nm=0.08, stribeck_velocity_rad_s=1e-3)
@@ -198,8 +205,8 @@ def test_what_the_angle_shows_is_taken_in_first(robot, pair):
     assert {f.effect for f in result.findings} == {"sensor_offset", "friction_drift"}
 
 
-def test_held_out_data_judge_structures_of_one_size_as_well(fitter_of, pair):
-    fitter = fitter_of(pair(effect("coulomb_friction", torque_Nm=0.1)))
+def test_held_out_data_judge_structures_of_one_size_as_well(fitter_of, short):
+    fitter = fitter_of(short(effect("coulomb_friction", torque_Nm=0.1)))
     search = Search(fitter, SearchOptions())
     right = fitter.fit(fitter.hypothesis([effect("coulomb_friction", torque_Nm=0.1)]))
     wrong = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.01)], right.linear))
@@ -210,14 +217,14 @@ def test_held_out_data_judge_structures_of_one_size_as_well(fitter_of, pair):
     assert search.selection.best(right) is right, "by the estimation data alone it would be the other"
 
 
-def test_only_laws_that_stick_or_strike_go_astray(fitter_of, pair):
-    fitter = fitter_of(pair(coulomb()))
+def test_only_laws_that_stick_or_strike_go_astray(fitter_of, short):
+    fitter = fitter_of(short(coulomb()))
     assert predicted_samples(fitter, fitter.fit(fitter.hypothesis(()))) is None
 
 
-def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fitter_of, pair):
+def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fitter_of, short):
     """Two gains from far off, each counted by its own samples' worth, may say the contrary of the two structures' own errors."""
-    fitter = fitter_of(pair(coulomb()))
+    fitter = fitter_of(short(coulomb()))
     search = Search(fitter, SearchOptions())
     search.nominal()
     right = fitter.fit(fitter.hypothesis([coulomb()]))
@@ -231,9 +238,9 @@ def test_a_move_sideways_is_judged_directly_where_the_error_is_the_models_own(fi
     assert search.selection.best(right) is right
 
 
-def test_a_held_out_run_that_needs_a_phase_of_its_own_is_judged_with_it(fitter_of, pair, monkeypatch):
+def test_a_held_out_run_that_needs_a_phase_of_its_own_is_judged_with_it(fitter_of, short, monkeypatch):
     """A model whose phase of the fitted recording cannot be run on the held-out one: its error there was divided by nought."""
-    fitter = fitter_of(pair(effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=4.0, phase_rad=0.3)))
+    fitter = fitter_of(short(effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=4.0, phase_rad=0.3)))
     found = fitter.fit(fitter.hypothesis([effect("torque_ripple", amplitude_Nm=0.02, cycles_per_rev=4.0, phase_rad=0.3)]))
     own = fitter.own_values(found.hypothesis, found, fitter.held_out[0])[0]
     run = MotionView.signals
@@ -288,9 +295,9 @@ def test_what_a_better_law_may_still_miss_is_no_effect_of_its_own(fitter_of, pai
     assert search.context.law_error(other) == pytest.approx(0.02 * 0.3 * other.n)
 
 
-def test_a_neighbour_whose_sensitivities_predict_no_gain_is_not_fitted_on(fitter_of, pair):
+def test_a_neighbour_whose_sensitivities_predict_no_gain_is_not_fitted_on(fitter_of, short):
     """Where a structure leaves noise alone, the sensitivities of a neighbour bound what it may gain."""
-    fitter = fitter_of(pair(coulomb(0.3)))
+    fitter = fitter_of(short(coulomb(0.3)))
     search = Search(fitter, SearchOptions())
     right = fitter.fit(fitter.hypothesis([coulomb(0.3)]))
     poor = fitter.fit(fitter.hypothesis([coulomb(0.3)]), iterations=1)
@@ -312,10 +319,10 @@ def test_a_structure_that_leaves_less_than_noise_leaves_something_if_that_has_a_
     assert search.context.visible(wrong)
 
 
-def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
+def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, short):
     """Static friction that ended in another minimum lost to Stribeck friction which faded over a speed far below the noise."""
     sticks = effect("static_friction", torque_Nm=0.1, peak=1.8)
-    fitter = fitter_of(pair(sticks))
+    fitter = fitter_of(short(sticks))
     search = Search(fitter, SearchOptions())
     level = {"torque_Nm": 0.1, "extra_static_torque_Nm": 0.08, "stribeck_velocity_rad_s": 0.003}
     base = fitter.fit(fitter.hypothesis([effect("stribeck_friction", **level)]), iterations=3)
@@ -331,9 +338,9 @@ def test_a_law_at_the_edge_of_its_numbers_is_the_law_of_fewer(fitter_of, pair):
     assert other.pruning.limits(base) == [], "not offered"
 
 
-def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, pair):
+def test_a_fit_that_is_behind_and_comes_no_nearer_ends(fitter_of, short):
     """The cost of what sticks falls for ever: a simpler form of it had taken half of a diagnosis."""
-    fitter = fitter_of(pair(coulomb(0.3)))
+    fitter = fitter_of(short(coulomb(0.3)))
     start = fitter.hypothesis([effect("static_friction", torque_Nm=0.02, peak=3.0)])
     all_the_way = fitter.fit(start, iterations=30, rival=True)
     behind = fitter.fit(start, iterations=30, rival=True, slow=(0.5 * all_the_way.chi2, 0.1))
@@ -347,10 +354,10 @@ def replaced(search: Search, base: Fitted) -> list[Fitted]:
     return [f for m in search.moves.replace(base) if m is not None for f in search.halving.run(m.base, m.neighbours, m.floor)]
 
 
-def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(fitter_of, pair):
+def test_a_weight_takes_the_place_of_an_offset_though_it_hangs_on_another_body(fitter_of, short):
     """It was fitted beside parameters that had diverged; beside the offset that it nearly is, its level is known."""
     weight = effect("gravity_load", place="arm", torque_Nm=25.0, phase_rad=-1.1)
-    fitter = fitter_of(pair(weight))
+    fitter = fitter_of(short(weight))
     search = Search(fitter, SearchOptions())
     base = fitter.fit(fitter.hypothesis([effect("torque_offset", torque_Nm=0.1)]))
     search.keep(base)

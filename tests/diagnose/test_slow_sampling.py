@@ -17,7 +17,7 @@ DT = 0.01
 
 def record(axis, seed):
     rng = np.random.default_rng(seed)
-    t = DT * np.arange(1500)
+    t = DT * np.arange(1000)
     u = sum(np.cos(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in np.arange(0.4, 30.0, 0.2))
     u /= np.std(u)
     y = simulate(axis, u, DT)

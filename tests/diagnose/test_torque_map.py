@@ -64,7 +64,7 @@ class Fade(Effect):
 @pytest.fixture(scope="module")
 def faded(pair, robot):
     """(recordings, result): a torque that fades with speed, and only a delay to explain it by."""
-    recordings = pair(Fade(per_rad_s=8e-3))
+    recordings = pair(Fade(per_rad_s=8e-3), seconds=1.0)
     return recordings, diagnose(robot, recordings[:1], recordings[1:], Options(jobs=1, effects=("time_delay",)))
 
 
@@ -175,7 +175,7 @@ def simulated(r, seed=0):
 
 
 def test_none_is_given_where_nothing_is_left(pair, robot):
-    estimation, held_out = pair()
+    estimation, held_out = pair(seconds=1.0)
     fitter = Fitter(robot, MotionView(), (prepare(estimation),), (prepare(held_out),), 1)
     base = fitter.fit(fitter.hypothesis(()))
     assert fit_map(fitter, (base,), fitter.validate(base)) is None
@@ -183,7 +183,7 @@ def test_none_is_given_where_nothing_is_left(pair, robot):
 
 def test_none_is_given_where_no_torque_is_missing(pair, robot):
     """The sensor repeats itself now and then: no torque anywhere does that."""
-    estimation, held_out = pair(seconds=3.0)
+    estimation, held_out = pair(seconds=1.0)
     for r in (estimation, held_out):
         held = np.array(r.velocity)
         for start in np.random.default_rng(len(r)).integers(100, len(r) - 100, 40):

@@ -26,7 +26,7 @@ def write(folder, name, *, gain=0.002, kv=0.05, damping=0.0):
     return path
 
 
-def voltage(seconds=6.0):
+def voltage(seconds=4.0):
     t = np.arange(0.0, seconds, DT)
     return 80.0 * np.sin(2 * np.pi * (0.3 * t + 0.2 * t**2)) + 30.0 * np.sin(2 * np.pi * 0.2 * t)
 
