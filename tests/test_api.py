@@ -19,10 +19,11 @@ from diagnose.report.schema import diagnosis_schema
 from mjsim.models import shipped_model
 
 NAMES = [n for n in simgap.__all__ if n != "__version__"]
+LONG = ("Diagnosis",)  # what `log` and `found` show as well
 DT = 0.004
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in NAMES])
 def test_every_name_has_an_example_that_runs(name):
     thing = getattr(simgap, name)
     about = type(thing) if name == "effects" else thing

@@ -68,7 +68,7 @@ def test_no_false_alarm_on_other_noise(pair, robot, seed):
     assert result.findings == ()
 
 
-@pytest.mark.parametrize("effects", [FEW, pytest.param(None, marks=pytest.mark.slow)], ids=["few", "all"])
+@pytest.mark.parametrize("effects", [FEW, pytest.param((), marks=pytest.mark.slow)], ids=["few", "all"])
 def test_coulomb_friction_is_found(with_coulomb, robot, effects):
     estimation, held_out = with_coulomb
     result = diagnose(robot, [estimation], [held_out], Options(jobs=1, effects=effects))

@@ -27,7 +27,7 @@ from mjsim.servo_run import literal_servo_run
 from simgap.pipeline import diagnose_files
 
 FEW = ("coulomb_friction", "servo_deadband")
-SHORT = {"rate": 100.0, "seconds": 12.0}
+SHORT = {"rate": 100.0, "seconds": 8.0}
 
 
 NOISE = 5e-4  # rad
