@@ -36,7 +36,7 @@ def axis(request, tmp_path_factory):
     template, gear = WHICH[request.param]
     path = write(tmp_path_factory.mktemp("axis") / "servo.xml", template, timestep=TIMESTEP)
     friction = 0.02 if template == PENDULUM else 0.01
-    return path, columns(record(model(template, friction=friction, timestep=TIMESTEP), seconds=10.0, gear=gear))
+    return path, columns(record(model(template, friction=friction, timestep=TIMESTEP), seconds=12.0, gear=gear))
 
 
 def found(log, path):
