@@ -19,7 +19,7 @@ from diagnose.report.schema import diagnosis_schema
 from mjsim.models import shipped_model
 
 NAMES = [n for n in simgap.__all__ if n != "__version__"]
-LONG = ("Diagnosis",)  # what `log` and `found` show as well
+LONG = ("Diagnosis", "diagnose")  # what `found` shows as well
 DT = 0.004
 
 

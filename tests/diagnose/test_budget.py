@@ -38,13 +38,13 @@ def test_what_is_left_of_the_budget():
 
 def test_an_answer_without_the_time_to_search_says_so(robot, rubbing):
     first, other = rubbing
-    late = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS, seconds=1e-6))
+    late = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS[:1], seconds=1e-6))
     assert late.verdict is Verdict.UNEXPLAINED
     assert not late.findings
     assert LATE in late.notes
     assert late.map is None
     assert "no effect that was tried in the time" in late.summary
-    found = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS, seconds=3600.0))
+    found = diagnose(robot, [first], [other], Options(jobs=1, effects=EFFECTS[:1], seconds=3600.0))
     assert [f.effect for f in found.findings] == ["coulomb_friction"]
     assert LATE not in found.notes
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,6 +35,7 @@ ONLY = ("coulomb_friction", "torque_offset")
 DT = 2e-3
 
 
+@cache
 def log(seed, disturbance=0.0):
     """Torque and angle of a rotor with Coulomb friction; ``disturbance``: rms of a slow torque that is not in the log."""
     rng = np.random.default_rng(seed)
@@ -45,19 +47,19 @@ def log(seed, disturbance=0.0):
     return Recording(t, u, None, run.angle + 2e-5 * rng.standard_normal(len(t)), DT, source=f"log_{seed}.csv")
 
 
-def by_force(recordings):
-    return diagnose(NOMINAL, recordings[:1], recordings[1:], Options(jobs=1, judge="force", effects=ONLY))
+@cache
+def by_force(disturbance):
+    return diagnose(NOMINAL, [log(1, disturbance)], [log(2, disturbance)], Options(jobs=1, judge="force", effects=ONLY))
 
 
 @pytest.mark.parametrize(("disturbance", "follows"), [(0.0, True), pytest.param(0.3, False, marks=pytest.mark.slow)])
 def test_a_free_run_follows_where_no_unknown_torque_makes_it_drift(disturbance, follows):
     pair = [log(1, disturbance), log(2, disturbance)]
-    assert _follows_freely(NOMINAL, by_force(pair), pair[:1], pair[1:], Options(jobs=1)) is follows
+    assert _follows_freely(NOMINAL, by_force(disturbance), pair[:1], pair[1:], Options(jobs=1)) is follows
 
 
 def test_what_was_asked_for_is_not_changed():
-    pair = [log(1), log(2)]
-    result = by_force(pair)
+    pair, result = [log(1, 0.0), log(2, 0.0)], by_force(0.0)
     assert _is_open(result, pair[0], Options())
     assert not _is_open(result, pair[0], Options(judge="force"))
     assert not _is_open(result, dataclasses.replace(pair[0], judge="force"), Options())

@@ -24,6 +24,7 @@ from tests.mjsim.servo_logs import GEARED, PENDULUM, command, model, write
 
 DT, FINER = 0.01, 20
 GAIN = {PENDULUM: 0.4, GEARED: 0.0012}
+RIVALS = ("actuator_lag", "time_delay", "coulomb_friction", "servo_deadband", "velocity_limit")
 
 
 @cache
@@ -74,11 +75,11 @@ def test_a_lead_of_less_than_a_sample_is_not_admissible(tmp_path):
     assert not all(r.holds for r in feedforward(2.0 * DT * kp).admissible(fitted))
 
 
-def test_it_is_named(tmp_path):
+@pytest.mark.parametrize("rivals", [RIVALS[:2], pytest.param(RIVALS, marks=pytest.mark.slow)], ids=["few", "all"])
+def test_it_is_named(tmp_path, rivals):
     axis = load_axis(write(tmp_path / "servo.xml", PENDULUM))
     a, b = (log(PENDULUM, "held", seed, noise=2e-4) for seed in (1, 2))
-    names = ("velocity_feedforward", "time_delay", "coulomb_friction", "actuator_lag", "servo_deadband", "velocity_limit")
-    found = diagnose(axis, [a], [b], dataclasses.replace(Options(jobs=1), effects=names))
+    found = diagnose(axis, [a], [b], dataclasses.replace(Options(jobs=1), effects=("velocity_feedforward", *rivals)))
     assert [f.effect for f in found.findings] == ["velocity_feedforward"]
     value = found.findings[0].parameters["gain_Nms_rad"]
     assert value.value == pytest.approx(GAIN[PENDULUM], rel=0.05)
