@@ -15,7 +15,7 @@ AXES = [
     for level in (0.05, 0.1)
     for gap in (1e-4, 5e-4)
 ]
-DRIVES = [Drive(chirp(1.0, amplitude=a), DT) for a in (0.5, 1.0, 2.0)]
+DRIVES = [Drive(chirp(0.4, amplitude=a), DT) for a in (0.5, 1.0, 2.0)]
 RUN = {Engine.ODE: ode.simulate, Engine.ACCURATE: accurate.simulate, Engine.REFERENCE: reference.simulate}
 
 

@@ -47,8 +47,7 @@ def run(*call: str) -> str:
 
 def test_what_is_on_disk_is_loaded_without_the_tables_of_the_compiler():
     code = "import sys; from mjsim.ode import load_kernel; load_kernel(3); print('numba.np.linalg' in sys.modules)"
-    run("-c", code)  # where it was not yet compiled it is now
-    assert run("-c", code) == "False"
+    assert "False" in (run("-c", code) for _ in range(2)), "where it is not yet compiled the first compiles it"
 
 
 @pytest.mark.slow
@@ -61,8 +60,7 @@ def test_functions_and_callbacks_are_compiled_after_others_were_loaded_and_kept(
 
 def test_a_law_is_found_on_disk_by_a_process_that_compiles_nothing():
     code = f"import sys, {creep.__name__} as m; print(m.torque.address != 0, 'numba.np.linalg' in sys.modules)"
-    run("-c", code)
-    assert run("-c", code) == "True False"
+    assert "True False" in (run("-c", code) for _ in range(2)), "where it is not yet compiled the first compiles it"
 
 
 def test_the_collector_rests_while_numba_compiles_and_runs_after_it():

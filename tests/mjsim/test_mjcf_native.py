@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 
@@ -37,7 +38,7 @@ SERVO = PENDULUM.replace(
     '<motor name="u" joint="j"/>',
     '<dcmotor name="u" joint="j" input="pos" motorconst=".5" resistance=".3" controller="8 0 .3 0 0 0"/>',
 ).replace("0.02 0 -0.3", "0 0 0")  # without a weight
-CURVE = 0.8 * np.sin(2 * np.pi * 0.9 * 1e-3 * np.arange(3000))
+CURVE = 0.8 * np.sin(2 * np.pi * 0.9 * 1e-3 * np.arange(1500))
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +46,18 @@ def nominal() -> Path:
     return shipped_model("robot_axis1")
 
 
-def home(name: str, nominal: Path, folder: Path) -> Path:
-    """The file that has a place for an effect: one of a servo for those of servos."""
-    if effect_class(name).family != "servo":
-        return nominal
-    (folder / "servo.xml").write_text(SERVO)
-    return folder / "servo.xml"
+@pytest.fixture(scope="module")
+def home(nominal, tmp_path_factory):
+    """``home(name)``: the file that has a place for an effect, one of a servo for those of servos, and its chain."""
+    servo = tmp_path_factory.mktemp("servo") / "servo.xml"
+    servo.write_text(SERVO)
+    chains = {path: load_axis(path).chain for path in (nominal, servo)}
+
+    def find(name: str):
+        path = servo if effect_class(name).family == "servo" else nominal
+        return path, chains[path]
+
+    return find
 
 
 @pytest.fixture
@@ -89,9 +96,8 @@ def relative(a, b) -> float:
 
 
 @pytest.mark.parametrize(("name", "place"), PLACED)
-def test_what_is_written_natively_is_read_as_the_same_values(tmp_path, nominal, name, place):
-    nominal = home(name, nominal, tmp_path)
-    chain = load_axis(nominal).chain
+def test_what_is_written_natively_is_read_as_the_same_values(tmp_path, home, name, place):
+    nominal, chain = home(name)
     effect = make(name, place)
     try:
         wanted = effect.native(chain)
@@ -109,9 +115,8 @@ def test_what_is_written_natively_is_read_as_the_same_values(tmp_path, nominal, 
 
 
 @pytest.mark.parametrize(("name", "place"), PLACED)
-def test_an_effect_recognises_its_own_value_and_no_other_effect_does(tmp_path, nominal, name, place):
-    nominal = home(name, nominal, tmp_path)
-    chain = load_axis(nominal).chain
+def test_an_effect_recognises_its_own_value_and_no_other_effect_does(home, name, place):
+    _, chain = home(name)
     effect = make(name, place)
     for value in effect.native(chain).values:
         claimed = [e for e in (cls.read(value, chain) for cls in registered().values()) if e is not None]
@@ -126,9 +131,9 @@ READ = [(n, p) for n, p in PLACED if "read" in vars(effect_class(n)) and n != "g
 
 
 @pytest.mark.parametrize(("name", "place"), READ)
-def test_a_native_effect_is_loaded_without_what_simgap_carries(tmp_path, nominal, name, place):
-    nominal = home(name, nominal, tmp_path)
-    axis = Axis(load_axis(nominal).chain, (make(name, place),), BacklashLaw.UNGATED)
+def test_a_native_effect_is_loaded_without_what_simgap_carries(tmp_path, home, name, place):
+    nominal, chain = home(name)
+    axis = Axis(chain, (make(name, place),), BacklashLaw.UNGATED)
     write_corrected(nominal, axis, tmp_path / "corrected.xml")
     (back,) = load_axis(plain(tmp_path / "corrected.xml")).effects
     assert back.key == axis.effects[0].key
@@ -136,10 +141,10 @@ def test_a_native_effect_is_loaded_without_what_simgap_carries(tmp_path, nominal
 
 
 @pytest.mark.parametrize(("name", "place"), [e for e in READ if e[0] != "backlash"])
-def test_an_effect_of_the_authors_file_is_changed_in_its_place(tmp_path, nominal, name, place):
+def test_an_effect_of_the_authors_file_is_changed_in_its_place(tmp_path, home, name, place):
     """A correction that changes an effect of the file edits its element and adds no second one."""
-    nominal = home(name, nominal, tmp_path)
-    first = Axis(load_axis(nominal).chain, (make(name, place),), BacklashLaw.UNGATED)
+    nominal, chain = home(name)
+    first = Axis(chain, (make(name, place),), BacklashLaw.UNGATED)
     write_corrected(nominal, first, tmp_path / "corrected.xml")
     own = plain(tmp_path / "corrected.xml")
     read = load_axis(own)
@@ -151,9 +156,13 @@ def test_an_effect_of_the_authors_file_is_changed_in_its_place(tmp_path, nominal
     assert load_model(tmp_path / "again.xml").mjmodel.nactuator == load_model(own).mjmodel.nactuator
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.05, 0.5, 0.9, 1.185, 3.0])
-@pytest.mark.parametrize("inertia", [0.6, 1.0, 1.4])
-@pytest.mark.parametrize("turn", [0.0, 0.3])
+OTHER_WEIGHTS = list(itertools.product((0.0, 0.05, 0.5, 0.9, 1.185, 3.0), (0.6, 1.0, 1.4), (0.0, 0.3)))  # weight, inertia, turn
+QUICK = {(0.0, 0.6, 0.3), (0.05, 1.0, 0.0), (0.9, 0.6, 0.3), (1.185, 1.0, 0.0), (3.0, 1.4, 0.3)}
+
+
+@pytest.mark.parametrize(
+    ("weight", "inertia", "turn"), [w if w in QUICK else pytest.param(*w, marks=pytest.mark.slow) for w in OTHER_WEIGHTS]
+)
 def test_another_weight_acts_in_plain_mujoco(tmp_path, pendulum, weight, inertia, turn):
     axis = load_axis(pendulum)
     (gravity,) = axis.effects

@@ -46,26 +46,33 @@ def without_correction(path: Path) -> str:
     return text[:start] + text[end:]
 
 
-@pytest.mark.parametrize(("name", "place"), PLACED)
-def test_every_effect_survives_the_round_trip_with_its_values_and_place(tmp_path, nominal, name, place):
-    axis = (load_axis(nominal) + make(name, place)).with_linear(CHANGED)
-    write_corrected(nominal, axis, tmp_path / "corrected.xml")
-    assert load_axis(tmp_path / "corrected.xml") == axis
+@pytest.fixture(scope="module")
+def axis(nominal) -> Axis:
+    return load_axis(nominal)
 
 
-@pytest.mark.parametrize(("name", "place"), PLACED)
-def test_every_correction_can_be_taken_back(tmp_path, nominal, name, place):
-    axis = load_axis(nominal)
-    write_corrected(nominal, (axis + make(name, place)).with_linear(CHANGED), tmp_path / "corrected.xml")
-    write_corrected(tmp_path / "corrected.xml", axis, tmp_path / "back.xml")
+@pytest.fixture(scope="module", params=PLACED, ids="-".join)
+def corrected(request, nominal, axis, tmp_path_factory):
+    """An axis that differs from the nominal one in an effect and its numbers, what is written of it and where."""
+    other = (axis + make(*request.param)).with_linear(CHANGED)
+    path = tmp_path_factory.mktemp("corrected") / "corrected.xml"
+    return other, write_corrected(nominal, other, path), path
+
+
+def test_every_effect_survives_the_round_trip_with_its_values_and_place(corrected):
+    other, _, path = corrected
+    assert load_axis(path) == other
+
+
+def test_every_correction_can_be_taken_back(tmp_path, nominal, axis, corrected):
+    write_corrected(corrected[2], axis, tmp_path / "back.xml")
     assert load_axis(tmp_path / "back.xml") == axis
     assert without_correction(tmp_path / "back.xml") == nominal.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("name", "place"), PLACED)
-def test_what_plain_mujoco_lacks_is_said_in_a_comment(tmp_path, nominal, name, place):
-    written = write_corrected(nominal, load_axis(nominal) + make(name, place), tmp_path / "corrected.xml")
-    comment = " ".join((tmp_path / "corrected.xml").read_text(encoding="utf-8").split("<custom>")[1].split("-->")[0].split())
+def test_what_plain_mujoco_lacks_is_said_in_a_comment(corrected):
+    _, written, path = corrected
+    comment = " ".join(path.read_text(encoding="utf-8").split("<custom>")[1].split("-->")[0].split())
     assert ("Plain MuJoCo lacks" in comment) == bool(written.lacks)
     for line in written.lacks:
         assert line in comment
@@ -198,7 +205,7 @@ def test_a_damaged_correction_is_one_line(tmp_path, nominal, change, said):
 positive = st.floats(1e-2, 1e2)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(data=st.data())
 def test_any_chain_takes_any_effect_and_new_linear_parameters(tmp_path_factory, data):
     n = data.draw(st.integers(1, 4))
@@ -285,8 +292,20 @@ def test_a_corrected_file_is_writable(tmp_path, nominal):
     check_writable(tmp_path / "corrected.xml")
 
 
-@pytest.mark.parametrize("name", ["gear & box", 'a "quoted" <joint>', "d'Alembert -- 1", "Gelenk ä"])
-@pytest.mark.parametrize("effect", [("coulomb_friction", "motor"), ("torque_ripple", "motor"), ("presliding_friction", "motor")])
+NAMES = ["gear & box", 'a "quoted" <joint>', "d'Alembert -- 1", "Gelenk ä"]
+FRICTION, RIPPLE, BRISTLE = (("coulomb_friction", "motor"), ("torque_ripple", "motor"), ("presliding_friction", "motor"))
+
+
+@pytest.mark.parametrize(
+    ("name", "effect"),
+    [
+        *((name, FRICTION) for name in NAMES),
+        (NAMES[2], RIPPLE),
+        (NAMES[1], BRISTLE),
+        *(pytest.param(name, RIPPLE, marks=pytest.mark.slow) for name in NAMES if name != NAMES[2]),
+        *(pytest.param(name, BRISTLE, marks=pytest.mark.slow) for name in NAMES if name != NAMES[1]),
+    ],
+)
 def test_any_name_is_written_as_it_is(tmp_path, name, effect):
     text = quoteattr(name)
     own = own_file(tmp_path, BOB.replace('name="j"', f"name={text}"), motor=f'<motor name="u" joint={text}/>')

@@ -56,7 +56,7 @@ def found(nominal) -> Axis:
 
 @pytest.mark.parametrize("engine", ["ode", "mujoco"])
 def test_found_physics_bring_the_fit_to_the_noise(tmp_path, nominal, found, engine):
-    recording = log(tmp_path / "log.csv", found, chirp(3.0), noise=0.05)
+    recording = log(tmp_path / "log.csv", found, chirp(2.0), noise=0.05)
     write_corrected(nominal, found, tmp_path / "corrected.xml")
     before = replay(nominal, recording, "--out", tmp_path / "a.csv", "--engine", engine)
     after = replay(tmp_path / "corrected.xml", recording, "--out", tmp_path / "b.csv", "--engine", engine)
@@ -93,7 +93,7 @@ SERVO = '<position joint="hinge" kp="5" kv="0.3"/>'
 @pytest.mark.parametrize("hold", ["held", "linear"])
 def test_a_known_torque_acts_in_plain_mujoco_too(tmp_path, hold):
     """Of a torque drive by each engine, and of a servo; without the column the error is that of the torque."""
-    dt, count = 0.002, 1500
+    dt, count = 0.002, 500
     time = dt * np.arange(count)
     known, u = 0.3 * np.sin(9.0 * time), 0.2 * np.sin(5.0 * time)
     for actuator, input_ in (('<motor joint="hinge"/>', "torque"), (SERVO, "command")):
