@@ -104,10 +104,10 @@ def parallel(a: np.ndarray, b: np.ndarray) -> bool:
     return na > 0 and nb > 0 and abs(abs(float(a @ b)) - na * nb) <= _TOL * na * nb
 
 
-def lay_out(model: mujoco.MjModel, source: object, actuator: str | None, frozen: tuple[str, ...]) -> Layout:
+def lay_out(model: mujoco.MjModel, data: mujoco.MjData, source: object, actuator: str | None, frozen: tuple[str, ...]) -> Layout:
     """Read the rows of a model. ``frozen`` names joints and passive elements that are to be seen as not there."""
     _only_hinges_and_slides(model, source)
-    data = mujoco.MjData(model)
+    mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
     tendons = _tendon_rows(model, data)
     still = [_unit(model, j) for j in range(model.njnt) if model.joint(j).name in frozen]

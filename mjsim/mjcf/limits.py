@@ -234,7 +234,7 @@ def need_finite(model: mujoco.MjModel, path: Path) -> None:
         )
     for name in _arrays():
         values = getattr(model, name)
-        if np.isfinite(values).all():
+        if not values.size or np.isfinite(values).all():
             continue
         bad = np.argwhere(~np.isfinite(values) if name in _NUMBERS else np.isnan(values))
         if len(bad):

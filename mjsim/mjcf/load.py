@@ -70,16 +70,17 @@ def load_model(path: str | Path, *, actuator: str | None = None, bound: Mapping[
     carried = _carried(model, path)
     if bound is None:
         bound = {**(dict(carried.bound) if carried else {}), **_bound(path)}
-    layout = lay_out(model, path, actuator or bound.get("actuator"), carried.ignored if carried else ())
+    data = mujoco.MjData(model)  # for all of what follows: making one takes longer than its use
+    layout = lay_out(model, data, path, actuator or bound.get("actuator"), carried.ignored if carried else ())
     found = find_chain(layout, path, (_sensor(model, path, bound, "velocity"), _sensor(model, path, bound, "angle")))
     _linear_only(found, path, carried)
     _ignored_only(model, path, carried)
-    _no_contact(model, path)
-    _at_rest(found, path)
+    _no_contact(model, data, path)
+    _at_rest(found, data, path)
     if carried is not None:
         axis = _carried_axis(found, carried, path)
     else:
-        axis = Axis(found.chain, tuple(effect_of(v, found.chain, path) for v in read_native(found, path)), _law(found))
+        axis = Axis(found.chain, tuple(effect_of(v, found.chain, path) for v in read_native(found, path, data)), _law(found))
     return Model(path, found, axis, carried)
 
 
@@ -180,8 +181,8 @@ def _ignored_only(model: mujoco.MjModel, path: Path, carried: custom.Carried | N
             raise outside(path, f"actuator {name!r} acts by itself", "remove it")
 
 
-def _no_contact(model: mujoco.MjModel, path: Path) -> None:
-    data = mujoco.MjData(model)
+def _no_contact(model: mujoco.MjModel, data: mujoco.MjData, path: Path) -> None:
+    mujoco.mj_resetData(model, data)
     for turn in (0.0, 0.3, -0.3, 1.5, -1.5, 3.0):
         data.qpos[:] = model.qpos0
         for j in range(model.njnt):
@@ -193,7 +194,7 @@ def _no_contact(model: mujoco.MjModel, path: Path) -> None:
             raise outside(path, f"geoms {geoms[0]} and {geoms[1]} touch", 'set contype="0" conaffinity="0"')
 
 
-def _at_rest(found: Found, path: Path) -> None:
+def _at_rest(found: Found, data: mujoco.MjData, path: Path) -> None:
     """Springs of the chain must be at rest where the angles are zero, and no fluid may push."""
     model = found.layout.model
     springs = [p.element for ps in found.on_coupling for p in ps if p.element.stiffness[0]]
@@ -205,7 +206,7 @@ def _at_rest(found: Found, path: Path) -> None:
         scale += p.stiffness[0] * np.abs(p.row)
     if np.max(np.abs(found.layout.base.T @ spring)) > 1e-9 * max(1.0, float(np.max(scale))):
         raise outside(path, "a spring is loaded in the zero position", "let springref equal ref")
-    data = mujoco.MjData(model)
+    mujoco.mj_resetData(model, data)
     data.qvel[:] = found.layout.base @ np.ones(found.layout.base.shape[1])
     mujoco.mj_forward(model, data)
     if np.any(data.qfrc_fluid):

@@ -25,15 +25,18 @@ __all__ = ["Motor", "drive_motor", "passive_motors", "read_native", "weight_unde
 _TOL = 1e-9
 
 
-def read_native(found: Found, path: Path) -> tuple[N.Value, ...]:
-    """The values that a file holds beside its linear chain, in the units of the chain; raises InputError for what is none."""
+def read_native(found: Found, path: Path, data: mujoco.MjData | None = None) -> tuple[N.Value, ...]:
+    """The values that a file holds beside its linear chain, in the units of the chain; raises InputError for what is none.
+
+    data: of the model, to work with.
+    """
     return (
         *_on_bodies(found),
         *_on_couplings(found),
         *_on_drive(found, path),
         *_on_sensors(found, path),
         *_on_passive_motors(found, path),
-        *_gravity(found, path),
+        *_gravity(found, path, data),
     )
 
 
@@ -213,13 +216,14 @@ def _share(found: Found, a: int) -> np.ndarray:
     return np.asarray(share)
 
 
-def _gravity(found: Found, path: Path) -> Iterator[N.Value]:
+def _gravity(found: Found, path: Path, data: mujoco.MjData | None = None) -> Iterator[N.Value]:
     """Constant torque at the motor and the weight on the last body, of the actuator's bias and gravity less its compensation."""
     model, drive, n = found.layout.model, found.layout.drive, len(found.chain.bodies)
     bias = 0.0
     if drive.id >= 0 and drive.servo is None:
         bias = drive.law.constant * found.chain.gain / drive.gain
-    data = mujoco.MjData(model)
+    data = mujoco.MjData(model) if data is None else data
+    mujoco.mj_resetData(model, data)
     to_q = found.base()
     samples = 16
     force = np.zeros((samples, n))
