@@ -23,6 +23,7 @@ from lab.robot.arm import GRAVITY, Arm
 __all__ = ["ServoJoint", "ServoRobot", "command_for", "servo_mjcf", "simulate", "write_servo_log"]
 
 HOSE = 1.2  # [1/rad]
+Vector = tuple[float, float, float]
 STEP = 5e-4  # [s]: the numerical damping of a step is kp h / 2, a thousandth of a servo's own
 
 
@@ -118,46 +119,73 @@ def simulate(robot: ServoRobot, command: np.ndarray, dt: float, settle: float = 
 
 
 @njit(cache=True)
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _row(x: np.ndarray, i: int) -> Vector:
+    return x[i, 0], x[i, 1], x[i, 2]
 
 
 @njit(cache=True)
-def _turned(axis: np.ndarray, angle: float, x: np.ndarray, back: bool) -> np.ndarray:
-    """A vector turned about a unit axis (Rodrigues), or back."""
-    c, s = np.cos(angle), np.sin(angle) * (-1.0 if back else 1.0)
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def _sum(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@njit(cache=True)
+def _times(a: Vector, x: float) -> Vector:
+    return a[0] * x, a[1] * x, a[2] * x
+
+
+@njit(cache=True)
+def _each(a: Vector, b: Vector) -> Vector:
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+@njit(cache=True)
+def _turned(axis: Vector, c: float, s: float, x: Vector) -> Vector:
+    """A vector turned about a unit axis by the angle whose cosine and sine are c and s (Rodrigues)."""
     dot = axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]
-    turned: np.ndarray = x * c + _cross(axis, x) * s + axis * (dot * (1 - c))
+    turned: Vector = _sum(_sum(_times(x, c), _times(_cross(axis, x), s)), _times(axis, dot * (1 - c)))
     return turned
 
 
 @njit(cache=True)
 def _torque(
     place: np.ndarray, axis: np.ndarray, mass: np.ndarray, centre: np.ndarray, inertia: np.ndarray, q: np.ndarray, v: np.ndarray,
-    a: np.ndarray, gravity: float
-) -> np.ndarray:  # fmt: skip
-    """Torque (n,) of a motion: recursion outwards for accelerations, inwards for forces (Craig, Introduction to Robotics, ch.
-    6)."""
+    a: np.ndarray, gravity: float, F: np.ndarray, N: np.ndarray, out: np.ndarray
+) -> None:  # fmt: skip
+    """Torque out (n,) of a motion: recursion outwards for accelerations, inwards for forces (Craig, Introduction to Robotics,
+    ch. 6). F, N (n, 3) are to work with."""
     n = len(q)
-    w, dw, acc = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, gravity])
-    F, N = np.zeros((n, 3)), np.zeros((n, 3))
+    w, dw, acc = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, gravity)
     for i in range(n):
-        acc = _turned(axis[i], q[i], acc + _cross(dw, place[i]) + _cross(w, _cross(w, place[i])), True)
-        w, dw = _turned(axis[i], q[i], w, True), _turned(axis[i], q[i], dw, True)
-        dw = dw + _cross(w, axis[i] * v[i]) + axis[i] * a[i]
-        w = w + axis[i] * v[i]
-        F[i] = mass[i] * (acc + _cross(dw, centre[i]) + _cross(w, _cross(w, centre[i])))
-        N[i] = inertia[i] * dw + _cross(w, inertia[i] * w)
-    out = np.zeros(n)
-    f, m = np.zeros(3), np.zeros(3)
+        about, at, middle, turns, c, s = (
+            _row(axis, i),
+            _row(place, i),
+            _row(centre, i),
+            _row(inertia, i),
+            np.cos(q[i]),
+            -np.sin(q[i]),
+        )
+        acc = _turned(about, c, s, _sum(_sum(acc, _cross(dw, at)), _cross(w, _cross(w, at))))
+        w, dw = _turned(about, c, s, w), _turned(about, c, s, dw)
+        own = _times(about, v[i])
+        dw = _sum(_sum(dw, _cross(w, own)), _times(about, a[i]))
+        w = _sum(w, own)
+        F[i] = _times(_sum(_sum(acc, _cross(dw, middle)), _cross(w, _cross(w, middle))), mass[i])
+        N[i] = _sum(_each(turns, dw), _cross(w, _each(turns, w)))
+    f, m = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for i in range(n - 1, -1, -1):
         if i + 1 < n:
-            f = _turned(axis[i + 1], q[i + 1], f, False)
-            m = _turned(axis[i + 1], q[i + 1], m, False) + _cross(place[i + 1], f)
-        f = f + F[i]
-        m = m + N[i] + _cross(centre[i], F[i])
+            about, c, s = _row(axis, i + 1), np.cos(q[i + 1]), np.sin(q[i + 1])
+            f = _turned(about, c, s, f)
+            m = _sum(_turned(about, c, s, m), _cross(_row(place, i + 1), f))
+        force = _row(F, i)
+        f = _sum(f, force)
+        m = _sum(_sum(m, _row(N, i)), _cross(_row(centre, i), force))
         out[i] = m[0] * axis[i, 0] + m[1] * axis[i, 1] + m[2] * axis[i, 2]
-    return out
 
 
 @njit(cache=True)
@@ -171,14 +199,16 @@ def _run(
     acceleration, summed = np.zeros(n), np.zeros(n)
     out, zero = np.empty((count, n)), np.zeros(n)
     M, A, p, level = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
+    F, N, bias, column, unit = np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n), np.zeros(n)
     for k in range(count):
         out[k] = q
         for i in range(each):
-            bias = _torque(place, axis, mass, centre, inertia, q, v, zero, GRAVITY)
+            _torque(place, axis, mass, centre, inertia, q, v, zero, GRAVITY, F, N, bias)
             for j in range(n):
-                unit = np.zeros(n)
                 unit[j] = 1.0
-                M[:, j] = _torque(place, axis, mass, centre, inertia, q, zero, unit, 0.0)
+                _torque(place, axis, mass, centre, inertia, q, zero, unit, 0.0, F, N, column)
+                unit[j] = 0.0
+                M[:, j] = column
                 M[j, j] += rotor[j]
             impulse = M @ v
             links = bias + M @ acceleration - rotor * acceleration  # torque that the links need

@@ -214,10 +214,12 @@ def robot():
     return robot_from(mujoco.MjModel.from_xml_string(servo_mjcf(NOMINAL)))
 
 
-def recording(robot, seconds=6.0, rate=100.0):
-    t = np.arange(0, seconds, 1 / rate)
+@pytest.fixture(scope="module")
+def recording(robot):
+    """Six seconds of the nominal robot."""
+    t = np.arange(0, 6.0, 0.01)
     command = command_for(NOMINAL, np.random.default_rng(4), t)
-    return RobotRecording(t, robot.joints, 1 / rate, simulate(NOMINAL, command, 1 / rate), command=command)
+    return RobotRecording(t, robot.joints, 0.01, simulate(NOMINAL, command, 0.01), command=command)
 
 
 def test_what_a_joint_carries_agrees_with_the_regressor(robot):
@@ -240,9 +242,9 @@ def test_what_a_joint_carries_agrees_with_the_regressor(robot):
             np.testing.assert_allclose(found[:, j], (ends[0] - ends[1])[:, j] / 2e-5, rtol=1e-4, atol=1e-4)
 
 
-def test_one_joint_and_all_joints_in_mujoco_run_alike(robot):
+def test_one_joint_and_all_joints_in_mujoco_run_alike(robot, recording):
     """Both follow the sealed plant: the kernel exactly to its step, MuJoCo to half a timestep of motion."""
-    r = recording(robot)
+    r = recording
     run = closed_loop(robot, r)
     assert not run.diverged
     speed = np.max(np.abs(np.gradient(r.angle, r.dt, axis=0)))
@@ -317,8 +319,8 @@ def test_friction_that_a_corrected_file_carries_holds_a_joint_under_load(robot, 
     assert abs(q[-1, 1] - 0.3) > 0.02
 
 
-def test_a_position_that_is_logged_late_is_late_in_the_kernel_and_in_mujoco(robot):
-    r = recording(robot)
+def test_a_position_that_is_logged_late_is_late_in_the_kernel_and_in_mujoco(robot, recording):
+    r = recording
     p = joint_problem(robot, [prepare(robot, r, False)], "joint2", True)
     slots = p.nominal.copy()
     slots[SLOT["late"]] = 0.045
@@ -349,8 +351,8 @@ def test_a_late_column_and_a_late_servo_are_told_by_the_other_joints(tmp_path, l
     assert d.joints["joint1"].verdict is Verdict.NO_MISMATCH
 
 
-def test_the_sum_of_gain_and_damping_is_shared_as_the_file_has_it(robot):
-    p = joint_problem(robot, [prepare(robot, recording(robot), False)], "joint2", True)
+def test_the_sum_of_gain_and_damping_is_shared_as_the_file_has_it(robot, recording):
+    p = joint_problem(robot, [prepare(robot, recording, False)], "joint2", True)
     n = (Number("damp"),)
     assert float(start_of(n, p.nominal)[0]) == pytest.approx(np.log(8.8))
     less = slots_of(p, n, np.log([0.5]), p.nominal)
@@ -367,10 +369,10 @@ def test_resolution_is_that_of_the_steps_or_of_the_noise():
     assert resolution(noisy) == pytest.approx(1e-3, rel=0.1)
 
 
-def test_bad_servo_logs_are_refused_in_one_line(folder, robot, tmp_path):
+def test_bad_servo_logs_are_refused_in_one_line(robot, recording, tmp_path):
     assert has_servos(robot)
     assert all(d is not None and not d.velocity for d in joint_drives(robot))
-    r = recording(robot)
+    r = recording
     with pytest.raises(InputError, match="no joint that a servo drives"):
         diagnose_servos(robot, [dataclasses.replace(r, command=None)])
     with pytest.raises(InputError, match="one of joint1"):
