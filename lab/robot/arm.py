@@ -55,13 +55,13 @@ class Arm:
         for i, link in enumerate(self.links):
             back = np.swapaxes(turn[i], 1, 2)
             place, z = np.array(link.place), np.array(link.axis, float)
-            acc = acc + np.cross(dw, place) + np.cross(w, np.cross(w, place))
+            acc = acc + _cross(dw, place) + _cross(w, _cross(w, place))
             acc, w, dw = (_apply(back, x) for x in (acc, w, dw))
-            dw = dw + np.cross(w, z * v[:, i, None]) + z * a[:, i, None]
+            dw = dw + _cross(w, z * v[:, i, None]) + z * a[:, i, None]
             w = w + z * v[:, i, None]
             c, inertia = np.array(link.centre), np.array(link.inertia)
-            forces.append(link.mass * (acc + np.cross(dw, c) + np.cross(w, np.cross(w, c))))
-            moments.append(dw * inertia + np.cross(w, w * inertia))
+            forces.append(link.mass * (acc + _cross(dw, c) + _cross(w, _cross(w, c))))
+            moments.append(dw * inertia + _cross(w, w * inertia))
         out = np.empty((samples, n))
         f = m = np.zeros((samples, 3))
         for i in reversed(range(n)):
@@ -69,9 +69,9 @@ class Arm:
             if i + 1 < n:
                 place = np.array(self.links[i + 1].place)
                 f = _apply(turn[i + 1], f)
-                m = _apply(turn[i + 1], m) + np.cross(place, f)
+                m = _apply(turn[i + 1], m) + _cross(place, f)
             f = f + forces[i]
-            m = m + moments[i] + np.cross(np.array(link.centre), forces[i])
+            m = m + moments[i] + _cross(np.array(link.centre), forces[i])
             out[:, i] = m @ np.array(link.axis, float)
         return out
 
@@ -155,6 +155,13 @@ class Arm:
 
 def _text(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(f"{float(v):.6g}" for v in values)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of (N, 3) or (3,), as `numpy.cross` without what it does for other shapes."""
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 def _apply(R: np.ndarray, x: np.ndarray) -> np.ndarray:

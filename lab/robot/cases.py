@@ -60,14 +60,14 @@ def trajectory(
     """Position, velocity, acceleration (N, n) of a Fourier series within the limits, the best conditioned of a few."""
     best: tuple[float, tuple[np.ndarray, ...]] | None = None
     w = 2 * math.pi * base * np.arange(1, harmonics + 1)
+    sine, cosine = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     for _ in range(tries):
         q, v, a = (np.empty((len(t), len(arm.links))) for _ in range(3))
         for i, link in enumerate(arm.links):
             s, c = (rng.standard_normal(harmonics) / np.sqrt(np.arange(1, harmonics + 1)) for _ in range(2))
-            angle = np.outer(t, w)
-            v[:, i] = np.cos(angle) @ s + np.sin(angle) @ c
-            q[:, i] = np.sin(angle) @ (s / w) - np.cos(angle) @ (c / w)
-            a[:, i] = -np.sin(angle) @ (s * w) + np.cos(angle) @ (c * w)
+            v[:, i] = cosine @ s + sine @ c
+            q[:, i] = sine @ (s / w) - cosine @ (c / w)
+            a[:, i] = -sine @ (s * w) + cosine @ (c * w)
             shift = 0.5 * (np.max(q[:, i]) + np.min(q[:, i]))
             size = min(link.speed / np.max(np.abs(v[:, i])), 0.8 * link.limit / (0.5 * np.ptp(q[:, i])))
             q[:, i], v[:, i], a[:, i] = size * (q[:, i] - shift), size * v[:, i], size * a[:, i]

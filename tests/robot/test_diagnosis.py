@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from diagnose.result import Verdict
+from diagnose.robot.laws import identifiers
 from diagnose.robot.motion import derivative, prepare
 from diagnose.robot.options import RobotOptions
 from diagnose.robot.physical import consistent, physical
@@ -55,11 +56,22 @@ def case(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def rubbing(case):
+def plain(case):
+    """The folder of an arm that is as its model."""
+    return case()
+
+
+@pytest.fixture(scope="module")
+def rubbed(case):
+    """The folder of an arm with dry friction at the second joint."""
+    return case(friction(0.8, 1))
+
+
+@pytest.fixture(scope="module")
+def rubbing(rubbed):
     """Dry friction at the second joint, and its diagnosis among a few laws."""
-    folder = case(friction(0.8, 1))
-    options = RobotOptions(effects=LAWS)
-    return folder, diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "out", [folder / "b.csv"], options)
+    log, held_out, model = (rubbed / name for name in ("a.csv", "b.csv", "arm.xml"))
+    return rubbed, diagnose_robot_files([log], model, rubbed / "out", [held_out], RobotOptions(effects=LAWS))
 
 
 def test_dry_friction_is_named_at_its_joint_and_nowhere_else(rubbing):
@@ -189,17 +201,16 @@ def test_what_mjcf_has_no_element_for_is_carried(case, tmp_path):
     assert kept["parameters"]["torque_Nm"] == pytest.approx(0.4, rel=0.01)
 
 
-def test_blocks_are_held_out_where_there_is_no_other_recording(case):
-    folder = case()
-    robot = load_robot(folder / "arm.xml")
-    r = load_robot_recording(folder / "a.csv", robot)
+def test_blocks_are_held_out_where_there_is_no_other_recording(plain):
+    robot = load_robot(plain / "arm.xml")
+    r = load_robot_recording(plain / "a.csv", robot)
     m = prepare(robot, r, r.joints, 15.0, split=True)
     assert m.held.mean() == pytest.approx(0.3, abs=0.02)
     d = diagnose_robot(robot, [r], options=RobotOptions(effects=LAWS)).diagnosis
     assert d.verdict is Verdict.NO_MISMATCH
 
 
-def test_the_budget_of_time_ends_the_search(case, rubbing):
+def test_the_budget_of_time_ends_the_search(rubbing):
     folder, whole = rubbing
     options = RobotOptions(effects=LAWS, until=0.0)
     d = diagnose_robot_files([folder / "a.csv"], folder / "arm.xml", folder / "late", [folder / "b.csv"], options, page=False)
@@ -209,19 +220,17 @@ def test_the_budget_of_time_ends_the_search(case, rubbing):
 
 
 @pytest.mark.parametrize("rows", [2, 15])
-def test_a_log_of_few_rows_is_refused(simgap, case, rows):
+def test_a_log_of_few_rows_is_refused(simgap, plain, rows):
     """Fewer samples than the low-pass of the check needs."""
-    folder = case()
-    short = folder / f"short{rows}.csv"
-    short.write_text("".join((folder / "a.csv").read_text().splitlines(keepends=True)[: rows + 1]))
+    short = plain / f"short{rows}.csv"
+    short.write_text("".join((plain / "a.csv").read_text().splitlines(keepends=True)[: rows + 1]))
     for words in (("check",), ("diagnose", "--out", "out", "--quiet")):
-        refused(simgap(words[0], str(short), "--model", str(folder / "arm.xml"), *words[1:]), f"{rows} samples", "more than 15")
+        refused(simgap(words[0], str(short), "--model", str(plain / "arm.xml"), *words[1:]), f"{rows} samples", "more than 15")
 
 
-def test_joints_are_chosen_by_name(case):
-    folder = case()
-    robot = load_robot(folder / "arm.xml")
-    r = load_robot_recording(folder / "a.csv", robot)
+def test_joints_are_chosen_by_name(plain):
+    robot = load_robot(plain / "arm.xml")
+    r = load_robot_recording(plain / "a.csv", robot)
     with pytest.raises(InputError, match="'elbow' is not in the model"):
         diagnose_robot(robot, [r], options=RobotOptions(joints=("elbow",)))
     still = dataclasses.replace(r, angle=np.column_stack([r.angle[:, 0], np.zeros((len(r), 2))]))
@@ -231,11 +240,10 @@ def test_joints_are_chosen_by_name(case):
         diagnose_robot(robot, [dataclasses.replace(r, torque=None)])
 
 
-def test_links_are_kept_physical(case):
+def test_links_are_kept_physical(plain):
     """Of a log whose torques no robot gives, the least-squares links are no bodies; the nearest ones that are, are found."""
-    folder = case()
-    robot = load_robot(folder / "arm.xml")
-    r = load_robot_recording(folder / "a.csv", robot)
+    robot = load_robot(plain / "arm.xml")
+    r = load_robot_recording(plain / "a.csv", robot)
     turned = dataclasses.replace(r, torque=-0.5 * r.torque)
     p = build(robot, [prepare(robot, turned, r.joints, 15.0, split=True)], [0, 1, 2], LAWS)
     weights, free = weigh(p, (), p.rows(p.nominal))
@@ -252,11 +260,10 @@ def test_links_are_kept_physical(case):
 
 
 @pytest.mark.parametrize("strength", [1e12, 1e18, 1e24])
-def test_laws_are_screened_where_a_link_is_at_the_wall_of_the_barrier(case, strength):
+def test_laws_are_screened_where_a_link_is_at_the_wall_of_the_barrier(rubbed, strength):
     """The barrier's curvature is of low rank and many orders above all else; dry friction still promises most."""
-    folder = case(friction(0.8, 1))
-    robot = load_robot(folder / "arm.xml")
-    r = load_robot_recording(folder / "a.csv", robot)
+    robot = load_robot(rubbed / "arm.xml")
+    r = load_robot_recording(rubbed / "a.csv", robot)
     p = build(robot, [prepare(robot, r, r.joints, 15.0, split=True)], [0, 1, 2], LAWS)
     rows = p.rows(p.nominal)
     weights, free = weigh(p, (), rows)
@@ -278,11 +285,10 @@ def test_laws_are_screened_where_a_link_is_at_the_wall_of_the_barrier(case, stre
         (-0.02, 1e3),
     ],
 )
-def test_torques_that_no_robot_gives_leave_bodies_and_finite_promises(case, turned, surer):
+def test_torques_that_no_robot_gives_leave_bodies_and_finite_promises(plain, turned, surer):
     """Links are pushed to the wall of the barrier; surer: factor of the weights of all rows."""
-    folder = case()
-    robot = load_robot(folder / "arm.xml")
-    r = load_robot_recording(folder / "a.csv", robot)
+    robot = load_robot(plain / "arm.xml")
+    r = load_robot_recording(plain / "a.csv", robot)
     other = dataclasses.replace(r, torque=turned * r.torque)
     p = build(robot, [prepare(robot, other, r.joints, 15.0, split=True)], [0, 1, 2], LAWS)
     rows = p.rows(p.nominal)
@@ -299,11 +305,10 @@ def _cost(p, weights, theta):
     return float(x @ x) + sum(weights[j] ** 2 * float(np.sum((p.fitted[j].y - p.grams[j][0] @ x) ** 2)) for j in p.joints)
 
 
-def test_columns_are_filtered_as_the_torque_is(case):
+def test_columns_are_filtered_as_the_torque_is(rubbed):
     """Without noise and with the true laws the residual is that of the filter alone."""
-    folder = case(friction(0.8, 1))
-    robot = load_robot(folder / "arm.xml")
-    r = load_robot_recording(folder / "a.csv", robot)
+    robot = load_robot(rubbed / "arm.xml")
+    r = load_robot_recording(rubbed / "a.csv", robot)
     p = build(robot, [prepare(robot, r, r.joints, 12.0, split=True)], [0, 1, 2], LAWS)
     rows = p.rows(p.nominal)
     term = Term(1, next(law for law in p.laws[1] if law.id == "coulomb_friction"), 0.0)
@@ -323,9 +328,8 @@ def test_derivatives_are_those_of_a_sine():
     np.testing.assert_allclose(derivative(x, 0.01, second=True)[inner], -(w**2) * x[inner], rtol=1e-5, atol=1e-4 * w**2)
 
 
-def test_several_driven_joints_make_a_robot(case, tmp_path):
-    folder = case()
-    assert is_robot([folder / "a.csv"], folder / "arm.xml")
+def test_several_driven_joints_make_a_robot(plain, tmp_path):
+    assert is_robot([plain / "a.csv"], plain / "arm.xml")
     one = tmp_path / "one.csv"
     one.write_text("time_s,torque_Nm,velocity_rad_s\n0,0,0\n")
     axis = tmp_path / "axis.xml"
@@ -336,7 +340,7 @@ def test_several_driven_joints_make_a_robot(case, tmp_path):
     assert not is_robot([one], axis)
     axis.write_text(axis.read_text().replace('<motor joint="a"/>', ""))
     assert not is_robot([one], axis)
-    assert is_robot([folder / "a.csv"], axis)
+    assert is_robot([plain / "a.csv"], axis)
 
 
 def test_the_cases_are_the_same_for_a_seed(tmp_path):
@@ -351,10 +355,12 @@ def test_the_cases_are_the_same_for_a_seed(tmp_path):
     assert r.hold == "linear"
 
 
-def test_native_laws_and_identifiers_are_those_of_the_contract(case, tmp_path):
-    from diagnose.robot.laws import identifiers
-
+def test_the_identifiers_are_those_of_the_contract():
     assert {"coulomb_friction", "load_dependent_friction", "coupled_transmission", "cable_torque"} <= set(identifiers())
+
+
+@pytest.mark.slow
+def test_quadratic_friction_is_written_natively(case, tmp_path):
     drag = cases.Law("quadratic_friction", 0, {}, lambda q, v, T, t: 0.2 * v * np.abs(v))
     folder = case(drag)
     d = diagnose_robot_files(

@@ -45,6 +45,13 @@ def write(path: Path, text: str) -> Path:
 
 
 @pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer candidates of the trajectory, where any will do."""
+    monkeypatch.setattr("mjsim.robot.exciting.TRIALS", 6)
+    monkeypatch.setattr("mjsim.robot.exciting.ROUNDS", 2)
+
+
+@pytest.fixture
 def gripper(tmp_path: Path) -> Path:
     return write(tmp_path / "gripper.xml", GRIPPER)
 
@@ -84,6 +91,7 @@ def test_shipped_scenarios_run_and_their_logs_can_be_read(name: str, tmp_path: P
     assert 1 < told["trajectory"]["condition"] < 100
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_log_shows_what_is_concealed(tmp_path: Path) -> None:
     """Torque of the log less that of the nominal model: the payload's weight, and Coulomb friction at its joint alone."""
     text = (
@@ -100,6 +108,7 @@ def test_a_log_shows_what_is_concealed(tmp_path: Path) -> None:
     assert np.median(np.abs(friction.columns["joint1.torque_Nm"] - plain.columns["joint1.torque_Nm"])) < 0.02
 
 
+@pytest.mark.usefixtures("quick")
 def test_the_torque_of_a_motor_is_what_moves_it_behind_gear_and_gain(tmp_path: Path) -> None:
     text = three_axes().mjcf("arm").replace('<motor name="motor2" joint="joint2"/>',
                                             '<general name="motor2" joint="joint2" gear="50" gainprm="0.5"/>')  # fmt: skip
@@ -109,6 +118,7 @@ def test_the_torque_of_a_motor_is_what_moves_it_behind_gear_and_gain(tmp_path: P
     np.testing.assert_allclose(geared["joint2.angle_rad"], plain["joint2.angle_rad"], atol=1e-9)
 
 
+@pytest.mark.usefixtures("quick")
 def test_servos_follow_through_gears_offsets_and_tendons(gripper: Path) -> None:
     robot = load_robot(gripper)
     assert robot.joints == ("lift", "wrist", "left")
@@ -123,6 +133,7 @@ def test_servos_follow_through_gears_offsets_and_tendons(gripper: Path) -> None:
     np.testing.assert_allclose(log.qpos[:, 3], log.qpos[:, 2] + 0.001, atol=1e-12)
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_model_that_touches_itself_everywhere_is_refused_and_one_that_seldom_does_moves_less(tmp_path: Path) -> None:
     text = (
         three_axes().mjcf("arm").replace('<geom contype="0" conaffinity="0" mass="0" group="1"/>', '<geom mass="0" group="1"/>')
@@ -140,6 +151,7 @@ def test_a_model_that_touches_itself_everywhere_is_refused_and_one_that_seldom_d
         assert data.ncon == 0
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_motor_that_is_too_weak_is_said(tmp_path: Path) -> None:
     text = three_axes().mjcf("arm").replace('joint="joint2"/>', 'joint="joint2" ctrlrange="-.1 .1"/>')
     with pytest.raises(InputError, match=r"joint2 needs .*, and its motor gives 0.1"):
@@ -161,6 +173,7 @@ BAD = {
 }
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", BAD)
 def test_bad_scenarios_are_one_line(name: str, tmp_path: Path) -> None:
     text, match = BAD[name]
@@ -170,6 +183,7 @@ def test_bad_scenarios_are_one_line(name: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_joint_without_a_motor_is_refused(tmp_path: Path) -> None:
     text = three_axes().mjcf("arm").replace('<motor name="motor3" joint="joint3"/>', "")
     with pytest.raises(InputError, match=r"joint 'joint3' has no actuator"):
@@ -199,6 +213,7 @@ def test_the_equations_of_a_robot_are_those_of_mujoco(gripper: Path) -> None:
     assert [c.engine for c in run.cells] == ["exact", "literal"]
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_model_that_mujoco_moves_otherwise_misses_its_tolerance(tmp_path: Path) -> None:
     text = three_axes().mjcf("arm").replace("<option ", '<option viscosity="3" ')
     path = write(tmp_path / "wet.xml", text)

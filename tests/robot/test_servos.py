@@ -276,7 +276,7 @@ def test_one_joint_and_all_joints_in_mujoco_run_alike(robot, recording):
     ],
 )  # fmt: skip
 def test_a_law_acts_alike_in_the_sealed_plant_the_kernel_and_mujoco(robot, change, effect):
-    t = np.arange(0, 4.0, 0.01)
+    t = np.arange(0, 2.5, 0.01)
     command = command_for(NOMINAL, np.random.default_rng(4), t)
     q = simulate(NOMINAL.with_servo(1, **change), command, 0.01)
     r = RobotRecording(t, robot.joints, 0.01, q, command=command)

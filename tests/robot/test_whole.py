@@ -34,7 +34,7 @@ def rubbing(tmp_path_factory):
     robot = load_robot(out / "arm.xml")
     logs = []
     for seed, name in ((1, "a"), (2, "b")):
-        write_servo_log(NOMINAL.with_servo(1, friction=1.0), out / f"{name}.csv", seed, 12.0)
+        write_servo_log(NOMINAL.with_servo(1, friction=1.0), out / f"{name}.csv", seed, 8.0)
         logs.append(load_robot_recording(out / f"{name}.csv", robot, model=out / "arm.xml"))
     outcome = diagnose_servos(robot, logs[:1], logs[1:], RobotOptions(effects=("coulomb_friction",)))
     write_corrected_servos(out / "arm.xml", robot, outcome, out / "corrected.xml")
