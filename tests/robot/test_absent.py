@@ -71,9 +71,10 @@ def test_a_joint_that_moved_unseen_is_named_by_torque(moving: RobotLog, joint: s
     assert "absence is the likely cause" in problem.sentence
 
 
-def test_a_joint_that_moved_unseen_is_named_by_command(tmp_path: Path) -> None:
+def test_a_joint_that_moved_unseen_is_named_by_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mjsim.robot.exciting.ROUNDS", 2)
     (tmp_path / "servo.xml").write_text(servo_mjcf(nominal_robot(6)))
-    log = run_robot(robot_scenario(tmp_path / "servo.xml", sample_time_s=0.01))
+    log = run_robot(robot_scenario(tmp_path / "servo.xml", sample_time_s=0.01, duration_s=10.0))
     r = without(log, "joint3", "command")
     found = moved_unseen(log.robot, r, *smoothed(log.robot, r))
     assert found is not None

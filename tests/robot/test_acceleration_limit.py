@@ -94,7 +94,7 @@ def test_its_screening_looks_beside_the_numbers_of_the_file(tmp_path):
     assert slots[SLOT["kp"]] == problem.nominal[SLOT["kp"]]
 
 
-@pytest.mark.parametrize("hold", ["held", "linear"])
+@pytest.mark.parametrize("hold", ["held", pytest.param("linear", marks=pytest.mark.slow)])
 def test_the_hold_is_found_beside_it(tmp_path, hold):
     log = dataclasses.replace(recorded(hold, 6.0, 1, 2e-4), hold="held", hold_stated=False)
     assert shown_hold(load_robot(arm(tmp_path)), [log]) == hold

@@ -25,11 +25,17 @@ def case():
     return Case("flexible", 41, rigid.nominal, rigid.true, (), (), {2: STIFF})
 
 
-def test_the_motor_is_ahead_of_its_link_by_the_torque_of_the_link(case, tmp_path):
+@pytest.fixture(scope="module")
+def log(case, tmp_path_factory):
+    path = tmp_path_factory.mktemp("flexible") / "a.csv"
+    write_log(case, path, 0)
+    return path
+
+
+def test_the_motor_is_ahead_of_its_link_by_the_torque_of_the_link(case, log, tmp_path):
     rigid = Case("flexible", 41, case.nominal, case.true, (), (), {2: 1e12})
-    for name, one_ in (("soft", case), ("stiff", rigid)):
-        write_log(one_, tmp_path / f"{name}.csv", 0)
-    soft, stiff = (np.loadtxt(tmp_path / f"{n}.csv", delimiter=",", skiprows=1) for n in ("soft", "stiff"))
+    write_log(rigid, tmp_path / "stiff.csv", 0)
+    soft, stiff = (np.loadtxt(path, delimiter=",", skiprows=1) for path in (log, tmp_path / "stiff.csv"))
     ahead, torque = soft[:, 3] - stiff[:, 3], stiff[:, 6]
     np.testing.assert_allclose(soft[:, 1:3], stiff[:, 1:3], atol=1e-12)
     # beside the rotor's and the damping's part the torque is that of the link
@@ -38,11 +44,10 @@ def test_the_motor_is_ahead_of_its_link_by_the_torque_of_the_link(case, tmp_path
     assert draw(41, "flexible", 6).stiffness.keys() <= {0, 1, 2}
 
 
-def test_links_lag_behind_motors_by_their_own_torque(case, tmp_path):
+def test_links_lag_behind_motors_by_their_own_torque(case, log, tmp_path):
     (tmp_path / "arm.xml").write_text(case.nominal.mjcf("arm"))
-    write_log(case, tmp_path / "a.csv", 0)
     robot = load_robot(tmp_path / "arm.xml")
-    r = load_robot_recording(tmp_path / "a.csv", robot, model=tmp_path / "arm.xml")
+    r = load_robot_recording(log, robot, model=tmp_path / "arm.xml")
     m = prepare(robot, r, robot.joints, 10.0)
     assert deflected(robot, m, {}, robot.nominal).of_links[0] is m.z
     moved = deflected(robot, m, {2: 1.0 / STIFF}, robot.nominal)

@@ -21,7 +21,7 @@ from mjsim.robot.scenario import robot_scenario, run_robot, shipped_robot_scenar
 from simgap.cli import cli
 from simgap.commands.run import command
 
-SHORT = {"duration_s": 10.0}
+SHORT = {"duration_s": 5.0}
 # a servo behind a gear with an offset, a servo of a slide, a finger that mirrors another one by a ratio, driven through a tendon
 GRIPPER = """<mujoco><compiler angle="radian" autolimits="true"/><option timestep="0.001" integrator="implicitfast"/>
 <default><geom contype="0" conaffinity="0"/></default><worldbody>
@@ -95,7 +95,7 @@ def test_shipped_scenarios_run_and_their_logs_can_be_read(name: str, tmp_path: P
 def test_a_log_shows_what_is_concealed(tmp_path: Path) -> None:
     """Torque of the log less that of the nominal model: the payload's weight, and Coulomb friction at its joint alone."""
     text = (
-        'model = "arm3"\nduration_s = 10\n[excitation]\nkind = "fourier"\n[[effects]]\nid = "coulomb_friction"\n'
+        'model = "arm3"\nduration_s = 5\n[excitation]\nkind = "fourier"\n[[effects]]\nid = "coulomb_friction"\n'
         'joint = "joint2"\ntorque_Nm = 2.0\n'
     )
     friction = run_robot(robot_scenario(write(tmp_path / "friction.toml", text)))
