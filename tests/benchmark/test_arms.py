@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 from ident import Decimation, IOData, decimate
+from lab.benchmark import cases, sized
 from lab.benchmark.arms import ARMS, Answer, Arm, Task, parse_arms
 from lab.benchmark.arms.box_jenkins import noise_gain
 from lab.benchmark.arms.sparse import TERMS, free_run, responses
-from lab.benchmark.experiment import chirp, multisine
+from lab.benchmark.experiment import chirp, draw_experiment, multisine
 from lab.benchmark.laws import Laws
 from lab.benchmark.measurement import Measurement
 from lab.benchmark.plant import Motion, record
@@ -61,7 +63,9 @@ def test_arms_are_asked_for_by_name() -> None:
     )
 
 
-def test_what_breaks_is_an_answer_and_what_is_not_installed_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_breaks_is_an_answer_and_what_is_not_installed_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def breaks(_: Task) -> Answer:
         raise ValueError("no such luck")
 
@@ -69,6 +73,8 @@ def test_what_breaks_is_an_answer_and_what_is_not_installed_is_said(tmp_path: Pa
     assert answer["error"] == "ValueError: no such luck"
     assert answer["seconds"] >= 0
     assert Arm("x", "X", breaks, needs=("json", "simgap_no_such_module")).lacks() == ("simgap_no_such_module",)
+    for module in (cases, sized):
+        monkeypatch.setattr(module, "draw_experiment", partial(draw_experiment, seconds=2.0))
     seal(tmp_path, {"nothing": 1}, 4)
     (ran,) = run_arms(tmp_path, [Arm("x", "X", breaks, needs=("simgap_no_such_module",))], ["001"], {"001": {}})
     assert "simgap[bench]" in ran["skipped"]

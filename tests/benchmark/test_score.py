@@ -206,8 +206,8 @@ def test_levels_by_hand() -> None:
 
 def test_a_power_curve_finds_its_points() -> None:
     rng = np.random.default_rng(4)
-    sizes = 10 ** rng.uniform(-2, 1, 4000)
-    seen = rng.random(4000) < 1 / (1 + (sizes / 0.2) ** -2)
+    sizes = 10 ** rng.uniform(-2, 1, 2500)
+    seen = rng.random(2500) < 1 / (1 + (sizes / 0.2) ** -2)
     curve = power_curve(sizes.tolist(), seen.tolist())
     assert curve.at50 == pytest.approx(0.2, rel=0.08)
     assert curve.at90 == pytest.approx(0.6, rel=0.12)  # odds 9 at 3 times the size
@@ -218,7 +218,7 @@ def test_a_power_curve_finds_its_points() -> None:
     assert 0.4 < apart.at50 < 1.0
     assert apart.at50_ci95[0] < 0.4 < 1.0 < apart.at50_ci95[1]  # eight cases say little
     bins = shares(sizes.tolist(), seen.tolist())
-    assert sum(b.n for b in bins) == 4000
+    assert sum(b.n for b in bins) == 2500
     assert sum(b.seen for b in bins) == seen.sum()
     assert all(a.high <= b.low for a, b in itertools.pairwise(bins))
     inside = [b.ci95[0] <= np.mean(curve.chance(np.geomspace(b.low, b.high, 50))) <= b.ci95[1] for b in bins]

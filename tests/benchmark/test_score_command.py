@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from lab.benchmark import cases, sized
+from lab.benchmark.experiment import draw_experiment
 from mjsim.errors import InputError
 from simgap.cli import COMMANDS
 from simgap.commands import benchmark
@@ -17,7 +20,10 @@ from simgap.commands.benchmark import command, diagnose_all, diagnose_case, seal
 @pytest.fixture(scope="module")
 def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("benchmark")
-    seal(out, {"nothing": 3}, 4)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (cases, sized):
+            patch.setattr(module, "draw_experiment", partial(draw_experiment, seconds=2.0))
+        seal(out, {"nothing": 3}, 4)
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,14 @@ def test_the_generator_knows_nothing_of_the_fitting_code() -> None:
                 assert module.split(".")[0] not in {"mjsim", "ident", "diagnose"} or module in allowed, (path, module)
 
 
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recordings of three seconds."""
+    for module in (lab.benchmark.cases, lab.benchmark.sized):
+        monkeypatch.setattr(module, "draw_experiment", partial(draw_experiment, seconds=3.0))
+
+
+@pytest.mark.usefixtures("short")
 @pytest.mark.parametrize(
     "level",
     [
@@ -130,6 +139,7 @@ def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
         write_cases(tmp_path / "a", tmp_path / "a" / "truth.json", {"nothing": 1}, seed=1)
 
 
+@pytest.mark.usefixtures("short")
 def test_the_effect_asked_for_is_concealed() -> None:
     truth = make_case("behind_feedback", np.random.default_rng(3), "torque_ripple").truth
     assert truth["effects"] == ["torque_ripple"]
@@ -144,7 +154,7 @@ def test_a_recording_that_friction_holds_is_recorded_again(monkeypatch: pytest.M
 
     def weak_once(kind: str, rng: np.random.Generator, amplitude: float) -> Experiment:
         draws.append(kind)
-        return draw_experiment(kind, rng, amplitude * (1e-3 if len(draws) == weak else 1.0))
+        return draw_experiment(kind, rng, amplitude * (1e-3 if len(draws) == weak else 1.0), 3.0)
 
     for module in (lab.benchmark.cases, lab.benchmark.sized):
         monkeypatch.setattr(module, "draw_experiment", weak_once)

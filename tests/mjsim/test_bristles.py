@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from robot_axis import effect
@@ -13,6 +15,7 @@ from mjsim.system import STEP, assemble
 DT, N = 5e-4, 8_000
 LEVEL = {"torque_Nm": 0.1}
 STRIBECK = {**LEVEL, "extra_static_torque_Nm": 0.1, "stribeck_velocity_rad_s": 0.6, "damping_Nms_rad": 0.05}
+VALUES = {"presliding_friction": LEVEL, "stribeck_friction_with_bristles": STRIBECK}
 INPUTS = {
     "chirp": chirp(N * DT, DT, 1.5, 1.0, 30.0),
     "multisine": multisine(np.random.default_rng(1), N * DT, DT, 0.8, 0.25, 30.0, period=N * DT, grid=Grid.FULL),
@@ -23,11 +26,21 @@ def rms(x):
     return float(np.sqrt(np.mean(x**2)))
 
 
-@pytest.mark.parametrize("torque", INPUTS.values(), ids=INPUTS.keys())
-@pytest.mark.parametrize("stiffness", [300.0, 3e3, 1.2e4])
-@pytest.mark.parametrize(("name", "values"), [("presliding_friction", LEVEL), ("stribeck_friction_with_bristles", STRIBECK)])
-def test_stiff_bristles_cost_steps_only_where_they_hold(robot, name, values, stiffness, torque):
-    axis = robot + effect(name, **values, stiffness_Nm_rad=stiffness)
+QUICK = {
+    ("presliding_friction", 300.0, "multisine"), ("presliding_friction", 1.2e4, "chirp"),
+    ("stribeck_friction_with_bristles", 300.0, "chirp"), ("stribeck_friction_with_bristles", 3e3, "multisine"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "stiffness", "drive"),
+    [
+        pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow)
+        for case in itertools.product(VALUES, (300.0, 3e3, 1.2e4), INPUTS)
+    ],
+)
+def test_stiff_bristles_cost_steps_only_where_they_hold(robot, name, stiffness, drive):
+    axis, torque = robot + effect(name, **VALUES[name], stiffness_Nm_rad=stiffness), INPUTS[drive]
     system = assemble(axis)
     n, parts = system.steps(DT, 0.0)
     assert n == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from robot_axis import effect
@@ -28,8 +30,14 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
-@pytest.mark.parametrize("name", EFFECTS)
+INTEGRATORS = ("Euler", "implicitfast", "RK4")
+QUICK = {(name, INTEGRATORS[k % 3]) for k, name in enumerate(EFFECTS)} | {("coulomb", "RK4"), ("stiff presliding", "Euler")}
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator"),
+    [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in itertools.product(EFFECTS, INTEGRATORS)],
+)
 def test_a_form_that_mujoco_steps_as_found_is_written(name, integrator, tmp_path):
     path, out = tmp_path / "model.xml", tmp_path / "corrected.xml"
     path.write_text(MODEL.format(integrator=integrator), encoding="utf-8")

@@ -22,7 +22,7 @@ from mjsim.servo import Servo, Target
 from mjsim.system import assemble
 
 DT = 0.01
-TIME = DT * np.arange(400)
+TIME = DT * np.arange(250)
 STEPS = np.where(TIME % 2.0 < 1.0, 1.0, -0.5)
 FILE = """<mujoco><compiler angle="radian"/><option timestep="{timestep}" integrator="implicitfast"/>
   <worldbody>

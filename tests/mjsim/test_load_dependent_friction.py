@@ -16,7 +16,7 @@ from mjsim.ode import inverse, simulate
 from mjsim.servo import Servo
 
 J, DAMPING, DT = 0.02, 0.05, 0.01
-TIME = DT * np.arange(120)
+TIME = DT * np.arange(60)
 SQUARE = 0.5 * np.sign(np.sin(2 * np.pi * 1.3 * TIME + 0.1))
 FRICTION = effect_class("load_dependent_friction")
 WEIGHT = effect_class("gravity_load")

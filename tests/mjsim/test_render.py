@@ -58,14 +58,14 @@ def test_jaws_stand_apart_by_the_gap(shot: Shot) -> None:
 @pytest.mark.usefixtures("screen")
 @pytest.mark.parametrize("name", ["a.png", "a.gif", "a.mp4"])
 def test_each_format(name: str, shot: Shot, tmp_path: Path) -> None:
-    path = film([shot], tmp_path / name, size=(320, 240), fps=10, start=0.2, duration=0.3)
+    path = film([shot], tmp_path / name, size=(160, 120), fps=10, start=0.2, duration=0.3)
     if name.endswith("mp4"):
         from imageio_ffmpeg import count_frames_and_secs
 
         assert count_frames_and_secs(str(path)) == (4, pytest.approx(0.4, abs=0.11))
     else:
         picture = iio.imread(path, index=0)
-        assert picture.shape[:2] == (240, 320)
+        assert picture.shape[:2] == (120, 160)
         assert float(np.std(np.asarray(picture[..., :3], float))) > 20
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
@@ -76,8 +76,8 @@ def test_side_by_side_and_what_was_not_measured(motion: ode.Trajectory, shot: Sh
     recorded = shot_of_recording("recording", MODEL, record)
     assert recorded.gear_torque is None
     assert not recorded.whole
-    path = film([shot, recorded], tmp_path / "two.png", size=(320, 240))
-    assert iio.imread(path).shape == (240, 640, 3)
+    path = film([shot, recorded], tmp_path / "two.png", size=(160, 120))
+    assert iio.imread(path).shape == (120, 320, 3)
 
 
 @pytest.mark.usefixtures("screen")
@@ -87,7 +87,7 @@ def test_a_film_that_breaks_leaves_nothing(shot: Shot, tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film([shot], tmp_path / "b.mp4", size=(320, 240), progress=broken)  # type: ignore[arg-type]
+        film([shot], tmp_path / "b.mp4", size=(160, 120), progress=broken)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 

@@ -78,10 +78,11 @@ def test_the_linear_servo_is_exact_for_every_hold(hold):
 @pytest.mark.parametrize("hold", [pytest.param("held", marks=pytest.mark.slow), "linear"])
 def test_limits_and_dead_band_are_events(servo, effects, law, hold):
     found = axis(servo, *(effect_class(name)(**values) for name, values in effects.items()))
-    run = simulate(found, SQUARE, DT, hold=hold)
+    u = SQUARE[:50]
+    run = simulate(found, u, DT, hold=hold)
     # the reference smears a kink over a step: h^2 of a jump of the slope
-    np.testing.assert_allclose(run.angle, written_out(SQUARE, hold, **law), atol=2e-6)
-    assert np.std(simulate(axis(Servo(10.0, 0.3)), SQUARE, DT, hold=hold).angle - run.angle) > 1e-3, "the law acts"
+    np.testing.assert_allclose(run.angle, written_out(u, hold, **law), atol=2e-6)
+    assert np.std(simulate(axis(Servo(10.0, 0.3)), u, DT, hold=hold).angle - run.angle) > 1e-3, "the law acts"
 
 
 def test_a_velocity_servo_and_an_integrated_one_follow_their_speed():

@@ -25,11 +25,15 @@ def log() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def pages(log: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("pages")
+def identification(log: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> Path:
     fitted = simgap.identify(log, orders=(2, 2, 2, 2, 1), decimate=10)
-    simgap.check(log, "robot_axis1", out=folder)
-    return {"identification": fitted.report(folder / "identification.html"), "check": folder / "check.html"}
+    return fitted.report(tmp_path_factory.mktemp("pages") / "identification.html")
+
+
+@pytest.fixture(scope="module")
+def pages(identification: Path, log: dict[str, np.ndarray]) -> dict[str, Path]:
+    simgap.check(log, "robot_axis1", out=identification.parent)
+    return {"identification": identification, "check": identification.parent / "check.html"}
 
 
 @pytest.mark.slow
@@ -42,8 +46,8 @@ def test_opens_from_disk_and_fits_the_window(
 
 
 @pytest.mark.parametrize(("scheme", "chosen", "dark"), [("light", "", False), ("dark", "", True), ("dark", "light", False)])
-def test_figures_suit_the_colours_of_the_page(browser: Any, pages: dict[str, Path], scheme: str, chosen: str, dark: bool) -> None:
-    with opened(browser, pages["identification"], color_scheme=scheme) as w:
+def test_figures_suit_the_colours_of_the_page(browser: Any, identification: Path, scheme: str, chosen: str, dark: bool) -> None:
+    with opened(browser, identification, color_scheme=scheme) as w:
         w.page.evaluate("(chosen) => { if (chosen) document.documentElement.dataset.theme = chosen; }", chosen)
         filters = w.page.evaluate("[...document.querySelectorAll('.photo img')].map((e) => getComputedStyle(e).filter)")
         assert [("invert" in f) for f in filters] == [dark] * len(filters)
