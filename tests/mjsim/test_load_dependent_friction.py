@@ -35,10 +35,10 @@ def written_out(u: np.ndarray, c: float, kp: float, kv: float, limit: float, fin
 
     def rates(q: float, v: float, target: float) -> tuple[float, float]:
         force = min(max(kp * (target - q) - kv * v, -limit), limit)
-        return v, (force - c * abs(force) * np.sign(v) - DAMPING * v) / J
+        return v, (force - c * abs(force) * ((v > 0) - (v < 0)) - DAMPING * v) / J
 
     q, v, out = 0.0, 1e-9, []
-    for target in u:
+    for target in u.tolist():
         out.append(q)
         for _ in range(fine):
             k1 = rates(q, v, target)

@@ -42,10 +42,10 @@ def written_out(u, hold, *, kp=10.0, kv=0.3, limit=np.inf, band=0.0, stall=np.in
         return v, (force - 0.05 * v) / 0.02
 
     q, v, out = 0.0, 0.0, []
-    for a, b in zip(start, slope, strict=True):
+    for a, b in zip(start.tolist(), slope.tolist(), strict=True):
         out.append(q)
         for i in range(fine):
-            c = a + b * h * np.array([i, i + 0.5, i + 1.0])
+            c = a + b * h * i, a + b * h * (i + 0.5), a + b * h * (i + 1.0)
             k1 = rates(q, v, c[0])
             k2 = rates(q + h / 2 * k1[0], v + h / 2 * k1[1], c[1])
             k3 = rates(q + h / 2 * k2[0], v + h / 2 * k2[1], c[1])
