@@ -42,6 +42,6 @@ def truth(request: pytest.FixtureRequest) -> Truth:
     return TRUTHS[request.param]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def bj_truth() -> Truth:
     return TRUTHS["bj"]

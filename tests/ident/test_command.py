@@ -120,16 +120,34 @@ def test_another_level_answers_whether_it_is_linear(log, tmp_path, bj_truth):
         assert json.loads(result.stdout)["amplitude_test"]["nonlinear"] is (name == "bent")
 
 
-def test_what_validates_need_not_excite_every_direction(log, tmp_path, bj_truth):
+ORDERS = ("--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
+
+
+@pytest.fixture(scope="module")
+def sine(tmp_path_factory, bj_truth):
     t = 0.1 * np.arange(400)
     u = np.sin(t)
-    path = tmp_path / "sine.csv"
+    path = tmp_path_factory.mktemp("sine") / "sine.csv"
     table = np.column_stack([t, u, bj_truth.model.simulate(u)])
     np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
-    args = ("--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
-    result = run(log, "--out", tmp_path / "out", *args, "--validate", path)
-    assert "On sine.csv its simulation fits" in result.output
-    assert "excites only" in str(run(path, "--out", tmp_path / "out", *args).exception)
+    return path
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory, bj_truth, sine):
+    """What is said of a recording that keeps one value for a while, validated on a sine."""
+    data = bj_truth.record(1200, 1)
+    y = np.array(data.y)
+    y[500:540] = y[500]
+    path = tmp_path_factory.mktemp("held") / "held.csv"
+    table = np.column_stack([data.time, data.u, y])
+    np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
+    return " ".join(run(path, "--out", path.parent / "out", *ORDERS, "--validate", sine).output.split())
+
+
+def test_what_validates_need_not_excite_every_direction(told, sine, tmp_path):
+    assert "On sine.csv its simulation fits" in told
+    assert "excites only" in str(run(sine, "--out", tmp_path / "out", *ORDERS).exception)
 
 
 def test_a_machines_model_names_the_columns(log, tmp_path):
@@ -168,15 +186,8 @@ def test_a_failure_in_the_middle_leaves_no_half_written_set(log, tmp_path, monke
     assert run(log, "--out", out, *args).exit_code == 0
 
 
-def test_lost_samples_are_told(tmp_path, bj_truth):
-    data = bj_truth.record(1200, 1)
-    y = np.array(data.y)
-    y[500:540] = y[500]
-    path = tmp_path / "held.csv"
-    table = np.column_stack([data.time, data.u, y])
-    np.savetxt(path, table, delimiter=",", header="time_s,torque_Nm,velocity_rad_s", comments="", fmt="%.12g")
-    result = run(path, "--out", tmp_path / "out", "--orders", "2,2,2,2,1", "--decimate", 1, "--cutoff", "none")
-    assert "velocity keeps one value for 40 samples from sample 501 on" in " ".join(result.output.split())
+def test_lost_samples_are_told(told):
+    assert "velocity keeps one value for 40 samples from sample 501 on" in told
 
 
 def test_a_long_recording_is_fitted_where_its_output_varies_most(tmp_path, bj_truth, monkeypatch):

@@ -104,7 +104,8 @@ MODELS = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) fo
 
 @pytest.mark.usefixtures("screen")
 @pytest.mark.parametrize("name", MODELS)
-def test_a_model_alone_is_moved_by_a_chirp(name: str, tmp_path: Path) -> None:
+def test_a_model_alone_is_moved_by_a_chirp(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mjsim.robot.exciting.ROUNDS", 2)
     out = tmp_path / "model.png"
     result = CliRunner().invoke(command, [str(shipped_model(name)), "--out", str(out), "--size", "320x240"])
     assert result.exit_code == 0, result.exception
