@@ -196,7 +196,8 @@ def test_a_recording_in_a_picture_of_each_style(pendulum, style, width):
 @pytest.mark.parametrize(
     "name", [pytest.param("arm.mp4", marks=pytest.mark.slow), pytest.param("arm.gif", marks=pytest.mark.slow), "arm.png"]
 )
-def test_a_robot_alone_in_each_format(arm, name):
+def test_a_robot_alone_in_each_format(arm, name, monkeypatch):
+    monkeypatch.setattr("mjsim.robot.exciting.ROUNDS", 2)
     ended = CliRunner().invoke(
         command, [str(arm / "arm.xml"), "--out", str(arm / name), "--size", "160x120", "--fps", "4", "--duration", "1"]
     )
