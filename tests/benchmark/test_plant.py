@@ -146,7 +146,7 @@ FAST = ("stribeck_friction", "backlash", "time_delay")
 def test_step_halving(effect: str) -> None:
     for entry in CATALOGUE + OTHER_LAWS:
         if entry.effect == effect:
-            assert halving(entry, 4, "multisine", 4.0)[0] < SOLVER_ERROR, (entry.place, entry.law)
+            assert halving(entry, 4, "multisine", 2.0)[0] < SOLVER_ERROR, (entry.place, entry.law)
 
 
 @pytest.mark.slow

@@ -151,7 +151,7 @@ def test_what_no_law_stands_for_is_refused_in_one_line(tmp_path, more, said):
         ("", {"gain": 2.0, "kv": 0.9, "Jm": 0.03}),
         ('saturation=".6 0 0"', {"gain": 2.0, "kv": 0.9, "limit": 0.4}),
         ('nominal="12 4 20" cogging=".1 6 .4"', {"gain": 0.4, "kv": 0.3}),
-        ('input="pos" controller="8 0 .3 0 0 0"', {"kp": 6.0, "kv": 0.2}),
+        pytest.param('input="pos" controller="8 0 .3 0 0 0"', {"kp": 6.0, "kv": 0.2}, marks=pytest.mark.slow),
         ('input="pos vel" controller="8 0 .3 2 0 .9" saturation="1.2"', {"kp": 6.0, "kv": 0.2, "limit": 1.0}),
         ('input="vel" controller="0 0 .9 0 0 .9"', {"kv": 0.7}),
     ],

@@ -56,7 +56,7 @@ def test_its_law_is_that_of_plain_mujoco(tmp_path, actuator, servo, idle):
     axis = load_axis(path)
     assert dataclasses.astuple(axis.chain.servo) == pytest.approx(dataclasses.astuple(servo), abs=1e-12)
     assert axis.chain.idle == idle
-    u = command(5.0, DT, 0)
+    u = command(2.5, DT, 0)
     theirs = run_literal(path, u, DT, initial=START)
     assert np.std(simulate(axis, u, DT, initial=START).angle - theirs.angle) < 5e-5 * np.std(theirs.angle)
     plant = MujocoPlant.load(path)
@@ -69,7 +69,7 @@ def test_a_force_as_its_only_input_is_a_torque(tmp_path):
     axis = load_axis(path)
     assert (axis.chain.servo, axis.chain.gain) == (None, 2.0)
     assert [e.values["limit_Nm"] for e in axis.effects if e.id == "actuator_saturation"] == [0.5]
-    u = 2.0 * command(5.0, DT, 0)
+    u = 2.0 * command(2.5, DT, 0)
     theirs = run_literal(path, u, DT, initial=START)
     assert np.std(simulate(axis, u, DT, initial=START).angle - theirs.angle) < 5e-5 * np.std(theirs.angle)
     wider = [e.with_values({"limit_Nm": 0.8}) if e.id == "actuator_saturation" else e for e in axis.effects]
@@ -153,7 +153,7 @@ def test_a_velocity_limit_that_is_found_is_its_slewmax(tmp_path, actuator):
     others = [e for e in axis.effects if e.id != "velocity_limit"]
     found = dataclasses.replace(axis, effects=(*others, effect_class("velocity_limit")(limit_rad_s=0.8))).with_linear({"kp": 6.0})
     assert write_corrected(path, found, out).lacks == ()
-    u = command(5.0, DT, 0)
+    u = command(2.5, DT, 0)
     theirs, ours = run_literal(out, u, DT, initial=START).angle, simulate(found, u, DT, initial=START).angle
     assert np.std(theirs - ours) < 3e-3 * np.std(ours), "0.5 ms ahead of the ramp"
     assert load_model(out).mjmodel.actuator_dynprm[0, 1] == 0.8
@@ -169,7 +169,7 @@ def test_a_lag_is_written_where_there_is_one_setpoint_and_no_slewmax(tmp_path, m
     assert bool(lacks) != native
     assert load_axis(out) == found
     if native:
-        u = command(5.0, DT, 0)
+        u = command(2.5, DT, 0)
         theirs = run_literal(out, u, DT, initial=START).angle
         assert np.std(theirs - simulate(found, u, DT, initial=START).angle) < 1e-3 * np.std(theirs)
     else:

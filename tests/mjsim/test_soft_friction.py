@@ -33,7 +33,7 @@ LOAD = (
 
 @pytest.fixture
 def torque() -> np.ndarray:
-    t = DT * np.arange(4000)
+    t = DT * np.arange(2000)
     return 0.25 * np.sin(2 * np.pi * 1.1 * t) + 0.2 * np.sin(2 * np.pi * 0.37 * t + 1.0)
 
 

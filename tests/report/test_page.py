@@ -173,7 +173,10 @@ def decoded(recording: dict[str, Any], *path: str) -> np.ndarray:
     return np.frombuffer(base64.b64decode(recording["f"]), "<f4")
 
 
-@pytest.mark.parametrize("verdict", list(Verdict))
+@pytest.mark.parametrize(
+    "verdict",
+    [pytest.param(v, marks=pytest.mark.slow if v in (Verdict.MISSING_PHYSICS, Verdict.PARAMETERS_ONLY) else ()) for v in Verdict],
+)
 def test_every_verdict_without_the_optional_parts(diagnosis: Diagnosis, verdict: Verdict, tmp_path: Path) -> None:
     one = diagnosis.traces[0]
     short = Traces(
