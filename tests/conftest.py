@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -45,6 +46,12 @@ COMPILES = (
         "tests/mjsim/test_plants.py",
     ),
 )
+
+
+def pytest_collection_finish() -> None:
+    """Python's collector of cycles looks no more at what stays to the end: modules, syntax trees, the items themselves."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)
