@@ -7,15 +7,12 @@ STAMP  := $(VENV)/.installed
 unexport PYTHONDONTWRITEBYTECODE
 LOWEST_TESTS := pytest hypothesis pandas pytest-xdist hatchling httpx httpx2
 
-.PHONY: demo test pytest coverage notebooks proof lint style types docs lowest audit wheel clean
+.PHONY: demo test coverage notebooks proof lint style types docs lowest audit wheel clean
 demo: $(STAMP)
 	$(BIN)/simgap demo --out out/demo
 
-# mypy, which has no use for a second processor, runs beside the tests
+# types are checked by `make lint`, which CI runs as well
 test: $(STAMP) style
-	@$(MAKE) --no-print-directory -j2 types pytest
-
-pytest: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # the tests of `make test`, slower, with the lines of mjsim, ident and diagnose that none of them runs
