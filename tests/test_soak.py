@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -31,31 +29,32 @@ def test_a_curve_is_on_disk_as_it_grows(tmp_path):
     assert curve.points == [(1, 2048.5)]
 
 
+CHILD = "x = bytearray(60_000_000); print(1, flush=True); input()"
+PARENT = f"""
+import subprocess, sys, threading
+def start():
+    child = subprocess.Popen([sys.executable, "-c", {CHILD!r}], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    child.stdout.readline()
+    print(child.pid, flush=True)
+    input()
+    child.communicate(b"\\n")
+threading.Thread(target=start).start()
+"""
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_children_of_any_thread_are_counted():
     """A child belongs to the thread that started it, as the workers of a cluster do."""
-    started: list[subprocess.Popen[bytes]] = []
-    begun, end = threading.Event(), threading.Event()
-
-    def start() -> None:
-        words = [sys.executable, "-c", "x = bytearray(60_000_000); print(1, flush=True); input()"]
-        started.append(subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
-        assert started[0].stdout is not None
-        started[0].stdout.readline()
-        begun.set()
-        end.wait(60)
-
-    before = resident(os.getpid())
-    thread = threading.Thread(target=start)
-    thread.start()
-    assert begun.wait(60)
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
     try:
-        assert resident(os.getpid()) - before > 50_000
+        alone, together = resident(child), resident(parent.pid)
+        assert alone > 50_000
+        assert 0 < together - alone < 50_000, "the parent itself is small"
     finally:
-        end.set()
-        thread.join()
-        started[0].communicate(b"\n")
-    assert resident(started[0].pid) == 0
+        parent.communicate(b"\n")
+    assert resident(child) == resident(parent.pid) == 0
 
 
 @pytest.mark.parametrize(
