@@ -59,7 +59,7 @@ def without_short_times(result: Diagnosis, axis: Axis, cases: Sequence[Case]) ->
     physics = [f for f in result.findings if f.kind == "physics"]
     if not physics:
         return result
-    scales = scales_by_place(axis, prepare(cases[0].recording))
+    scales = scales_by_place(axis, prepare(cases[0].recording, minimum=0))  # the search has asked for enough samples
     ranges = ((f, r) for f in physics for r in effect_found(f).admissible(scales[f.place]))
     short = {id(f): (f, r) for f, r in ranges if r.is_below}
     if not short:

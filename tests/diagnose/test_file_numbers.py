@@ -97,3 +97,10 @@ def test_a_delay_of_a_part_of_a_sample_is_named_where_the_hold_is_stated(given, 
     beside = without_short_times(dataclasses.replace(found, findings=(*found.findings, delay)), axis, cases_of([log], []))
     assert beside.findings == (*found.findings, *((delay,) if named else ()))
     assert beside.verdict is Verdict.MISSING_PHYSICS
+
+
+def test_short_recordings_are_judged_too(given):
+    _, axis, log = given
+    short = cases_of([log.slice(0, 100)], [], 100)
+    found = dataclasses.replace(diagnosis(1.0), verdict=Verdict.MISSING_PHYSICS, notes=())
+    assert without_short_times(found, axis, short) is found
