@@ -65,8 +65,8 @@ def without_short_times(result: Diagnosis, axis: Axis, cases: Sequence[Case]) ->
     if not short:
         return result
     notes = tuple(
-        f"{f.effect.replace('_', ' ').capitalize()} at the {f.place} is not named: in MuJoCo its {r.what} is {r.value:.3g}, less "
-        f"than {r.low:.3g}, a quarter of a sample: nobody states how the command goes between samples. corrected.xml keeps it."
+        f"{f.effect.replace('_', ' ').capitalize()} at the {f.place} is not named: in MuJoCo its {r.what} is {r.value:.3g}, "
+        f"below {r.low:.3g}, {r.why}. corrected.xml keeps it."
         for f, r in short.values()
     )
     left = tuple(f for f in result.findings if id(f) not in short)
