@@ -14,7 +14,7 @@ from mjsim.errors import InputError
 
 __all__ = ["LEVEL", "Change", "Comparison", "Moved", "Pair", "compare", "markdown", "mcnemar"]
 
-LEVEL = 0.05  # of McNemar's test
+LEVEL = 0.05  # of McNemar's test, and the share of values that the 95 % intervals leave out
 
 
 def mcnemar(gained: int, lost: int) -> float:
@@ -39,7 +39,10 @@ class Change:
 
 @dataclass(frozen=True)
 class Moved:
-    """A parameter of an effect that both name whose value after is outside the 95 % interval before."""
+    """A parameter of an effect that both name whose value after is outside the 95 % interval before.
+
+    ``explained``: neither answer is ``unexplained``, whose values are not the parameters of a model that fits.
+    """
 
     case: str
     parameter: str
@@ -47,6 +50,7 @@ class Moved:
     low: float
     high: float
     after: float
+    explained: bool
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,12 @@ class Comparison:
     changes: tuple[Change, ...]
     moved: tuple[Moved, ...]
     common_parameters: int
+    explained_parameters: int
+
+    @property
+    def parameters_differ(self) -> bool:
+        """More parameters of explained answers outside their intervals than intervals of 95 % leave out."""
+        return sum(m.explained for m in self.moved) > LEVEL * self.explained_parameters
 
     @property
     def significant_loss(self) -> bool:
@@ -126,17 +136,19 @@ def _common(a: Record, b: Record) -> Iterator[tuple[str, tuple[float | None, ...
         yield from ((n, p, b.linear[n]) for n, p in a.linear.items() if n in b.linear)
 
 
-def _moved(pairs: Sequence[tuple[Record, Record]]) -> tuple[list[Moved], int]:
-    """Those beyond the interval, and how many had one."""
-    out, count = [], 0
+def _moved(pairs: Sequence[tuple[Record, Record]]) -> tuple[list[Moved], int, int]:
+    """Those beyond the interval, how many had one, and how many of these belong to explained answers."""
+    out, count, claimed = [], 0, 0
     for a, b in pairs:
+        explained = "unexplained" not in (a.verdict, b.verdict)
         for name, (value, low, high), (after, _, _) in _common(a, b):
             if value is None or low is None or high is None or after is None:
                 continue
             count += 1
+            claimed += explained
             if not low <= after <= high:
-                out.append(Moved(a.case, name, value, low, high, after))
-    return out, count
+                out.append(Moved(a.case, name, value, low, high, after, explained))
+    return out, count, claimed
 
 
 def _pair(function: Any, pairs: Sequence[tuple[Any, Any]]) -> Pair:
@@ -175,7 +187,7 @@ def compare(before: Mapping[str, Record], after: Mapping[str, Record]) -> Compar
     known = [(a, b) for a, b in pairs if a.good is not None]
     gained, lost = (sum(bool(x.good) and not y.good for x, y in sides) for sides in ([(b, a) for a, b in known], known))
     counted = [(a.simulations, b.simulations) for a, b in pairs if a.simulations is not None and b.simulations is not None]
-    moved, common = _moved(pairs)
+    moved, common, explained = _moved(pairs)
     return Comparison(
         cases=len(pairs),
         unpaired=tuple(sorted({*before, *after} - set(names))),
@@ -194,6 +206,7 @@ def compare(before: Mapping[str, Record], after: Mapping[str, Record]) -> Compar
         changes=tuple(_changes(pairs)),
         moved=tuple(moved),
         common_parameters=common,
+        explained_parameters=explained,
     )
 
 
@@ -223,7 +236,8 @@ def markdown(c: Comparison, before: str, after: str) -> str:
         f"Gained {c.gained}, lost {c.lost}; McNemar's exact test p = {c.p_value:.3g}: {loss} at {LEVEL:.0%}.",
         f"Held-out error, after over before: median {c.held_out_ratio[0]:.4f}, 95th percentile {c.held_out_ratio[1]:.4f}, "
         f"largest {c.held_out_ratio[2]:.3f}.",
-        f"Parameters outside the interval before: {len(c.moved)} of {c.common_parameters}. "
+        f"Parameters outside the interval before: {len(c.moved)} of {c.common_parameters}; "
+        f"of explained answers: {sum(m.explained for m in c.moved)} of {c.explained_parameters}. "
         f"Cases on one side only, or of other files: {len(c.unpaired)}.",
         "",
         *_table(("", before, after), figures),

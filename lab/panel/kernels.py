@@ -64,5 +64,5 @@ def under_kernels(
 
 
 def differs(compared: Mapping[str, Comparison]) -> bool:
-    """Whether a verdict, a name or a parameter beyond its interval depends on the kernels."""
-    return any(c.changes or c.moved for c in compared.values())
+    """Whether a verdict or a name depends on the kernels, or more parameters than 95 % intervals leave out."""
+    return any(c.changes or c.parameters_differ for c in compared.values())

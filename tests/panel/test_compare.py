@@ -65,6 +65,23 @@ def test_a_parameter_has_moved_outside_its_interval_alone():
     assert found.common_parameters == 2
 
 
+def test_parameters_differ_beyond_the_level_of_their_intervals():
+    """One of twenty may lie outside an interval of 95 %; what no model explains is not counted."""
+
+    def compared(moved, count, verdict="missing_physics"):
+        names = [f"c{k}" for k in range(count)]
+        before = by_case(*(answer(n, verdict=verdict) for n in names))
+        return compare(
+            before, by_case(*(answer(n, verdict=verdict, value=9.0 if k < moved else 1.0) for k, n in enumerate(names)))
+        )
+
+    assert not compared(1, 20).parameters_differ
+    assert compared(2, 20).parameters_differ
+    assert compared(1, 19).parameters_differ
+    unexplained = compared(5, 20, "unexplained")
+    assert (len(unexplained.moved), unexplained.explained_parameters, unexplained.parameters_differ) == (5, 0, False)
+
+
 def test_figures_of_paired_cases_only():
     before = by_case(
         answer("a", simulations=100, held_out=(3.0, 2.0, 1.0)), answer("b", simulations=300, held_out=(3.0, 2.0, 1.0)),
