@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,7 +39,8 @@ class ServoLaw:
     sets and a fit keeps; holds: laws that it contains and takes the place of; dry: is dry friction; native: attributes of MJCF that
     hold all of it, by the slot that they take; kept: fixed slots that a file carries beside the parameters, by name;
     number: a number of the robot's own, and no physics; source: the joint that a coupling comes from; linear: slots in
-    which its torque is linear, and which the screening sets.
+    which its torque is linear, and which the screening sets; limit_of: key of the law of more numbers in whose place it is asked for, where
+    one of those is not determined, and nowhere else.
     """
 
     id: str
@@ -59,6 +60,7 @@ class ServoLaw:
     number: bool = False
     source: str = ""
     linear: tuple[str, ...] = ()
+    limit_of: str = ""
 
     @property
     def key(self) -> str:
@@ -150,7 +152,6 @@ def _links(problem: JointProblem) -> list[ServoLaw]:
 
 def _coupled(s: Scales, problem: JointProblem) -> list[ServoLaw]:
     """Torque and friction that come from another joint that moves."""
-    T, D = Quantity.TORQUE, Quantity.DAMPING
     out, size, fixed = [], 0.1 * s.drive + 1e-12, ("couple_from",)
     for k, name in enumerate(problem.joints):
         torque, _, speed = (float(np.sqrt(np.mean(problem.series[:, OWN + 3 * k + i] ** 2))) for i in range(3))
@@ -162,12 +163,27 @@ def _coupled(s: Scales, problem: JointProblem) -> list[ServoLaw]:
             ServoLaw("coupled_transmission", "actuator", (Number("couple_torque", False, ratio),), ({"couple_torque": ratio} | source,),
                      lambda x: {"ratio": (x["couple_torque"], Quantity.RATIO)}, f"A part of the torque of {name} acts here (coupled gears).",
                      fixed=fixed, source=name),
-            ServoLaw("coupled_transmission", "actuator", (Number("couple_sign", False, size), Number("couple_speed", False, viscous)),
-                     ({"couple_sign": size} | source, {"couple_speed": viscous} | source),
-                     lambda x: {"torque_Nm": (x["couple_sign"], T), "viscous": (x["couple_speed"], D)},
-                     f"Friction that goes with the motion of {name} (coupled gears).", form="friction", fixed=fixed, source=name),
+            *_coupled_friction(name, size, viscous, source),
         ]  # fmt: skip
     return out
+
+
+def _coupled_friction(name: str, size: float, viscous: float, source: Slots) -> list[ServoLaw]:
+    """Dry and viscous friction that goes with the motion of another joint, and either alone, its limits."""
+    dry, slow = Number("couple_sign", False, size), Number("couple_speed", False, viscous)
+    T, D = Quantity.TORQUE, Quantity.DAMPING
+    both = ServoLaw("coupled_transmission", "actuator", (dry, slow), ({dry.slot: size, **source}, {slow.slot: viscous, **source}),
+                    lambda x: {"torque_Nm": (x["couple_sign"], T), "viscous": (x["couple_speed"], D)},
+                    f"Friction that goes with the motion of {name} (coupled gears).", form="friction", fixed=("couple_from",), source=name)  # fmt: skip
+    return [
+        both,
+        replace(both, numbers=(dry,), starts=both.starts[:1], form="dry", limit_of=both.key,
+                values=lambda x: {"torque_Nm": (x["couple_sign"], T)},
+                sentence=f"Dry friction that goes with the motion of {name} (coupled gears)."),
+        replace(both, numbers=(slow,), starts=both.starts[1:], form="viscous", limit_of=both.key,
+                values=lambda x: {"viscous": (x["couple_speed"], D)},
+                sentence=f"Viscous friction that goes with the motion of {name} (coupled gears)."),
+    ]  # fmt: skip
 
 
 def _motion(problem: JointProblem) -> Motion:

@@ -194,7 +194,7 @@ def _finalists(
     part = s.problem.windows(THIN)
     least = s.problem.noise**2 * float(np.sum(s.weights[part.rows][part.fitted] ** 2))
     out: list[tuple[float, ServoLaw, Structure]] = []
-    for promised, law, slots in screen(s, base, candidates):
+    for promised, law, slots in screen(s, base, [x for x in candidates if not x.limit_of]):
         dry = law.common and base.fit.slots[SLOT["friction"]] == 0.0
         if not dry and (promised < PROMISING * s.entry or len(out) >= FINALISTS):
             if promised < PROMISING * s.entry:
@@ -272,7 +272,8 @@ def _reduce(s: JointSearch) -> bool:
         if all(_determined(n, float(s.now.fit.x[places[n.slot]]), float(V[places[n.slot], places[n.slot]])) for n in law.numbers):
             continue
         rest = tuple(x for x in s.now.laws if x is not law)
-        simpler = [x for x in s.laws if x.id in law.holds and not x.form and x.key not in {y.key for y in rest}]
+        there = {y.key for y in rest}
+        simpler = [x for x in s.laws if (x.limit_of == law.key or (x.id in law.holds and not x.form)) and x.key not in there]
         trials = [
             _trial(s, rest, x, s.now.fit.slots if x.dry else with_start(s, x, dict(x.starts[0]), s.now.fit.slots))
             for x in simpler
@@ -291,7 +292,7 @@ def _determined(n: Number, x: float, variance: float) -> bool:
     half = 1.96 * math.sqrt(max(variance, 0.0))
     if n.log:
         return half < math.log(3.0)
-    return n.slot.endswith(("_sin", "_cos")) or n.slot.startswith(("cable", "couple_s")) or n.slot == "spring" or abs(x) > half
+    return n.slot.endswith(("_sin", "_cos")) or n.slot.startswith("cable") or n.slot == "spring" or abs(x) > half
 
 
 def refit_with(s: JointSearch, numbers: tuple[Number, ...]) -> None:
