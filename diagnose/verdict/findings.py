@@ -14,6 +14,7 @@ from diagnose.structure.graph import simplified
 from diagnose.structure.search import Search
 from diagnose.thresholds import EQUIVALENT, NEARLY_ALL, SEGMENT
 from diagnose.verdict.decide import equivalents, estimates, p_values
+from diagnose.verdict.servo_zero import with_an_offset
 from mjsim.effects import Effect, NotApplicableError, effect_class
 
 __all__ = ["element_of", "findings", "merged", "nominal_effect"]
@@ -42,6 +43,7 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
         before, after = search.held_out(poorer), search.held_out(best)
         numbers = estimates(best, search.fitter, owner=effect.key)
         alike = equivalents(search, best, effect)
+        same = (*_by_weight(search, best, effect), *with_an_offset(search.fitter, best, effect))
         out.append(
             Finding(
                 effect=effect.name(),
@@ -58,7 +60,7 @@ def findings(search: Search, best: Fitted) -> tuple[Finding, ...]:
                     "delta_chi2": gain,
                     "hypotheses": float(search.tested),
                 },
-                equivalents=(*alike, *(n for n in _by_weight(search, best, effect) if n not in alike)),
+                equivalents=(*alike, *(n for n in dict.fromkeys(same) if n not in alike)),
                 equivalent_errors={name: error for name, error in alike.items() if math.isfinite(error)},
             )
         )

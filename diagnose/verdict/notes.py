@@ -17,10 +17,12 @@ from diagnose.result import Finding, Verdict
 from diagnose.structure.search import Search
 from diagnose.thresholds import TWICE
 from diagnose.verdict.refusals import refusals, refused_in_words
+from diagnose.verdict.servo_zero import constant_torque, with_an_offset
 from diagnose.verdict.witnesses import Remaining, RepeatedRows
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.effects.registry import registered
+from mjsim.quantity import Quantity
 
 __all__ = ["DERIVED", "LATE", "SHARED", "Outcome", "notes", "unphysical"]
 
@@ -109,6 +111,21 @@ def _of_the_numbers(outcome: Outcome) -> Iterator[str]:
     yield from unused_channels((e.recording for e in experiments), servo=servo)
     if not outcome.search.fitter.nominal.chain.couplings:
         yield from _of_the_load(outcome.found)
+    moved = constant_torque(outcome.search.fitter, outcome.best)
+    if moved is not None:
+        yield _of_the_zero(outcome, *moved)
+
+
+def _of_the_zero(outcome: Outcome, zero: float, torque: float) -> str:
+    """What the zero of a servo takes up, and what tells the two apart."""
+    fitter = outcome.search.fitter
+    angle, force = (q.unit(fitter.nominal.chain.motion) for q in (Quantity.ANGLE, Quantity.TORQUE))
+    alike = (n.replace("_", " ") for e in outcome.best.effects for n in with_an_offset(fitter, outcome.best, e))
+    others = " or ".join(("a constant torque", *dict.fromkeys(alike)))
+    return (
+        f"The zero of the servo is found {zero:.3g} {angle} off the model's, which kp makes {abs(torque):.3g} {force}: {others} "
+        "moves the joint alike. The angle at rest without power, or a recording with another kp, tells them apart."
+    )
 
 
 def _of_the_load(found: Sequence[Finding]) -> Iterator[str]:

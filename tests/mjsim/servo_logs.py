@@ -96,10 +96,12 @@ def command(seconds: float, dt: float, seed: int, amplitude: float = 0.6, top: f
 def record(
     text: str, *, rate: float = 100.0, seconds: float = 30.0, seed: int = 0, step: float = 0.001534, hold: str = "held",
     gear: float = 1.0, deadband: float = 0.0, amplitude: float = 0.6, noise: float = 2e-4,
+    torque: float = 0.0,
 ) -> Recording:  # fmt: skip
     """A log of command and angle: the model under plain MuJoCo, the angle in steps of an encoder.
 
-    gear: of the actuator, whose length the command is; deadband: of the servo, which MJCF does not have, by moving the command.
+    gear: of the actuator, whose length the command is; deadband: of the servo, which MJCF does not have, by moving the command;
+    torque: at the joint, constant.
     """
     m = mujoco.MjModel.from_xml_string(text)
     d = mujoco.MjData(m)
@@ -108,7 +110,7 @@ def record(
     c = gear * command(seconds, dt, seed, amplitude)
     following = np.append(c[1:], c[-1])
     q = np.empty(len(c))
-    d.qpos[0] = c[0] / gear
+    d.qpos[0], d.qfrc_applied[0] = c[0] / gear, torque
     for k in range(len(c)):
         q[k] = d.qpos[0]
         if hold == "held" and deadband == 0.0:  # one input over the whole sample

@@ -1,0 +1,47 @@
+"""The zero of a position servo takes up a constant torque: J q'' + ... = kp (c - zero - q) + A is the servo of zero - A / kp.
+
+Dry friction of another level for each direction, F sign(v) + A, then moves the joint as F beside another zero does.
+"""
+
+from __future__ import annotations
+
+from diagnose.fit.fitted import Fitted
+from diagnose.fit.fitter import Fitter
+from diagnose.verdict.decide import estimates
+from mjsim.effects import Effect
+from mjsim.effects.registry import registered
+from mjsim.servo import Target
+
+__all__ = ["constant_torque", "with_an_offset"]
+
+ZERO, KP = "zero", "kp"
+
+
+def constant_torque(fitter: Fitter, best: Fitted) -> tuple[float, float] | None:
+    """The zero found less that of the model [rad | m], and the torque that kp makes of it [N m | N].
+
+    None where no zero of a position servo is fitted, or where the 95 % interval of the zero holds the model's value.
+    """
+    servo = fitter.nominal.chain.servo
+    if servo is None or servo.target is Target.VELOCITY:
+        return None
+    found = estimates(best, fitter, owner="")
+    zero = found.get(ZERO)
+    if zero is None or zero.ci95[0] <= servo.zero <= zero.ci95[1]:
+        return None
+    kp = found[KP].value if KP in found else servo.kp
+    moved = zero.value - servo.zero
+    return moved, kp * moved
+
+
+def with_an_offset(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
+    """Effects that are this one and a constant torque at its place, which the zero of the servo takes up."""
+    if constant_torque(fitter, best) is None:
+        return ()
+    classes = registered()
+    constant = {name for name, cls in classes.items() if cls.family == "offset"}
+    return tuple(
+        name
+        for name, cls in classes.items()
+        if effect.place in cls.places and effect.id in cls.refines and any(n in constant for n in cls.refines)
+    )
