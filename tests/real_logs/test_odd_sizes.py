@@ -26,3 +26,12 @@ def test_a_fast_and_short_motion_shows_no_order():
     angle, velocity = 0.01 * np.sin(2 * np.pi * 12 * t), 0.01 * 2 * np.pi * 12 * np.cos(2 * np.pi * 12 * t)
     noise = np.random.default_rng(0).standard_normal(len(t))
     assert find_orders(noise, angle, velocity, np.array([0.0, 0.1]), np.array([1.0, -0.9]), 1 / 200) == ()
+
+
+def test_an_unstable_axis_shows_no_order():
+    """Its response over 4,000 samples is no number, of which NumPy would warn."""
+    rng = np.random.default_rng(1)
+    angle = np.linspace(0.0, 20.0, 4000)
+    velocity = np.gradient(angle, 1 / 200)
+    noise = rng.standard_normal(4000)
+    assert find_orders(noise, angle, velocity, np.array([0.0, 0.1]), np.array([1.0, -1.5]), 1 / 200) == ()
