@@ -1,4 +1,4 @@
-"""A constant torque under a position servo is a zero of it: friction that is larger in one direction is told as an equivalent."""
+"""A constant torque under a position servo is a zero of it: friction that is larger in one direction is an equivalent."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def answers(tmp_path_factory):
     return answer(ASYMMETRY), answer(0.0)
 
 
-def test_friction_of_two_levels_is_told_beside_the_one_of_one_level(answers):
+def test_friction_of_two_levels_is_given_beside_the_one_of_one_level(answers):
     uneven, _ = answers
     assert uneven.verdict is Verdict.MISSING_PHYSICS
     (finding,) = uneven.findings
