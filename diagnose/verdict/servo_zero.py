@@ -5,10 +5,12 @@ Dry friction of another level for each direction, F sign(v) + A, then moves the 
 
 from __future__ import annotations
 
+from typing import Any
+
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.verdict.decide import estimates
-from mjsim.effects import Effect
+from mjsim.effects import Effect, effect_class
 from mjsim.effects.registry import registered
 from mjsim.servo import Target
 
@@ -35,13 +37,17 @@ def constant_torque(fitter: Fitter, best: Fitted) -> tuple[float, float] | None:
 
 
 def with_an_offset(fitter: Fitter, best: Fitted, effect: Effect) -> tuple[str, ...]:
-    """Effects that are this one and a constant torque at its place, which the zero of the servo takes up."""
-    if constant_torque(fitter, best) is None:
+    """Effects that are this one and the constant torque that the zero of the servo takes up, with numbers that they may have."""
+    moved = constant_torque(fitter, best)
+    if moved is None:
         return ()
-    classes = registered()
-    constant = {name for name, cls in classes.items() if cls.family == "offset"}
-    return tuple(
-        name
-        for name, cls in classes.items()
-        if effect.place in cls.places and effect.id in cls.refines and any(n in constant for n in cls.refines)
-    )
+    out = []
+    for name, cls in registered().items():
+        offsets = [c for c in map(effect_class, cls.refines) if c.family == "offset"]
+        if effect.id not in cls.refines or not offsets:
+            continue
+        size: dict[str, Any] = {offsets[0].amplitudes[0]: -moved[1]}
+        whole = cls.whole((effect, offsets[0](**size)))
+        if whole is not None and all(r.holds for r in whole.admissible(fitter.scales_for(cls, whole.place))):
+            out.append(name)
+    return tuple(out)
