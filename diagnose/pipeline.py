@@ -9,18 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnose.data.channels import with_common_channels
-from diagnose.data.derived import without_derived_velocity
-from diagnose.data.experiment import corrected
-from diagnose.data.servo import as_servo
 from diagnose.data.split import Split, split
 from diagnose.evidence.predictable import remaining_structure
 from diagnose.explain.locate import locate
 from diagnose.explain.torque_map import fit_map
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.ledger import Ledger
+from diagnose.fit.usable import Usable
 from diagnose.options import Options
-from diagnose.problem.choose_view import choose_view, with_samples
 from diagnose.progress import Progress, Step
 from diagnose.result import Diagnosis, Verdict
 from diagnose.structure.passes import searched
@@ -32,7 +28,6 @@ from diagnose.verdict.findings import findings, merged
 from diagnose.verdict.notes import DERIVED, SHARED, Outcome
 from diagnose.verdict.witnesses import remaining_error, repeated_rows
 from mjsim.axis import Axis
-from mjsim.errors import InputError
 from mjsim.recording import Recording
 
 __all__ = ["Options", "diagnose"]
@@ -56,19 +51,13 @@ def diagnose(
     better, none is fitted. Raises InputError for recordings that cannot be used or a nominal model that cannot be run on them.
     """
     options, began = options or Options(), time.monotonic()
-    recordings, held_out, alike = with_common_channels(recordings, held_out)
-    nominal, recordings, held_out, said = as_servo(nominal, recordings, held_out)
-    given = recordings[0].velocity is not None and nominal.chain.servo is None
-    recordings, held_out = ([without_derived_velocity(r) for r in group] for group in (recordings, held_out))
-    derived = given and recordings[0].velocity is None
-    view = choose_view(recordings, options.judge or recordings[0].judge or ("motion" if derived else None), nominal)
+    usable = Usable.of(nominal, recordings, held_out, options)
+    recordings, held_out = usable.recordings, usable.held_out
     taken = 0
 
     def by(experiments: Split, surpassed: Callable[[Diagnosis], bool] | None = None) -> Diagnosis:
         nonlocal taken
-        fitted, held = (corrected(group, corrections or {}) for group in experiments)
-        judged = with_samples(view, (*fitted, *held), nominal, options.judge)
-        fitter = Fitter(nominal, judged, fitted, held, options.jobs, _varies(nominal, recordings[0]), ledger=ledger)
+        fitter = usable.fitter(experiments, options, corrections or {}, ledger)
         fitter.allow(max(options.effort * RUNS - taken, SECOND_SPLIT * options.effort * RUNS), began + options.seconds)
         try:
             with threadpool_limits(1, "blas"):  # rivals are spread over the cores, not the products within one
@@ -78,7 +67,7 @@ def diagnose(
             fitter.close()
 
     result = by(split(recordings, held_out), surpassed)
-    said = (*alike, *said, *((DERIVED,) if derived else ()))
+    said = (*usable.said, *((DERIVED,) if usable.derived else ()))
     result = dataclasses.replace(result, notes=(*said, *result.notes))
     if held_out and options.since(began).seconds and only_held_out_shows(result):
         shared = by(split((*recordings, *held_out), ()))
@@ -109,12 +98,3 @@ def _diagnose(
             return unmapped
     mapped = fit_map(fitter, (base, best), search.held_out(best), progress) if verdict is Verdict.UNEXPLAINED else None
     return diagnosis(dataclasses.replace(outcome, mapped=mapped is not None), base, mapped, mismatches, options, began)
-
-
-def _varies(nominal: Axis, recording: Recording) -> tuple[str, ...]:
-    """The linear parameters that the binding says each recording has of its own."""
-    known = [p.name for p in nominal.chain.linear_parameters()]
-    for name in recording.varies:
-        if name not in known:
-            raise InputError("[experiment] varies", f"unknown linear parameter {name!r}", ", ".join(known), "correct the name")
-    return recording.varies

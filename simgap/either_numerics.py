@@ -1,9 +1,10 @@
 """The search with the numerics that fit the recordings: the simulator's or exact ones, soft dry friction or one that holds.
 
-The nominal structure chooses (`diagnose.verdict.reference_stage`). Physics that it lacks leaves the choice open: where the first
-choice leaves more than noise, or finds several effects, of which one may compensate for the numerics, the search is repeated with
-the other choice, and the diagnosis of the higher penalised likelihood counts. Where the nominal structure shows the simulator's
-numerics by a factor of two, the first choice counts unless it leaves an error of twice the noise variance.
+The nominal structure chooses (`diagnose.verdict.reference_stage`). Physics that it lacks leaves the choice open: then the nominal
+structure with the effect of the largest score test chooses first, by a factor of two. Where the first choice leaves more than
+noise, or finds several effects, of which one may compensate for the numerics, the search is repeated with the other choice, and
+the diagnosis of the higher penalised likelihood counts. Where the nominal structure shows the simulator's numerics by a factor of
+two, the first choice counts unless it leaves an error of twice the noise variance.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ from diagnose.pipeline import diagnose
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.progress import Step
 from diagnose.result import Diagnosis, Verdict
-from diagnose.thresholds import FAR, UNEXPLAINED
-from diagnose.verdict.reference_stage import Nominal, by_other_friction, without_difference
+from diagnose.structure.first_effect import least_by_one
+from diagnose.thresholds import FAR, TWICE, UNEXPLAINED
+from diagnose.verdict.reference_stage import Nominal, by_other_friction, by_other_numerics, without_difference
 from mjsim.axis import Axis
 from mjsim.effects import effect_class
 from mjsim.recording import Recording
 
-__all__ = ["by_either_numerics"]
+__all__ = ["by_either_numerics", "by_first_effect", "open_beyond"]
 
 
 def by_either_numerics(
@@ -40,6 +42,7 @@ def by_either_numerics(
     taken otherwise and searched again.
     """
     began, n = time.monotonic(), sum(int(c.estimation.sum()) for c in given.cases)
+    given = by_first_effect(given, recordings, held_out, options)
     better: list[tuple[Nominal, Diagnosis]] = []
     asked: list[Diagnosis] = []
 
@@ -63,11 +66,28 @@ def by_either_numerics(
                     break
         return bool(better)
 
-    first = diagnose(given.axis, recordings, held_out, options, say, ledger, given.corrections(), surpassed)
+    first = diagnose(given.axis, recordings, held_out, options.since(began), say, ledger, given.corrections(), surpassed)
     if not asked:
         surpassed(first)
     nominal, result = better[-1] if better else (given, first)
     return nominal.axis, nominal, without_difference(result, nominal)
+
+
+def open_beyond(given: Nominal | None) -> float:
+    """Times the noise variance beyond which a diagnosis leaves open what the recordings were compared with.
+
+    The noise where neither numerics show; twice that of an error where the simulator's show by a factor of two.
+    """
+    return FAR if given is not None and given.simulator and given.shows_simulator else UNEXPLAINED
+
+
+def by_first_effect(given: Nominal, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> Nominal:
+    """The nominal file with the simulator's numerics where one effect beside it then promises to leave half as much."""
+    if not given.shifts or given.simulator:
+        return given
+    other = dataclasses.replace(by_other_numerics(given), beside=True)
+    exact, by_simulator = (least_by_one(g.axis, recordings, held_out, options, g.corrections()) for g in (given, other))
+    return other if TWICE * by_simulator <= exact else given
 
 
 def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:
@@ -85,7 +105,7 @@ def _others(given: Nominal, first: Diagnosis) -> Iterator[tuple[str, Nominal]]:
             )
         if kind == "steps" and steps:
             why = "exact numerics" if given.simulator else "the numerics of the simulator"
-            yield why, dataclasses.replace(given, simulator=not given.simulator)
+            yield why, by_other_numerics(given)
 
 
 def _soft(axis: Axis) -> bool:

@@ -47,7 +47,7 @@ from mjsim.notices import quiet
 from mjsim.ode import DivergedError, load_kernel
 from mjsim.recording import Recording
 from mjsim.system import UNROLLED
-from simgap.either_numerics import by_either_numerics
+from simgap.either_numerics import by_either_numerics, open_beyond
 from simgap.either_view import by_force_too, by_motion_too
 from simgap.following import following
 from simgap.found import corrected_axis
@@ -165,7 +165,7 @@ def diagnose_recordings(
     ledger = Ledger(out / STATE, _follows(nominal, recordings, held_out, options, model.read_bytes()))
     with following(progress, ledger.recalled) as say:
         nominal, given, result = _searched(model, nominal, recordings, held_out, options.since(began), say, ledger)
-        hold = hold_beside(result, nominal, recordings, held_out, options.since(began), say)
+        hold = hold_beside(result, nominal, recordings, held_out, options.since(began), say, open_beyond(given))
         while hold != recordings[0].hold and options.since(began).seconds > 0:
             say(Step("search", f"again, since the command {WORDS[hold]}"))
             recordings, held_out, log = with_hold(recordings, hold), with_hold(held_out, hold), with_taken(log, hold, recordings)

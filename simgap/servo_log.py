@@ -49,19 +49,20 @@ def checked_servo(
 
 def hold_beside(
     result: Diagnosis, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
-    say: Callable[[Step], None] = lambda _: None,
+    say: Callable[[Step], None] = lambda _: None, level: float = UNEXPLAINED,
 ) -> str:  # fmt: skip
     """The hold of a command that shows beside the structure that was found; that of the recordings where none does.
 
     Of a held command that is one that leaves less where the effects leave more than noise, and one that explains as much as one
-    of the effects. Else one under which a short search finds a structure that leaves less: an error of the hold hides effects.
+    of the effects. Else one under which a short search finds a structure that leaves less, where more than ``level`` times the
+    noise variance is left: an error of the hold hides effects.
     """
     began, own = time.monotonic(), recordings[0].hold
     shown = _hold_of_structure(result, nominal, recordings, held_out, options)
     within = options.since(began)
     if shown != own or nominal.chain.servo is None or not _is_open([*recordings, *held_out]) or not within.seconds > 0:
         return shown
-    return _searched_hold(result, nominal, recordings, held_out, within, say) if _is_far(result) else own
+    return _searched_hold(result, nominal, recordings, held_out, within, say) if _is_far(result, level) else own
 
 
 def another_hold(
@@ -96,9 +97,9 @@ def _hold_of_structure(
     return shown
 
 
-def _is_far(result: Diagnosis) -> bool:
-    """Whether more than noise is left, beyond the step of an encoder, or it is not explained."""
-    left = result.fit["corrected"].rms ** 2 > UNEXPLAINED * result.noise_floor**2 > 0 and not within_the_step(result)
+def _is_far(result: Diagnosis, level: float = UNEXPLAINED) -> bool:
+    """Whether more than ``level`` times the noise variance is left, beyond the step of an encoder, or it is not explained."""
+    left = result.fit["corrected"].rms ** 2 > level * result.noise_floor**2 > 0 and not within_the_step(result)
     return left or result.verdict is Verdict.UNEXPLAINED
 
 

@@ -40,7 +40,7 @@ from diagnose.structure.search import Search
 from diagnose.thresholds import FAR, LEADING, MATERIAL, SECOND_SPLIT, TWICE
 from mjsim.errors import InputError
 
-__all__ = ["searched"]
+__all__ = ["prepared", "searched"]
 
 
 def _orders(fitter: Fitter, fitted: Fitted) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
@@ -74,6 +74,22 @@ def _search(
     known: Fitted | None = None,
 ) -> tuple[Search, Fitted]:
     """One search by the fitter's present weights; ``known``: a structure of an earlier one, which is a rival from the start."""
+    search, _ = prepared(fitter, options, progress, leaves_noise_by, known)
+    fitter, found = search.fitter, search.run()
+    if fitter.late:
+        search.state.late = True
+        progress.stage("search", "the budget of time is used up")
+    return search, found
+
+
+def prepared(
+    fitter: Fitter,
+    options: Options,
+    progress: Progress,
+    leaves_noise_by: Callable[[Fitter, Fitted], bool] | None = None,
+    known: Fitted | None = None,
+) -> tuple[Search, Fitted]:
+    """A search that has refitted the nominal model and knows its candidates, and that fit."""
     chosen = SearchOptions(only=options.effects, depth=options.depth)
     chosen = dataclasses.replace(chosen, **dataclasses.asdict(fitter.noise.prices))
     search = Search(fitter, chosen, progress=progress, leaves_noise_by=leaves_noise_by)
@@ -98,11 +114,7 @@ def _search(
         search.context.effective = effective_share(fitter, base)
         search.effective_of = effective_share
         search.context.share_between = partial(effective_share_between, fitter)
-    found = search.run()
-    if fitter.late:
-        search.state.late = True
-        progress.stage("search", "the budget of time is used up")
-    return search, found
+    return search, base
 
 
 def _need_same_sign(fitter: Fitter, base: Fitted, clear: float = 0.7) -> None:

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.thresholds import HORIZONS
-from diagnose.verdict.reference import Case, Run, beyond, chi_square, error
+from diagnose.thresholds import FAR, HORIZONS, SAME
+from diagnose.verdict.reference import Case, Run, beyond, chi_square, error, noise_level
 from diagnose.verdict.reference_runs import run_files, run_watched, work_of
 from diagnose.verdict.reference_start import ROUNDS, run_surrogate
 from mjsim.axis import Axis
@@ -86,10 +86,10 @@ def _residual(cases: Sequence[Case], runs: Runs | None) -> np.ndarray | None:
 
 
 def _jacobian(
-    axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Runner, step: float = STEP
+    axis: Axis, names: Sequence[str], cases: Sequence[Case], run: Runner, step: float = STEP, at: np.ndarray | None = None
 ) -> np.ndarray | None:  # fmt: skip
-    """Slope of a prediction per relative change of each number (n, p); None where it diverges."""
-    at = _residual(cases, run(axis, math.inf))
+    """Slope of a prediction per relative change of each number (n, p); None where it diverges. ``at``: residual, if known."""
+    at = _residual(cases, run(axis, math.inf)) if at is None else at
     if at is None:
         return None
     now = free_numbers(axis)
@@ -112,7 +112,8 @@ def _refit(
 ) -> Refit | None:
     """Least squares from the numbers of an axis; None where its run diverges or cannot be had.
 
-    The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself.
+    The Jacobian is the engine's while its steps lower the cost, and then, with ``own_slopes``, that of ``run`` itself, unless
+    only noise is left. A step that promises less than a standard error of a number is not tried.
     metric (p,): least diagonal of the normal equations that damps a step: what a part of the data does not show, stays.
     held: as of `free_numbers`, what ``run`` does not respond to or the recordings cannot tell.
     """
@@ -124,19 +125,23 @@ def _refit(
     slopes: list[Runner] = [engine, run] if own_slopes else [engine]
     errors: dict[str, float] = {}
     for _ in range(ROUNDS):
-        J = _jacobian(best.axis, names, cases, slopes[0])
+        J = _jacobian(best.axis, names, cases, slopes[0], at=e if slopes[0] is run else None)
         if J is None:
             break
-        gram = J.T @ J
+        gram, slope = J.T @ J, J.T @ e
         errors = _errors(names, gram)
         scale = np.diag(gram) if metric is None else np.maximum(np.diag(gram), metric)
-        better = _step(best, gram, J.T @ e, scale, cases, run)
+        worth = max(1.0, best.chi2 / len(e))  # less moves a number by less than its standard error
+        if best.chi2 > FAR * len(e):  # other physics is missing
+            worth = max(worth, SAME * best.chi2)
+        promised = float(slope @ np.linalg.solve(gram + np.diag(DAMPINGS[0] * scale + 1e-12), slope))
+        better = _step(best, gram, slope, scale, cases, run) if promised >= worth else None
         gained = 0.0 if better is None else best.chi2 - better.chi2
         if better is not None:
             best, e = better, _residual(cases, better.runs)
             assert e is not None
-        if gained < max(1.0, best.chi2 / len(e)):  # a number moves by less than its standard error
-            if len(slopes) == 1:
+        if gained < worth:
+            if len(slopes) == 1 or best.chi2 <= noise_level(len(e)):
                 break
             slopes = slopes[1:]
     return replace(best, errors=errors)
@@ -201,9 +206,10 @@ def uncertainties(axis: Axis, cases: Sequence[Case], starts: Sequence[Start]) ->
 
 
 def refit_in_simulator(
-    axis: Axis, write: Writer, name: str, cases: Sequence[Case], starts: Sequence[Start], threads: int, goal: float = math.inf
-) -> Refit | None:
-    """Refit by plain MuJoCo, the file written by ``write``.
+    axis: Axis, write: Writer, name: str, cases: Sequence[Case], starts: Sequence[Start], threads: int, goal: float = math.inf,
+    *, own_slopes: bool = True,
+) -> Refit | None:  # fmt: skip
+    """Refit by plain MuJoCo, the file written by ``write``; the slopes are the engine's at first and, ``own_slopes``, MuJoCo's.
 
     Its runs are of the recordings with estimation data. ``goal``: largest chi-square on these data that is of use. None where
     it is missed, as soon as that is clear (what is not fitted yet cannot do better than noise), and where a run diverges, takes
@@ -231,7 +237,9 @@ def refit_in_simulator(
         for part in HORIZONS[1::3]:
             parts = [c.first(math.ceil(part * len(c.measured))) for c in whole]
             runs, engine = _in_simulator(load, parts, at, threads), _in_engine(parts, at, locked=False)
-            own = work_needed * len(free_numbers(axis, held)) <= MOST_WORK and part == HORIZONS[-1]  # a run for each slope
+            own = (
+                own_slopes and work_needed * len(free_numbers(axis, held)) <= MOST_WORK and part == HORIZONS[-1]
+            )  # a run for each slope
             best = _refit(best.axis if best else axis, parts, runs, engine, own_slopes=own, metric=metric, held=held)
             if best is None or beyond(whole, best.runs, goal):
                 return None

@@ -38,7 +38,7 @@ from mjsim.mjcf.softness import has_soft_friction, with_softness
 from mjsim.plant import MujocoPlant, Start
 from mjsim.recording import Recording
 
-__all__ = ["APART", "Nominal", "apart", "by_other_friction", "compare_nominal", "without_difference"]
+__all__ = ["APART", "Nominal", "apart", "by_other_friction", "by_other_numerics", "compare_nominal", "without_difference"]
 
 NEAR = 0.1  # of the travel: farther from a limit, a model that follows the recording to a tenth does not touch it
 APART = math.sqrt(UNEXPLAINED - 1)  # of the noise rms: a difference that adds so much to its variance
@@ -48,12 +48,13 @@ APART = math.sqrt(UNEXPLAINED - 1)  # of the noise rms: a difference that adds s
 class Nominal:
     """The nominal file on the recordings, in MuJoCo and in the fitting engine.
 
-    axis: of the file, with dry friction that is soft as in MuJoCo where that fits the recordings better; other: with the other
-    kind of friction, None where MuJoCo holds a joint at rest; soft: how far the softness moves the file's run, over the noise.
+    axis: of the file, with dry friction that is soft as in MuJoCo where that fits the recordings better, or, of a file without
+    dry friction, where these show the simulator's numerics; other: with the other kind of friction, None where MuJoCo holds a
+    joint at rest; soft: how far the softness moves the file's run, over the noise.
     runs, engine: of each case, both free; apart: rms difference of the two over the noise, the largest of the recordings;
     simulator: whether the recordings bear the simulator's numerics rather than the engine's: the refitted nominal structure
     does with them, and comes near the noise or leaves half as much; shifts: to add to the velocity of each recording, also where
-    that is open.
+    that is open; beside: whether one effect beside the nominal structure is to leave half as much with the simulator's numerics.
     """
 
     path: Path
@@ -69,10 +70,13 @@ class Nominal:
     refitted: Refit | None = None
     by_engine: Refit | None = None
     shifts: tuple[np.ndarray, ...] = ()
+    beside: bool = False
 
     @property
     def shows_simulator(self) -> bool:
-        """Whether the refitted nominal structure leaves half as much with the simulator's numerics."""
+        """Whether the nominal structure, refitted, leaves half as much with the simulator's numerics, or does with one effect."""
+        if self.beside:
+            return True
         return bool(self.shifts and self.refitted and self.by_engine and TWICE * self.refitted.chi2 <= self.by_engine.chi2)
 
     def corrections(self) -> dict[str, np.ndarray]:
@@ -116,7 +120,7 @@ def compare_nominal(
     write = partial(write_as_author, path)
     refitted: Refit | None = Refit({}, axis, runs, as_it_is)
     if as_it_is > by_engine.chi2:
-        refitted = refit_in_simulator(axis, write, path.name, cases, starts, threads, by_engine.chi2)
+        refitted = refit_in_simulator(by_engine.axis, write, path.name, cases, starts, threads, by_engine.chi2, own_slopes=False)
         if refitted is None or refitted.chi2 > by_engine.chi2:
             return dataclasses.replace(nominal, by_engine=by_engine)
         with tempfile.TemporaryDirectory() as work:
@@ -132,7 +136,9 @@ def compare_nominal(
     shifts = _shifts(cases, refitted.runs, same)
     near = refitted.chi2 <= FAR * chi_square(cases, refitted.runs)[1]
     found = dataclasses.replace(nominal, by_engine=by_engine, refitted=refitted, shifts=shifts)
-    return dataclasses.replace(found, simulator=bool(shifts) and (near or found.shows_simulator))
+    if found.shows_simulator:
+        return by_other_numerics(found)
+    return dataclasses.replace(found, simulator=bool(shifts) and near)
 
 
 def _unshown(given: Axis, axis: Axis) -> tuple[str, ...]:
@@ -154,6 +160,19 @@ def _reaches(limit: Limit, case: Case, run: Run | None) -> bool:
     return False
 
 
+def by_other_numerics(nominal: Nominal) -> Nominal:
+    """The nominal file with the simulator's numerics taken out, or left in where they were not.
+
+    Dry friction that a file lacks is taken to be the simulator's where these are, and to hold at rest where they are not.
+    """
+    change = dataclasses.replace(nominal, simulator=not nominal.simulator)
+    if nominal.other is None or any(e.family == "friction" for e in nominal.axis.effects):
+        return change
+    if any(b.softness for b in nominal.axis.chain.bodies) == change.simulator:
+        return change
+    return dataclasses.replace(change, axis=nominal.other, other=nominal.axis)
+
+
 def by_other_friction(nominal: Nominal) -> Nominal:
     """The nominal file beside equations with the other kind of dry friction; MuJoCo's own numerics are not taken out."""
     if nominal.other is None:
@@ -163,7 +182,7 @@ def by_other_friction(nominal: Nominal) -> Nominal:
     engine = [run_surrogate(axis, case, start, locked=False) for case, start in zip(nominal.cases, starts, strict=True)]
     return dataclasses.replace(
         nominal, axis=nominal.other, other=None, engine=engine, apart=apart(nominal.cases, nominal.runs, engine),
-        simulator=False, refitted=None, by_engine=None, shifts=(),
+        simulator=False, refitted=None, by_engine=None, shifts=(), beside=False,
     )  # fmt: skip
 
 

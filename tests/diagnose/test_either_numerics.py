@@ -13,10 +13,10 @@ from diagnose.options import Options
 from diagnose.problem.noise_model import KnownNoise
 from diagnose.result import FitFigures, Verdict
 from diagnose.thresholds import FAR, UNEXPLAINED
-from diagnose.verdict.reference_stage import Nominal
+from diagnose.verdict.reference_stage import Nominal, by_other_numerics
 from mjsim.effects import effect_class
 from simgap import either_numerics
-from simgap.either_numerics import _better, _far, _open, _others, _soft, by_either_numerics
+from simgap.either_numerics import _better, _far, _open, _others, _soft, by_either_numerics, by_first_effect, open_beyond
 
 FRICTION = SimpleNamespace(effects=(effect_class("coulomb_friction")(torque_Nm=0.1),))
 NONE = SimpleNamespace(effects=(effect_class("gravity_load")(torque_Nm=0.1, phase_rad=0.0),))
@@ -120,7 +120,7 @@ def searched(monkeypatch):
 
 def made(name, n=100):
     case = SimpleNamespace(estimation=np.arange(n + 7) < n)
-    return SimpleNamespace(axis=name, cases=(case, case), corrections=lambda: name)
+    return SimpleNamespace(axis=name, cases=(case, case), corrections=lambda: name, shifts=())
 
 
 def test_the_best_of_several_numerics_counts(searched):
@@ -204,3 +204,37 @@ def test_friction_in_place_of_the_models_own_asks_for_the_other_kind(monkeypatch
     assert [why for why, _ in _others(both, result(Verdict.UNEXPLAINED, 1.1, findings=(PHYSICS,)))][-1].startswith("dry friction")
     bare = dataclasses.replace(both, axis=SimpleNamespace(effects=(), chain=SimpleNamespace(bodies=())))
     assert next(why for why, _ in _others(bare, result(Verdict.UNEXPLAINED, 1.1, findings=(law,)))).startswith("dry friction")
+
+
+def test_the_nominal_structure_with_one_effect_chooses_where_alone_it_does_not(monkeypatch):
+    """By a factor of two, and only where the nominal structure leaves the choice open."""
+    rigid = SimpleNamespace(effects=NONE.effects, chain=SimpleNamespace(bodies=()))
+    soft = SimpleNamespace(effects=NONE.effects, chain=SimpleNamespace(bodies=(SimpleNamespace(softness=1.0),)))
+    case = SimpleNamespace(recording=SimpleNamespace(sha256="", source="log.csv"))
+    nominal = dataclasses.replace(given(shifts=(np.ones(3),)), axis=rigid, other=soft, cases=(case,))
+    left = {}
+    monkeypatch.setattr(either_numerics, "least_by_one", lambda axis, *_: left[axis is soft])
+    for exact, by_simulator, chosen in ((100.0, 49.0, True), (100.0, 51.0, False), (10.0, 100.0, False), (math.inf, 9.0, True)):
+        left.update({False: exact, True: by_simulator})
+        found = by_first_effect(nominal, [], [], Options())
+        assert (found.simulator, found.shows_simulator, found.axis is soft) == (chosen,) * 3
+        assert open_beyond(found) == (FAR if chosen else UNEXPLAINED)
+        assert chosen or found is nominal
+    left.clear()
+    for decided in (dataclasses.replace(nominal, simulator=True), dataclasses.replace(nominal, shifts=())):
+        assert by_first_effect(decided, [], [], Options()) is decided
+    assert open_beyond(None) == UNEXPLAINED
+
+
+def test_friction_that_a_file_lacks_is_soft_with_the_numerics_of_the_simulator():
+    rigid = SimpleNamespace(effects=NONE.effects, chain=SimpleNamespace(bodies=()))
+    soft = SimpleNamespace(effects=NONE.effects, chain=SimpleNamespace(bodies=(SimpleNamespace(softness=1.0),)))
+    exact = dataclasses.replace(given(shifts=(np.ones(3),)), axis=rigid, other=soft)
+    simulator = by_other_numerics(exact)
+    assert (simulator.simulator, simulator.axis, simulator.other) == (True, soft, rigid)
+    back = by_other_numerics(simulator)
+    assert (back.simulator, back.axis, back.other) == (False, rigid, soft)
+    frictional = SimpleNamespace(effects=FRICTION.effects, chain=rigid.chain)
+    own = dataclasses.replace(exact, axis=frictional, other=soft)  # it has friction, of the kind that fits
+    assert by_other_numerics(own).axis is frictional
+    assert by_other_numerics(dataclasses.replace(exact, other=None)).axis is rigid
