@@ -239,6 +239,18 @@ def _push_back(f: np.ndarray, el: np.ndarray, p: np.ndarray, x: np.ndarray, mode
     w[1, 0] += stop
 
 
+def _slips_of(p: np.ndarray, at: int, balance: float, inertia: float, v: float) -> int:
+    """Direction in which soft friction with first parameter ``at`` slips, at its level; 0 where the body creeps below it.
+
+    balance: all other forces; inertia: the body's.
+    """
+    soft = p[at] * (balance + p[at + 1] * inertia * v)
+    return 1 if soft >= p[at + 2] else (-1 if soft <= -p[at + 3] else 0)
+
+
+_slips: Any = compiled(error_model="numpy", forceinline=True)(_slips_of)
+
+
 def _rates_of(
     bodies: tuple[int, ...], f: np.ndarray, gap_law: int, gain: float, servo: np.ndarray, el: np.ndarray, p: np.ndarray,
     x: np.ndarray, t: float, u: float, mode: np.ndarray, w: np.ndarray, z: np.ndarray
@@ -401,7 +413,8 @@ def _step_of(
 ) -> None:  # fmt: skip
     """One RK4 step of length h from x to xn (each 3 x m: q, v, s); the input is u and grows by us, behind a lag when tau > 0.
 
-    wk (17, m) holds the stage slopes and, in its last row, the coupling torques at the start.
+    wk (19, m) holds the stage slopes and, of the start, the coupling torques, the torque balances without friction and the
+    effective inertias.
     """
     n = len(bodies)
     for stage in range(4):
@@ -427,6 +440,8 @@ def _step_of(
             wk[b + 1, i] = w[0, i] if mode[0, i] != 0 else 0.0
             if stage == 0:
                 wk[16, i] = w[4, i]
+                wk[17, i] = w[1, i]
+                wk[18, i] = w[11, i]
         for i in range(n_s):
             wk[b + 2, i] = w[8, i]
             wk[12 + stage, i] = w[9, i]
@@ -641,8 +656,9 @@ def integrate(
 
     The input is delayed by ``shift`` whole samples and the fraction ``split`` of a sample (0 <= split < 1); ``before`` is the
     torque ahead of the first sample; tau > 0 lags it. A sample has ``n_sub`` steps; one in which a bristle at a body may turn, or
-    act as a spring, is cut into ``parts``. ``affine``: the equations are affine in every mode. angle (N): measured
-    angle of body 0, used when ``locked``: laws with el[:, 5] == 0 see it, the others the run's own angle and ``origin``.
+    act as a spring, or a body creeps under soft friction, is cut into ``parts``. ``affine``: the equations are affine in every
+    mode. angle (N): measured angle of body 0, used when ``locked``: laws with el[:, 5] == 0 see it, the others the run's own
+    angle and ``origin``.
     Returns (status, sample, work): 0 done, 1 diverged at that
     sample; what it took, in products of a step: a step by RK4 is four.
     """
@@ -652,7 +668,7 @@ def integrate(
     own_x = np.zeros((9, m))
     own_w = np.zeros((15, m))
     own_z = np.zeros(N_LOCAL + 3)
-    own_wk = np.zeros((17, m))
+    own_wk = np.zeros((19, m))
     own_mode = np.zeros((6, n), np.int64)
     # counting references to these at every call costs as much as the work
     x, xn, xt = _view(own_x[:3]), _view(own_x[3:6]), _view(own_x[6:])
@@ -798,12 +814,18 @@ def integrate(
                 if parts > 1 and sub % parts == 0:
                     whole = parts * left
                     for e in range(el.shape[0]):
-                        if el[e, 0] == KIND_BODY and el[e, 4] >= 0:
+                        soft = el[e, 0] == KIND_SOFT
+                        if soft or (el[e, 0] == KIND_BODY and el[e, 4] >= 0):
                             i = el[e, 1]
-                            change = abs(wk[10, i])  # at the end of the step before, and by the torque that is new
-                            if i == 0 and sub == 0:
-                                change += abs(gain * (uk - last_u)) / f[0, 0]
-                            if wk[15, el[e, 4]] * whole < SLIDES or abs(x[1, i]) < TURNS * whole * change:
+                            new = gain * (uk - last_u) if i == 0 and sub == 0 else 0.0
+                            change = abs(wk[10, i]) + abs(new) / f[0, 0]  # at the end of the step before, and by the new torque
+                            if abs(x[1, i]) < TURNS * whole * change:
+                                whole = 0.0
+                            elif soft:
+                                slips = _slips(p, el[e, 3], w[1, i] + new, w[11, i], x[1, i])
+                                if slips == 0 or mode[5, 0] != 0:
+                                    whole = 0.0
+                            elif wk[15, el[e, 4]] * whole < SLIDES:
                                 whole = 0.0
                 if whole > 0.0:
                     left = whole
@@ -973,8 +995,12 @@ def integrate(
                     if whole > 0.0:
                         slides = True
                         for e in range(el.shape[0]):
-                            if el[e, 0] == KIND_BODY and el[e, 4] >= 0:
-                                i = el[e, 1]
+                            i = el[e, 1]
+                            if el[e, 0] == KIND_SOFT:
+                                slips = _slips(p, el[e, 3], wk[17, i], wk[18, i], x[1, i])
+                                end_slips = _slips(p, el[e, 3], w[1, i], w[11, i], xn[1, i])
+                                slides = slides and slips != 0 and slips == end_slips and mode[5, 0] == 0
+                            elif el[e, 0] == KIND_BODY and el[e, 4] >= 0:
                                 si = el[e, 4]
                                 # how far it is bent while it slides, at both ends
                                 bent, end = wk[2, si] / wk[12, si], wk[11, si] / wk[15, si]
@@ -1254,7 +1280,7 @@ def drive(
     xn = np.zeros((3, m))
     w = np.zeros((15, m))
     z = np.zeros(N_LOCAL + 3)
-    wk = np.zeros((17, m))
+    wk = np.zeros((19, m))
     mode = np.zeros((6, n), np.int64)
     ratio = 1.0
     for i in range(n):

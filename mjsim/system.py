@@ -35,6 +35,8 @@ class System:
 
     gain: torque on body 0 per unit of input. servo (6), torques on body 0: stiffness and damping of the drive towards its input,
     force limit, stall torque, loss of that per speed, half width of the dead band; a drive by torque has (0, 0, limit, ...).
+    omega, sliding: fastest motion of the chain, and without bristles and creep [rad/s]; yields: deflection at which a bristle
+    slides; creeps: speed at which soft friction does, of no other torque.
     """
 
     chain: Chain
@@ -56,6 +58,7 @@ class System:
     omega: float
     sliding: float
     yields: float
+    creeps: float
     spatial: float
     affine: bool
     gain: float
@@ -111,7 +114,7 @@ class System:
         return max(1, min(MOST_STEPS, math.ceil(dt * w / target - 1e-9)))
 
     def steps(self, dt: float, max_speed: float, target: float = STEP) -> tuple[int, int]:
-        """Steps per sample while the bristles at bodies slide, and into how many parts one is cut while they hold."""
+        """Steps per sample while bristles at bodies and soft friction slide, and into how many parts one is cut elsewhere."""
         most = self.substeps(dt, max_speed, target)
         if self.sliding == self.omega:
             return most, 1
@@ -124,7 +127,8 @@ class System:
         if parts == 1:
             return float(n)
         h, change = dt / n, np.abs(np.gradient(velocity)) / n
-        return n + n * (parts - 1) * float(np.mean(np.abs(velocity) < np.maximum(TURNS * change, SLIDES * self.yields / h)))
+        slow = np.maximum(TURNS * change, max(SLIDES * self.yields / h, self.creeps))
+        return n + n * (parts - 1) * float(np.mean(np.abs(velocity) < slow))
 
     def resolved(self, dt: float) -> System:
         """Itself, where no step of a sample dt [s] resolves its lag with the lag as a delay: the two differ by its square."""
@@ -174,11 +178,12 @@ class _Elements:
     n_states: int = 0
     spatial: float = 0.0
     yields: float = 0.0
+    creeps: float = 0.0
 
     def __post_init__(self) -> None:
-        # stiffness and damping seen by each body, for the choice of step; stiffness of bristles at it apart
+        # stiffness and damping seen by each body, for the choice of step; stiffness of bristles, damping of creep at it apart
         n = len(self.bodies)
-        self.stiff, self.damping, self.bristles = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.stiff, self.damping, self.bristles, self.creep = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.friction = np.zeros(n, np.bool_)
 
     @property
@@ -215,7 +220,9 @@ class _Elements:
         if body.softness is None or fixed is None or fixed[:2] != fixed[2:]:
             return False
         soft = body.softness
-        self.damping[site] += soft.impedance * soft.rate * body.inertia
+        rate = soft.impedance * soft.rate * body.inertia
+        self.creep[site] += rate
+        self.creeps = max(self.creeps, max(fixed[:2]) / rate)
         self.rows.append((_SOFT, site, 0, len(self.values), -1, False, False))
         self.values.extend((soft.impedance, soft.rate, *fixed[:2]))
         return True
@@ -297,9 +304,10 @@ def assemble(axis: Axis) -> System:
         output_maps=tuple(p for p in ports if isinstance(p, P.OutputMap)),
         output_lag=float(sum(p.time_constant for p in ports if isinstance(p, P.OutputLag))),
         output_delay=float(sum(p.delay for p in ports if isinstance(p, P.OutputDelay))),
-        omega=_fastest(f, stiff + elements.bristles, damping),
+        omega=_fastest(f, stiff + elements.bristles, damping + elements.creep),
         sliding=_fastest(f, stiff, damping),
         yields=elements.yields,
+        creeps=elements.creeps,
         spatial=elements.spatial,
         affine=_affine(ports, gap_law) and not np.isfinite(servo[2:4]).all() and not elements.uneven,
         gain=gain,

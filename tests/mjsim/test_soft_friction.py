@@ -12,7 +12,8 @@ import pytest
 from mjsim.chain import Softness
 from mjsim.mjcf import load_model
 from mjsim.mjcf.softness import has_soft_friction, with_softness
-from mjsim.ode import inverse, simulate
+from mjsim.ode import inverse, simulate, work_done
+from mjsim.system import assemble
 
 DT = 1e-3
 SHORT_STEP = 'timestep="0.0002"'
@@ -71,6 +72,31 @@ def test_the_engine_moves_as_mujoco_does(
     size = np.sqrt(np.mean(expected**2))
     assert np.sqrt(np.mean((soft - expected) ** 2)) < within * size
     assert np.sqrt(np.mean((hard - expected) ** 2)) > 5 * within * size
+
+
+@pytest.mark.parametrize(
+    ("joint", "load"), [("", ""), ('solreffriction=".05 1" solimpfriction=".7 .9 .001 .5 2"', ""), ("", LOAD)]
+)
+def test_a_step_is_cut_only_where_a_body_creeps(tmp_path: Path, joint: str, load: str) -> None:
+    """The motion is that of steps that are cut everywhere, at a part of their cost, which the measured speed foretells."""
+    (tmp_path / "model.xml").write_text(text(joint))
+    model = load_model(tmp_path / "model.xml")
+    system = assemble(with_softness(model.axis, model))
+    dt, t = 0.02, 0.02 * np.arange(1000)
+    torque = 0.5 * np.sin(2 * np.pi * 1.1 * t) + 0.4 * np.sin(2 * np.pi * 0.37 * t + 1.0)
+    torque[300:500] = 0.05  # at rest on the slope
+    n, parts = system.steps(dt, 0.0)
+    assert n * parts >= system.substeps(dt, 0.0) > n
+    runs, taken = [], []
+    for substeps in (64, n * parts, None):
+        before = work_done()
+        runs.append(simulate(system, torque, dt, substeps=substeps, most_substeps=1000).velocity)
+        taken.append((work_done() - before) / (4 * len(t)))
+    fine, everywhere, here = runs
+    assert taken[2] < 0.8 * taken[1]
+    assert system.mean_steps(dt, here) == pytest.approx(taken[2], rel=0.3)
+    size, most = np.sqrt(np.mean(fine**2)), 2.0 * np.sqrt(np.mean((everywhere - fine) ** 2))
+    assert np.sqrt(np.mean((here - fine) ** 2)) < max(most, 3e-5 * size)
 
 
 def test_the_inverse_gives_the_torque_back(tmp_path: Path, torque: np.ndarray) -> None:
