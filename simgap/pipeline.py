@@ -15,10 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from diagnose.check import LogCheck, LogVerdict, Machine, check_log
+from diagnose.check import LogCheck, LogVerdict
 from diagnose.check.answer import wrong_log
-from diagnose.check.found_hold import told_as_taken, with_found_hold
-from diagnose.check.left_out import told_as_left_out, without_late_velocity
 from diagnose.data.channels import with_common_channels
 from diagnose.data.content import at_content_rate
 from diagnose.data.derived import without_derived_velocity
@@ -39,7 +37,7 @@ from mjsim.compiled import kept_at
 from mjsim.control import as_driven
 from mjsim.errors import InputError
 from mjsim.kernel import integrate
-from mjsim.mjcf import check_writable, load_axis, load_model, write_corrected
+from mjsim.mjcf import check_writable, load_axis, write_corrected
 from mjsim.mjcf.assets import bring_assets, placed
 from mjsim.mjcf.whole import WRITTEN, is_whole, write_whole
 from mjsim.mjcf.xmltext import decoded
@@ -54,6 +52,7 @@ from simgap.found import corrected_axis
 from simgap.judging import before_search, write_judged
 from simgap.long_logs import load_all, told, trend_sentences
 from simgap.servo_log import another_hold, checked_servo, hold_beside, later_hold, with_taken
+from simgap.torque_log import checked_torque
 
 __all__ = ["corrected_axis", "diagnose_files", "diagnose_recordings", "mapped_axis", "model_diff"]
 
@@ -154,7 +153,7 @@ def diagnose_recordings(
     if nominal.chain.servo is not None:
         log, recordings, held_out = checked_servo(model, nominal, recordings, held_out, options.since(began).seconds)
     else:
-        log, recordings, held_out = _checked(Machine.of(load_model(model)), recordings, held_out, accept_log)
+        log, recordings, held_out = checked_torque(model, nominal, recordings, held_out, options.since(began), accept=accept_log)
     if log is not None and _has_to_be_fixed(log, nominal) and not accept_log:
         return _written(wrong_log(nominal, log, recordings, held_out, options.seed), nominal, model, out, truth, page)
     if nominal.chain.servo is not None and log is not None:
@@ -223,25 +222,6 @@ def _has_to_be_fixed(log: LogCheck, nominal: Axis) -> bool:
     if nominal.chain.servo is None:
         return log.verdict is LogVerdict.FIX
     return any(p.problem in WRONG for p in log.to_fix())
-
-
-def _checked(
-    machine: Machine, recordings: Sequence[Recording], held_out: Sequence[Recording], accept: bool
-) -> tuple[LogCheck, Sequence[Recording], Sequence[Recording]]:
-    """The check of the log of an axis that a torque drives, and the recordings.
-
-    With the hold that they all show where none is stated, and without a velocity that is late where the angle can take its place.
-    """
-    every = [*recordings, *held_out]
-    log = check_log(machine, every)
-    other = with_found_hold(log, machine, recordings, held_out)
-    if other is not None:
-        recordings, held_out = other
-        log = told_as_taken(log, check_log(machine, [*recordings, *held_out]))
-    fewer = None if accept else without_late_velocity(log, recordings, held_out)
-    if fewer is None:
-        return log, recordings, held_out
-    return told_as_left_out(log, check_log(machine, [*fewer[0], *fewer[1]])), *fewer
 
 
 def _measured_alone(

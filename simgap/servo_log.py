@@ -1,4 +1,4 @@
-"""The log of one servo joint before and after the search: its check, and how its command goes between samples."""
+"""The log of one joint before and after the search: the check of a servo's, and how the input of any goes between samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from diagnose.check import LogCheck
 from diagnose.check.faults.hold import shift_of
 from diagnose.evidence.rivals.quantisation import within_the_step
-from diagnose.fit.command_hold import WORDS, hold_instead, is_assumed, shown_hold, taken_hold, with_hold
+from diagnose.fit.command_hold import WORDS, hold_instead, input_channel, is_assumed, shown_hold, taken_hold, with_hold
 from diagnose.pipeline import Options, diagnose
 from diagnose.progress import Step
 from diagnose.result import Diagnosis, Verdict
@@ -51,11 +51,11 @@ def hold_beside(
     result: Diagnosis, nominal: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording], options: Options,
     say: Callable[[Step], None] = lambda _: None, level: float = UNEXPLAINED,
 ) -> str:  # fmt: skip
-    """The hold of a command that shows beside the structure that was found; that of the recordings where none does.
+    """The hold of the input that shows beside the structure that was found; that of the recordings where none does.
 
-    Of a held command that is one that leaves less where the effects leave more than noise, and one that explains as much as one
-    of the effects. Else one under which a short search finds a structure that leaves less, where more than ``level`` times the
-    noise variance is left: an error of the hold hides effects.
+    Of a held input that is one that leaves less where the effects leave more than noise, and one that explains as much as one
+    of the effects. Else, of a servo, one under which a short search finds a structure that leaves less, where more than ``level``
+    times the noise variance is left: an error of the hold hides effects.
     """
     began, own = time.monotonic(), recordings[0].hold
     shown = _hold_of_structure(result, nominal, recordings, held_out, options)
@@ -82,15 +82,15 @@ def _hold_of_structure(
 ) -> str:
     """The hold that shows by the structure that was found (`hold_beside`)."""
     own, every = recordings[0].hold, [*recordings, *held_out]
-    if nominal.chain.servo is None or not _is_open(every) or not options.seconds > 0:
+    if result.channel == "torque" or not _is_open(every) or not options.seconds > 0:
         return own
     if (later := later_hold(result, every)) != own:
         return later
     began, physics = time.monotonic(), physics_found(result)
-    if own != "held" or not physics:
+    if own != "held":
         return own
     shown = shown_hold(corrected_axis(nominal, result), recordings, held_out, options.seconds) if _is_far(result) else own
-    if shown == own:
+    if shown == own and physics:
         given = nominal.with_values(as_fitted(result))
         fewer = [given.with_effects([e for e in physics if e is not one]) for one in physics]
         shown = hold_instead(corrected_axis(nominal, result), fewer, recordings, held_out, options.since(began).seconds)
@@ -115,8 +115,8 @@ def later_hold(result: Diagnosis, recordings: Sequence[Recording]) -> str:
 
 
 def _is_open(recordings: Sequence[Recording]) -> bool:
-    """Whether all recordings have commands of one hold, which none states."""
-    return all(r.command is not None and r.hold == recordings[0].hold and not r.hold_stated for r in recordings)
+    """Whether all recordings have an input of one hold, which none states."""
+    return all(r.driven and r.hold == recordings[0].hold and not r.hold_stated for r in recordings)
 
 
 def _searched_hold(
@@ -164,7 +164,8 @@ def with_taken(log: LogCheck | None, hold: str, recordings: Sequence[Recording])
     """The check with what it says of a hold that is taken, and without what it said of another."""
     if log is None:
         return None
-    others = [p for p in log.problems if (p.channel, p.problem) != ("command", "hold")]
+    first = recordings[0]
+    others = [p for p in log.problems if (p.channel, p.problem) != (input_channel(first), "hold")]
     if hold != "held":
-        others.append(dataclasses.replace(taken_hold(hold, 1.0 / recordings[0].dt), recording=recordings[0].source))
+        others.append(dataclasses.replace(taken_hold(hold, 1.0 / first.dt, input_channel(first)), recording=first.source))
     return dataclasses.replace(log, problems=tuple(others))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from diagnose.check.faults.hold import nearest_hold, shift_of
 from diagnose.check.machine import Machine
-from diagnose.check.thresholds import Z95, Z_TEST
+from diagnose.check.thresholds import HOLD_TOLERANCE, Z95, Z_TEST
 from diagnose.check.types import LogCheck
 from mjsim.recording import Recording
 
-__all__ = ["told_as_taken", "with_found_hold"]
+__all__ = ["shows_hold", "told_as_taken", "with_found_hold"]
 
 _FAULT = "hold"
 
@@ -38,14 +39,26 @@ def with_found_hold(
     return first, second
 
 
+def shows_hold(check: LogCheck) -> bool:
+    """Whether the delay of a recording is known well enough to tell holds apart."""
+    return any(
+        Z_TEST * _error(own) <= HOLD_TOLERANCE * own["sample_time_s"] for own in check.measured.values() if "delay_s" in own
+    )
+
+
+def _error(own: Mapping[str, Any]) -> float:
+    """Standard error of a measured delay [s]."""
+    low, high = own["delay_s"]["ci95"]
+    return float(high - low) / (2.0 * Z95)
+
+
 def _contradicts(check: LogCheck, machine: Machine, recording: Recording, hold: str) -> bool:
     """Whether the delay of a recording is not that of a hold, to `Z_TEST` standard errors."""
     own = check.measured.get(recording.source, {})
     if any(p.problem == _FAULT and p.recording == recording.source for p in check.problems) or "delay_s" not in own:
         return False
     delay, dt = own["delay_s"], own["sample_time_s"]
-    error = (delay["ci95"][1] - delay["ci95"][0]) / (2.0 * Z95)
-    return bool(abs(delay["value"] - machine.input_lag() - shift_of(hold, "held") * dt) > Z_TEST * error)
+    return bool(abs(delay["value"] - machine.input_lag() - shift_of(hold, "held") * dt) > Z_TEST * _error(own))
 
 
 def told_as_taken(check: LogCheck, taken: LogCheck) -> LogCheck:
