@@ -53,9 +53,9 @@ def hold_beside(
 ) -> str:  # fmt: skip
     """The hold of the input that shows beside the structure that was found; that of the recordings where none does.
 
-    Of a held input that is one that leaves less where the effects leave more than noise, and one that explains as much as one
-    of the effects. Else, of a servo, one under which a short search finds a structure that leaves less, where more than ``level``
-    times the noise variance is left: an error of the hold hides effects.
+    Of a held command that is one that leaves less where the effects leave more than noise, and one that explains as much as one
+    of the effects; of a held torque, where no effect was found. Else, of a servo, one under which a short search finds a
+    structure that leaves less, where more than ``level`` times the noise variance is left: an error of the hold hides effects.
     """
     began, own = time.monotonic(), recordings[0].hold
     shown = _hold_of_structure(result, nominal, recordings, held_out, options)
@@ -87,7 +87,7 @@ def _hold_of_structure(
     if (later := later_hold(result, every)) != own:
         return later
     began, physics = time.monotonic(), physics_found(result)
-    if own != "held":
+    if own != "held" or (physics and nominal.chain.servo is None):
         return own
     shown = shown_hold(corrected_axis(nominal, result), recordings, held_out, options.seconds) if _is_far(result) else own
     if shown == own and physics:
