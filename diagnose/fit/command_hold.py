@@ -21,14 +21,13 @@ from typing import TypeVar
 import numpy as np
 
 from diagnose.check.types import Problem, Severity
-from diagnose.data.derived import without_derived_velocity
-from diagnose.data.servo import as_servo
 from diagnose.data.split import split
 from diagnose.fit.fitted import Fitted
 from diagnose.fit.fitter import Fitter
 from diagnose.fit.least_squares import orthonormal
+from diagnose.fit.usable import Usable
 from diagnose.fit.whiten import effective_share
-from diagnose.problem.choose_view import choose_view, with_samples
+from diagnose.options import Options
 from diagnose.problem.noise_model import ModelError
 from diagnose.thresholds import EQUIVALENT, FAIR, TWICE, UNEXPLAINED
 from mjsim.axis import Axis
@@ -199,11 +198,9 @@ def _promises(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Re
 
 
 def _fitter(axis: Axis, recordings: Sequence[Recording], held_out: Sequence[Recording]) -> Fitter:
-    nominal, fitted, held, _ = as_servo(axis, recordings, held_out)
-    fitted, held = ([without_derived_velocity(r) for r in group] for group in (fitted, held))
-    view, experiments = choose_view(fitted, None, nominal), split(fitted, held)
-    view = with_samples(view, (*experiments[0], *experiments[1]), nominal, None)
-    return Fitter(nominal, view, *experiments, jobs=1)
+    options = Options(jobs=1)
+    usable = Usable.of(axis, recordings, held_out, options)
+    return usable.fitter(split(usable.recordings, usable.held_out), options, {})
 
 
 def _is_noise(fitter: Fitter, f: Fitted) -> bool:
